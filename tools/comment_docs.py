@@ -8,14 +8,22 @@ from typing import Any
 
 import griffe
 
+from ctrplan.certificate.certificate import FIGURES
+
 KEPT = {"CATALOGUE"}  # constants that are part of the interface
 
 
 class CommentDocs(griffe.Extension):
-    """Gives attributes without a docstring the comment at the end of their line; drops a module's own settings."""
+    """Gives attributes without a docstring the comment at the end of their line, figures of the certificate their
+    description in the table; drops a module's own settings.
+    """
 
     def on_attribute_instance(self, *, attr: griffe.Attribute, **_: Any) -> None:
-        if attr.docstring is None and attr.lineno and (comment := end_comment(attr)):
+        is_figure = attr.name in FIGURES and attr.parent is not None and attr.parent.name == "Certificate"
+        comment = end_comment(attr) or (FIGURES[attr.name].description if is_figure else "")
+        if is_figure:
+            attr.value = None  # its row of the table
+        if attr.docstring is None and attr.lineno and comment:
             attr.docstring = griffe.Docstring(comment, parent=attr, lineno=attr.lineno)
 
     def on_module_members(self, *, mod: griffe.Module, **_: Any) -> None:

@@ -10,6 +10,7 @@ is a name in capitals that a module binds to numbers alone. Words of documents a
 
 import ast
 import re
+import sys
 from collections import Counter, defaultdict
 from pathlib import Path
 from statistics import median
@@ -80,6 +81,19 @@ def hand_set(tree: ast.Module) -> int:
     return count
 
 
+def visits() -> list[tuple[str, int]]:
+    """Files and functions that a plan calls in the thread that asks for it, from its scenario to plan.json."""
+    import ctrplan
+
+    seen: set[tuple[str, str]] = set()
+    ctrplan.plan(ctrplan.load_scenario(ROOT / "scenarios" / "vessel.toml"), time_s=0.5)  # imports everything
+    sys.setprofile(lambda frame, _event, _: seen.add((frame.f_code.co_filename, f"{frame.f_code.co_firstlineno}")))
+    ctrplan.plan(ctrplan.load_scenario(ROOT / "scenarios" / "vessel.toml"), time_s=1.0).to_json()
+    sys.setprofile(None)
+    own = {(file, name) for file, name in seen if "ctrplan" in Path(file).parts[-4:]}
+    return [("files", len({file for file, _ in own})), ("functions", len(own))]
+
+
 def main() -> None:
     parser = common.parser(__doc__)
     parser.add_argument("folder", type=Path, nargs="?", default=ROOT)
@@ -114,5 +128,7 @@ def main() -> None:
         ("words of documents", sum(length.values())),
         ("of these in docs/log", sum(length[page] for page in pages if "log" in page.parts)),
     ]
+    if root == ROOT:  # another checkout would have to be imported in a process of its own
+        rows += [(f"{what} of ctrplan/ that a plan of vessel.toml visits", n) for what, n in visits()]
     table("the tree", ("what", "count"), rows)
     print(f"\nclass names that occur more than once: {', '.join(twice)}")

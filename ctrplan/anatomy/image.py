@@ -1,10 +1,15 @@
-"""A volume: voxels, where each of them is and in which frame, and the segments that it names."""
+"""A volume: voxels, where each of them is and in which frame, the segments that it names; volumes kept while they are
+needed by several structures.
+"""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -99,3 +104,35 @@ def _joined(results: list[str]) -> str:
 def _volume(image: Image, label: int, layer: int) -> str:
     voxels = image.voxels if image.voxels.ndim == 3 else image.voxels[..., layer]
     return f"{np.count_nonzero(voxels == label) * image.voxel_mm3 / 1e3:.3g} ml"
+
+
+MOST_KEPT_BYTES = 600_000_000  # of voxels that are kept; what was read last stays
+Key = tuple[Path, int, int]  # with size and time of writing
+_KEPT: ContextVar[dict[Key, Image] | None] = ContextVar("kept", default=None)
+
+
+@contextmanager
+def images_kept() -> Iterator[None]:
+    """Within it an image that was read is not read again, unless its file has changed or others took its room."""
+    if _KEPT.get() is not None:
+        yield
+        return
+    before = _KEPT.set({})
+    try:
+        yield
+    finally:
+        _KEPT.reset(before)
+
+
+def image_of(path: Path, read: Callable[[Path], Image]) -> Image:
+    """The image of a file, read where it is not kept. Raises what `read` does."""
+    images = _KEPT.get()
+    if images is None:
+        return read(path)
+    told = path.stat()
+    key = (path.resolve(), told.st_size, told.st_mtime_ns)
+    if key not in images:
+        images[key] = read(path)
+        while len(images) > 1 and sum(image.voxels.nbytes for image in images.values()) > MOST_KEPT_BYTES:
+            del images[next(iter(images))]
+    return images[key]

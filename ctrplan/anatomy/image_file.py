@@ -11,7 +11,6 @@ import sys
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
-from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
 
@@ -250,37 +249,3 @@ def _check_size(image: Image) -> None:
         raise ImageRefusal(
             f"is {extent * 1e3:.3g} mm across: must be {SMALLEST_M * 1e3:g} mm to {LARGEST_M:g} m ({hint})"
         )
-
-
-MOST_KEPT_BYTES = 600_000_000  # of voxels that are kept; what was read last stays
-Key = tuple[Path, int, int]  # with size and time of writing
-_KEPT: ContextVar[dict[Key, Image] | None] = ContextVar("kept", default=None)
-
-
-@contextmanager
-def images_kept() -> Iterator[None]:
-    """Within it an image that was read is not read again, unless its file has changed or others took its room."""
-    if _KEPT.get() is not None:
-        yield
-        return
-    before = _KEPT.set({})
-    try:
-        yield
-    finally:
-        _KEPT.reset(before)
-
-
-def image_of(path: Path) -> Image:
-    """The image of a file, read where it is not kept. Raises ImageRefusal."""
-    from ctrplan.anatomy.image_file import read_image  # readers, which few scenarios need
-
-    images = _KEPT.get()
-    if images is None:
-        return read_image(path)
-    told = path.stat()
-    key = (path.resolve(), told.st_size, told.st_mtime_ns)
-    if key not in images:
-        images[key] = read_image(path)
-        while len(images) > 1 and sum(image.voxels.nbytes for image in images.values()) > MOST_KEPT_BYTES:
-            del images[next(iter(images))]
-    return images[key]

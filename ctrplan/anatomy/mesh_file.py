@@ -10,7 +10,6 @@ from typing import BinaryIO, TypeVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrplan.anatomy.mesh_formats import read_binary_ply, read_binary_stl, read_obj, read_vtk
 from ctrplan.anatomy.mesh_repair import Indices, MeshRefusal, turned_outward, welded
 from ctrplan.anatomy.patient_frame import Frame
 from ctrplan.base.arrays import Array
@@ -90,6 +89,13 @@ def _read(path: Path, group: str | None) -> tuple[Array, Indices]:
 
 
 def _parsed(path: Path, group: str | None) -> tuple[Array, Indices]:
+    from ctrplan.anatomy.mesh_formats import (  # where a mesh is read
+        read_binary_ply,
+        read_binary_stl,
+        read_obj,
+        read_vtk,
+    )
+
     kind = path.suffix.lower()[1:]
     if kind == "obj":
         return read_obj(path, group)

@@ -239,7 +239,8 @@ def _ply_vertices(element: _Element, body: bytes, place: int) -> Array:
     if len(set(names)) < len(names):
         _damaged("its vertices have a property twice")
     table = np.frombuffer(body, np.dtype([(p.name, p.kind) for p in element.properties]), element.length, place)
-    return np.column_stack([table[axis].astype(np.float64) for axis in "xyz"]).reshape(-1, 3)
+    with np.errstate(invalid="ignore"):  # coordinates that are no numbers are refused with the mesh
+        return np.column_stack([table[axis].astype(np.float64) for axis in "xyz"]).reshape(-1, 3)
 
 
 def _ply_faces(element: _Element, body: bytes, starts: Indices, counts: Indices) -> Indices:

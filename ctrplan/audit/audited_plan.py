@@ -10,6 +10,7 @@ import numpy as np
 
 from ctrplan.audit.body import BodyPoints, RawAnatomy, body_of
 from ctrplan.base.arrays import MM_PER_M, Array
+from ctrplan.certificate.certificate import FIGURES
 from ctrplan.errors import CtrplanError
 from ctrplan.files.plan_file import WrittenPlan
 from ctrplan.mechanics.accuracy import Accuracy
@@ -75,7 +76,7 @@ ALLOWED = {
     "strain": 0.2e-3,
 }
 SHARE = {"clearance": 0.0, "worst bound": 0.0, "bound": 0.02, "predicted": 0.02, "stability": 0.02, "strain": 0.02}
-SMALLER_IS_WORSE = ("clearance", "stability")
+SMALLER_IS_WORSE = [figure.claim for figure in FIGURES.values() if figure.is_minimum]
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,12 +131,7 @@ class WorstFigure:
         return f"leg {self.leg}, {self.time_s:.2f} s, tube {self.tube} at ({point}) mm"
 
 
-WHOLE_WAY = {  # claims about all of it, and their keys in plan.json
-    "clearance": "min_clearance_m",
-    "worst bound": "worst_bound_m",
-    "stability": "min_stability",
-    "strain": "max_strain",
-}
+WHOLE_WAY = {figure.claim: key for key, figure in FIGURES.items() if figure.claim}  # and its key in plan.json
 COST: dict[Accuracy, int] = {"search": 15, "certificate": 30, "exact": 80}  # of a solve, in units of 0.1 ms or so
 
 

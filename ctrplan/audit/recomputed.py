@@ -59,11 +59,11 @@ def recomputed_differences(plan: WrittenPlan, progress: Progress | None = None) 
     )
     fresh = json.loads(json.dumps(plan_to_json(again)))
     said = [key for key in KEYS if plan.content.get(key, ...) is not None]
-    found = [d for key in said for d in _differences(key, plan.content.get(key, ...), fresh[key])]
+    results = [d for key in said for d in _differences(key, plan.content.get(key, ...), fresh[key])]
     stated, settled = plan.content.get("settling"), fresh["settling"]
     if stated is not None and settled is not None:
-        found += [d for key in SETTLED for d in _differences(f"settling.{key}", stated.get(key, ...), settled[key])]
-    return (*found, *_played(plan))
+        results += [d for key in SETTLED for d in _differences(f"settling.{key}", stated.get(key, ...), settled[key])]
+    return (*results, *_played(plan))
 
 
 def _certificate(plan: WrittenPlan, progress: Progress | None) -> Certificate:
@@ -117,22 +117,22 @@ def _played(plan: WrittenPlan) -> Iterator[Difference]:
             yield Difference(f"largest speed of joint {name!r} in the trajectory", float(limit), float(speed))
 
 
-def _differences(figure: str, stated: Any, found: Any) -> Iterator[Difference]:
+def _differences(figure: str, stated: Any, result: Any) -> Iterator[Difference]:
     """Where two contents of JSON differ: numbers beyond rounding, the worst of a column."""
-    if isinstance(found, dict) and isinstance(stated, dict):
-        for key in (*found, *(key for key in stated if key not in found)):
-            yield from _differences(f"{figure}.{key}", stated.get(key, ...), found.get(key, ...))
-    elif _is_numeric(found) and _is_numeric(stated):
-        yield from _numbers_differ(figure, stated, found)
-    elif isinstance(found, list) and isinstance(stated, list) and len(found) == len(stated):
-        for k, (a, b) in enumerate(zip(stated, found, strict=True), start=1):
+    if isinstance(result, dict) and isinstance(stated, dict):
+        for key in (*result, *(key for key in stated if key not in result)):
+            yield from _differences(f"{figure}.{key}", stated.get(key, ...), result.get(key, ...))
+    elif _is_numeric(result) and _is_numeric(stated):
+        yield from _numbers_differ(figure, stated, result)
+    elif isinstance(result, list) and isinstance(stated, list) and len(result) == len(stated):
+        for k, (a, b) in enumerate(zip(stated, result, strict=True), start=1):
             yield from _differences(f"{figure}.{k}", a, b)
-    elif stated != found:
-        yield Difference(figure, _shown(stated), _shown(found))
+    elif stated != result:
+        yield Difference(figure, _shown(stated), _shown(result))
 
 
-def _numbers_differ(figure: str, stated: Any, found: Any) -> Iterator[Difference]:
-    a, b = (np.array(value, dtype=np.float64).ravel() for value in (stated, found))
+def _numbers_differ(figure: str, stated: Any, result: Any) -> Iterator[Difference]:
+    a, b = (np.array(value, dtype=np.float64).ravel() for value in (stated, result))
     if len(a) != len(b):
         yield Difference(f"number of {figure}", len(a), len(b))
         return

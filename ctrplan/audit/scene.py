@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Iterator
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -70,7 +71,7 @@ def _scenario(scenario: Scenario, figure: WorstFigure, anatomy: list[dict[str, A
         "base": {"position_mm": _mm(scenario.base_position_m), "quaternion_wxyz": [w, x, y, z]},
         "start": here,
         "goal": {"joints": here},
-        "margins": {"stability": scenario.margins.stability, "max_strain": scenario.margins.max_strain},
+        "margins": asdict(scenario.margins),
         "anatomy": anatomy,
     }
 

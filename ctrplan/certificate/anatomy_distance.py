@@ -73,11 +73,11 @@ class AnatomyDistance:
         """(K,) [m] at points (K, 3): exact where it may be below `needed_m` (K,), else a lower bound above that."""
         located = self.scenario.located(points_m)
         rough = self.grid.sample(located)
-        found: Array = rough - self._doubt(rough)
-        near = found < needed_m
+        result: Array = rough - self._doubt(rough)
+        near = result < needed_m
         if near.any():
-            found[near] = exact_clearance_of_many(self.scenario.anatomy, located[near])
-        return found
+            result[near] = exact_clearance_of_many(self.scenario.anatomy, located[near])
+        return result
 
     def least(self, points_m: Array, radius_m: Array, owner: NDArray[np.intp], count: int) -> Array:
         """(count,) [m] smallest clearance of bodies, each the pieces around the points of one owner, exact.

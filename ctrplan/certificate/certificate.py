@@ -1,5 +1,5 @@
-"""What a certificate says of a motion, what comes out when it is checked again, and certificates of several stages
-joined.
+"""What a certificate says of a motion: its figures in one table, what comes out when it is checked again, and
+certificates of several stages joined.
 
 A recheck asks two questions. Do the figures follow from the legs? On the mesh of the first walk each must come out
 again. Do the legs hold? On the certificate mesh, the finer one, they must be valid too.
@@ -8,7 +8,9 @@ again. Do the legs hold? On the certificate mesh, the finer one, they must be va
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass, field, fields, is_dataclass, replace
+from itertools import chain
+from operator import itemgetter
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -17,10 +19,55 @@ from numpy.typing import NDArray
 from ctrplan.base.arrays import Array
 from ctrplan.drive.legs import distance_from_polyline, merge_legs
 from ctrplan.errors import InputError
+from ctrplan.motion.checker import path_limits
 
 if TYPE_CHECKING:
     from ctrplan.mechanics.accuracy import Accuracy
-    from ctrplan.scenario.scenario import StartFriction
+    from ctrplan.scenario.scenario import Scenario, StartFriction
+
+Unit = Literal["", "m", "rad", "mm", "share", "number", "count"]  # "": a field that is no single number
+Join = Literal["", "max", "min", "sum", "all", "first", "last", "chain"]
+JOINS: dict[Join, Callable[[list[Any]], Any]] = {
+    "max": max,
+    "min": min,
+    "sum": sum,
+    "all": all,
+    "first": itemgetter(0),
+    "last": itemgetter(-1),
+    "chain": lambda stages: tuple(chain(*stages)),
+}
+
+
+@dataclass(frozen=True)
+class Figure:
+    """What plan.json, its schema, the terminal, the page and the audit have to know of a figure of the certificate.
+
+    Its key in plan.json is its name in `Certificate`, whose order is that of every list of figures.
+    """
+
+    join: Join  # how the figures of stages make that of the whole motion; "": `joined_certificates` says how
+    unit: Unit = ""
+    description: str = ""  # in the schema of plan.json
+    title: str = ""  # of its row on the page; no row without one
+    line: tuple[str, str] = ("", "{}")  # of the terminal: label, and text around the value; a label has one line
+    tile: tuple[str, str] = ("", "")  # on the page: a term of reports/words.py, and the text that it explains
+    limit: Callable[[Scenario], float | None] | None = None  # what the scenario requires: of a minimum at least that
+    claim: str = ""  # the name under which the audit looks for counterexamples
+
+    @property
+    def is_minimum(self) -> bool:
+        """Whether the limit is a lower one."""
+        return self.join == "min"
+
+    def meets(self, value: float, limit: float) -> bool:
+        """Whether a value keeps the limit; what is not a number never does."""
+        return bool(value >= limit if self.is_minimum else value <= limit)
+
+
+def figure(*given: Any, **shown: Any) -> dict[str, Figure]:
+    """Arguments of a `Figure` as the metadata of a field."""
+    return {"figure": Figure(*given, **shown)}
+
 
 SAME, SHARE = 1e-5, 1e-3  # in a figure's own unit (0.01 mm of a length), and of its value: processors round differently
 OFF_PATH = 1e-9  # rad or m by which legs and trajectory may leave the certified path
@@ -37,17 +84,17 @@ class Difference:
     @property
     def sentence(self) -> str:
         """Figure and both values, without a full stop."""
-        stated, found = (x if isinstance(x, str) else f"{x:.6g}" for x in (self.stated, self.found))
-        return f"{self.figure} is stated as {stated} and found to be {found}"
+        stated, result = (x if isinstance(x, str) else f"{x:.6g}" for x in (self.stated, self.found))
+        return f"{self.figure} is stated as {stated} and found to be {result}"
 
 
-def differences(stated: Any, found: Any, *, of: str = "", skip: tuple[str, ...] = ()) -> tuple[Difference, ...]:
+def differences(stated: Any, result: Any, *, of: str = "", skip: tuple[str, ...] = ()) -> tuple[Difference, ...]:
     """The differences of two dataclasses of one kind, fields in `skip` left out; figures are named `of` and the field.
 
     Of sequences of unlike lengths the lengths are compared, of texts whether they are alike.
     """
     names = (entry.name for entry in fields(stated) if entry.name not in skip)
-    return tuple(d for name in names for d in _compared(of + name, getattr(stated, name), getattr(found, name)))
+    return tuple(d for name in names for d in _compared(of + name, getattr(stated, name), getattr(result, name)))
 
 
 def path_differences(waypoints: Array, trajectory: Array, certified: Array) -> tuple[Difference, ...]:
@@ -66,26 +113,26 @@ def path_differences(waypoints: Array, trajectory: Array, certified: Array) -> t
     )
 
 
-def _compared(figure: str, stated: Any, found: Any) -> Iterator[Difference]:
-    if (stated is None) != (found is None) and (is_dataclass(stated) or is_dataclass(found)):
+def _compared(figure: str, stated: Any, result: Any) -> Iterator[Difference]:
+    if (stated is None) != (result is None) and (is_dataclass(stated) or is_dataclass(result)):
         yield Difference(figure, np.nan, np.nan)
     elif is_dataclass(stated):
-        yield from differences(stated, found, of=f"{figure}.")
+        yield from differences(stated, result, of=f"{figure}.")
     elif isinstance(stated, str):
-        if stated != found:
-            yield Difference(figure, stated, str(found))
+        if stated != result:
+            yield Difference(figure, stated, str(result))
     elif isinstance(stated, tuple):
-        if len(stated) != len(found):
-            yield Difference(figure, len(stated), len(found))
-        for number, (a, b) in enumerate(zip(stated, found, strict=False), start=1):
+        if len(stated) != len(result):
+            yield Difference(figure, len(stated), len(result))
+        for number, (a, b) in enumerate(zip(stated, result, strict=False), start=1):
             yield from _compared(f"{figure}.{number}", a, b)
     else:
-        yield from _numbers_compared(figure, stated, found)
+        yield from _numbers_compared(figure, stated, result)
 
 
-def _numbers_compared(figure: str, stated: Any, found: Any) -> Iterator[Difference]:
+def _numbers_compared(figure: str, stated: Any, result: Any) -> Iterator[Difference]:
     """The largest difference of numbers or arrays beyond what rounding may do; None counts as not a number."""
-    a, b = (np.asarray(np.nan if value is None else value, dtype=np.float64).ravel() for value in (stated, found))
+    a, b = (np.asarray(np.nan if value is None else value, dtype=np.float64).ravel() for value in (stated, result))
     if a.shape != b.shape:
         yield Difference(f"number of {figure}", len(a), len(b))
         return
@@ -164,35 +211,97 @@ class TargetReached:
     )
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Certificate:
-    """Dense recheck of the legs, independent of anything the search approximated."""
+    """Dense recheck of the legs, independent of anything the search approximated. Its fields are the table of figures.
+
+    A new figure is a field here and its value in `certify.finished`.
+    """
 
     samples: CertificateSamples
-    valid: bool
-    problems: tuple[str, ...]  # sentences; empty when valid
-    worst_bound_m: float  # with the allowance for the mesh
-    goal_bound_m: float  # likewise
-    goal_bound_rad: float
-    goal_tip_error_m: float  # frictionless tip to the goal's tip; 0 for joint goals
-    error_integral_mm: float  # integral of the bound over the joint length, mm * mm / mm_per_rad
-    worst_predicted_m: float  # as the bounds, but by simulated history
-    goal_predicted_m: float
-    released_integral_mm: float  # integrals of released_m and predicted_m, like error_integral_mm
-    predicted_integral_mm: float
-    goal_predicted_tip_m: Array  # (3,) robot frame, mean over the start states
-    goal_predicted_spread_m: float  # how far from it a start state can leave the tip
-    snaps: int  # times a simulated robot slid to another equilibrium
-    min_clearance_m: float  # in every friction state, all allowances taken off; inf in free space
-    min_stability: float
-    max_strain: float
-    length_mm: float  # weighted joint length
-    stops: int  # of the drive on the way: changes of direction, and targets but the last
-    cost_mm: float
-    spacing_m: float  # largest motion of a body point of any shape between samples
-    worst_play_m: float = 0.0  # how far play of the drive may move the robot
-    goal_play_m: float = 0.0
-    start_friction: StartFriction = "unknown"  # what the figures assume of friction before the motion
+    # fmt: off
+    valid: bool = field(metadata=figure("all"))
+    problems: tuple[str, ...] = field(metadata=figure("chain"))  # sentences; empty when valid
+    goal_bound_m: float = field(metadata=figure(
+        "last", "m", "worst-case friction error of the tip at the goal, with the allowance for the mesh",
+        title="Worst-case friction error at the goal, position", line=("worst-case friction error", "{} at the goal"),
+        tile=("worst-case friction error", "worst-case friction error at the goal"),
+        limit=lambda scenario: scenario.cost.max_error_goal_m,
+    ))
+    goal_bound_rad: float = field(metadata=figure(
+        "last", "rad", "of the tip's tangent", title="Worst-case friction error at the goal, direction"
+    ))
+    worst_bound_m: float = field(metadata=figure(
+        "max", "m", "largest worst-case friction error of the tip along the path", claim="worst bound",
+        title="Worst-case friction error along the path", line=("worst-case friction error", "{} on the way"),
+        tile=("worst-case friction error", "worst case at most along the path"),
+    ))
+    goal_predicted_m: float = field(metadata=figure(
+        "last", "m", "friction error at the goal by simulated history, the largest over the states it may start in",
+        title="Predicted friction error at the goal", line=("predicted friction error", "{} at the goal"),
+        tile=("predicted friction error", "predicted friction error at the goal"),
+    ))
+    worst_predicted_m: float = field(metadata=figure(
+        "max", "m", "largest friction error along the path by simulated history, over the states it may start in",
+        title="Predicted friction error along the path", line=("predicted friction error", "{} on the way"),
+    ))
+    goal_predicted_tip_m: Array = field(metadata=figure("last"))  # (3,) robot frame, mean over the start states
+    goal_predicted_spread_m: float = field(metadata=figure(
+        "last", "m", "how far from that mean the friction state at the start can leave the tip"
+    ))
+    goal_tip_error_m: float = field(metadata=figure(
+        "last", "m", "distance of the frictionless tip from the goal's; 0 for goals in joint values",
+        title="Distance from the goal without friction", limit=lambda scenario: scenario.goal.tolerance_m,
+    ))
+    worst_play_m: float = field(default=0.0, metadata=figure(
+        "max", "m", "how far play of the drive may move the robot, taken off every clearance"
+    ))
+    goal_play_m: float = field(default=0.0, metadata=figure("last", "m", "that at the goal"))
+    min_clearance_m: float = field(metadata=figure(  # inf in free space
+        "min", "m", claim="clearance", limit=lambda scenario: path_limits(scenario).clearance_m,
+        description="of every friction state to the anatomy, beyond its margins, all allowances taken off; "
+        "null in free space",
+        title="Clearance to the anatomy in every friction state, beyond its margins",
+        tile=("certified clearance", "certified clearance beyond the margins"),
+    ))
+    min_stability: float = field(metadata=figure(
+        "min", "number", "in every friction state", claim="stability",
+        title="Smallest stability in every friction state", line=("least stability", "{}"),
+        tile=("stability", "smallest stability"), limit=lambda scenario: path_limits(scenario).stability,
+    ))
+    max_strain: float = field(metadata=figure(
+        "max", "share", "in every friction state", claim="strain",
+        title="Largest strain in every friction state", line=("least stability", "largest strain {}"),
+        limit=lambda scenario: path_limits(scenario).max_strain,
+    ))
+    length_mm: float = field(metadata=figure(
+        "sum", "mm", "length in joint space, 1 rad counted as mm_per_rad", title="Joint path length"
+    ))
+    error_integral_mm: float = field(metadata=figure(
+        "sum", "mm", "integral of the bound over the joint length, divided by mm_per_rad",
+        title="Error summed over the path",
+    ))
+    released_integral_mm: float = field(metadata=figure(
+        "sum", "mm", "integral of released_m over the joint length, divided by mm_per_rad"
+    ))
+    predicted_integral_mm: float = field(metadata=figure(
+        "sum", "mm", "integral of the predicted error over the joint length, divided by mm_per_rad"
+    ))
+    spacing_m: float = field(metadata=figure(
+        "max", "m", "largest motion of a body point between samples",
+        title="Largest motion of the body between samples",
+    ))
+    cost_mm: float = field(metadata=figure(
+        "sum", "mm", "with released errors along the path, bound and released error at the goal, see the samples",
+        title="Cost", line=("cost", "{}"),
+    ))
+    stops: int = field(metadata=figure(
+        "", "count", "of the drive on the way, as the trajectory's", title="Stops on the way"
+    ))
+    snaps: int = field(metadata=figure("sum", "count", "times a simulated robot slid to another equilibrium"))
+    # The first stage's: where that is known, later stages go on from any that it leads to.
+    start_friction: StartFriction = field(default="unknown", metadata=figure("first"))  # before the motion, as assumed
+    # fmt: on
     nominal: Closest | None = None  # the frictionless robot where it comes closest; None in free space
     closest: Closest | None = None  # the robot in any friction state
     narrowest: Closest | None = None  # where min_clearance_m is left, in the friction state that comes closest there
@@ -211,16 +320,16 @@ class Certificate:
 
     def _differences(self, again: Certificate) -> tuple[Difference, ...]:
         """The differences of all figures, samples and targets included, from those of another walk of the same legs."""
-        found = differences(self, again, skip=("settling", "walk_again"))
+        result = differences(self, again, skip=("settling", "walk_again"))
         if self.settling is None:
-            return found
+            return result
         swinging = again.samples.leg >= self.settling.first_leg
         expected = replace(
             self.settling,
             min_clearance_m=float(again.samples.clearance_m[swinging].min(initial=np.inf)),
             goal_predicted_after_m=again.goal_predicted_m,
         )
-        return found + differences(self.settling, expected, of="settling.")
+        return result + differences(self.settling, expected, of="settling.")
 
 
 @dataclass(frozen=True, eq=False)
@@ -248,32 +357,23 @@ class Recheck:
         return f"{opening} on the certificate mesh: {self.fresh.problems[0]}"
 
 
+FIGURES: dict[str, Figure] = {
+    entry.name: entry.metadata["figure"] for entry in fields(Certificate) if "figure" in entry.metadata
+}
+
+
 def joined_certificates(stages: list[Certificate]) -> Certificate:
     """One certificate over all stages: figures at the goal are the last one's, the others the worst or the sum."""
     if len(stages) == 1:
         return stages[0]
     samples, targets = _joined_samples(stages)
     last, before = stages[-1], sum(map(_legs, stages[:-1]))
+    joins = {name: JOINS[figure.join] for name, figure in FIGURES.items() if figure.join}
     return replace(
         last,
+        **{name: join([getattr(stage, name) for stage in stages]) for name, join in joins.items()},
         samples=samples,
-        valid=all(stage.valid for stage in stages),
-        problems=tuple(problem for stage in stages for problem in stage.problems),
-        worst_bound_m=max(stage.worst_bound_m for stage in stages),
-        error_integral_mm=sum(stage.error_integral_mm for stage in stages),
-        worst_predicted_m=max(stage.worst_predicted_m for stage in stages),
-        released_integral_mm=sum(stage.released_integral_mm for stage in stages),
-        predicted_integral_mm=sum(stage.predicted_integral_mm for stage in stages),
-        snaps=sum(stage.snaps for stage in stages),
-        min_clearance_m=min(stage.min_clearance_m for stage in stages),
-        min_stability=min(stage.min_stability for stage in stages),
-        max_strain=max(stage.max_strain for stage in stages),
-        length_mm=sum(stage.length_mm for stage in stages),
         stops=max(sum(map(_legs_driven, stages)) - 1, 0),
-        cost_mm=sum(stage.cost_mm for stage in stages),
-        spacing_m=max(stage.spacing_m for stage in stages),
-        worst_play_m=max(stage.worst_play_m for stage in stages),
-        start_friction=stages[0].start_friction,  # where it is known, later stages go on from any that it leads to
         nominal=_closest(stages, "nominal"),
         closest=_closest(stages, "closest"),
         narrowest=_closest(stages, "narrowest"),
@@ -285,15 +385,15 @@ def joined_certificates(stages: list[Certificate]) -> Certificate:
 
 def _closest(stages: list[Certificate], name: Literal["nominal", "closest", "narrowest"]) -> Closest | None:
     """The closest of all stages, that of least certified clearance for "narrowest"; leg and path are the tour's."""
-    found: list[tuple[float, Closest]] = []
+    results: list[tuple[float, Closest]] = []
     legs, travelled = 0, 0.0
     for stage in stages:
         place: Closest | None = getattr(stage, name)
         if place is not None:
             left_m = stage.min_clearance_m if name == "narrowest" else place.clearance_m
-            found.append((left_m, replace(place, leg=place.leg + legs, path_mm=place.path_mm + travelled)))
+            results.append((left_m, replace(place, leg=place.leg + legs, path_mm=place.path_mm + travelled)))
         legs, travelled = legs + _legs(stage), travelled + stage.length_mm
-    return min(found, key=lambda one: one[0])[1] if found else None
+    return min(results, key=lambda one: one[0])[1] if results else None
 
 
 def _all_again(stages: list[Certificate]) -> Callable[[Accuracy | None], Certificate] | None:

@@ -44,8 +44,8 @@ class SimulatedBodies:
         ahead = shape.s_m >= 0
         if ahead.any():
             owner = np.zeros(int(ahead.sum()), dtype=np.intp)
-            found = self.distance.least(shape.centreline_m[ahead], shape.radius_m[ahead], owner, 1)
-            self.clearances_m.append(float(found[0]))
+            result = self.distance.least(shape.centreline_m[ahead], shape.radius_m[ahead], owner, 1)
+            self.clearances_m.append(float(result[0]))
 
     @property
     def sentence(self) -> str:
@@ -152,16 +152,16 @@ def _contradictions(prediction: PathPrediction, samples: CertificateSamples) -> 
     """Sentences where the simulated histories leave what the walk promises."""
     if not np.all(np.isfinite(prediction.tip_m)):
         return ["A simulated robot finds no equilibrium to go on to."]
-    found = []
+    results = []
     if prediction.snaps:
         times = f"{prediction.snaps} times" if prediction.snaps > 1 else "once"
-        found.append(f"Simulated robots snap to another equilibrium {times}.")
+        results.append(f"Simulated robots snap to another equilibrium {times}.")
     beyond = samples.predicted_m - (samples.bound_m - samples.parameter_bound_m)  # of the file's robot
     worst = int(np.argmax(beyond))
     if beyond[worst] > BEYOND_BOUND_M:
         where = f"On leg {samples.leg[worst] + 1}"
-        found.append(f"{where}: a simulated robot is {beyond[worst] * MM_PER_M:.2f} mm beyond the worst-case error.")
-    return found
+        results.append(f"{where}: a simulated robot is {beyond[worst] * MM_PER_M:.2f} mm beyond the worst-case error.")
+    return results
 
 
 def _target(walk: WalkedLegs, samples: CertificateSamples) -> TargetReached:

@@ -54,7 +54,7 @@ def closest_places(scenario: Scenario, pieces: Sequence[Piece], samples: Certifi
     pairs = scenario.robot.n - 1
     rest: list[State] = [(0.0,) * pairs]
     at = cache(partial(_configuration, scenario, samples))
-    found = [_closest(distance, samples, k, at(k), rest) for k in nominal.tolist()]
+    results = [_closest(distance, samples, k, at(k), rest) for k in nominal.tolist()]
     corners = corner_states(pairs) if scenario.robot.friction.any() else []
     certified = int(np.argmin(samples.clearance_m))
     by_row = {
@@ -62,7 +62,7 @@ def closest_places(scenario: Scenario, pieces: Sequence[Piece], samples: Certifi
         for k in dict.fromkeys([*narrow.tolist(), certified])
     }
     tied = [place for k, place in by_row.items() if samples.clearance_m[k] <= samples.clearance_m[certified] + TIGHT_M]
-    return ClosestPlaces(_least(found), _least([*by_row.values(), *found]), _least(tied))
+    return ClosestPlaces(_least(results), _least([*by_row.values(), *results]), _least(tied))
 
 
 def _as_solved(scenario: Scenario, piece: Piece) -> Array:
@@ -74,9 +74,9 @@ def _as_solved(scenario: Scenario, piece: Piece) -> Array:
     return clearance
 
 
-def _least(found: list[Closest | None]) -> Closest | None:
+def _least(results: list[Closest | None]) -> Closest | None:
     """The closest of the states that were solved."""
-    return min(filter(None, found), key=lambda place: place.clearance_m, default=None)
+    return min(filter(None, results), key=lambda place: place.clearance_m, default=None)
 
 
 def _rows(clearance_m: Array) -> NDArray[np.intp]:

@@ -93,9 +93,9 @@ class SampleStates:
         if k in self.piece.finer:
             return self.piece.finer[k]
         with self._lock:
-            found = self.solve(self.states)
-            self._compare(found.point_m)
-        return CornerShapes(found.point_m, found.stability, found.max_strain, found.radius_m)
+            result = self.solve(self.states)
+            self._compare(result.point_m)
+        return CornerShapes(result.point_m, result.stability, result.max_strain, result.radius_m)
 
     @cached_property
     def walked(self) -> tuple[Array, Array]:
@@ -112,11 +112,11 @@ class SampleStates:
         if self._start is None:
             at = self.piece.theta_b[self.sample], self.piece.l_b[self.sample]
             self._start = self.scenario.robot.mechanics.friction_states(*at, accuracy=self.accuracy)
-        found = self._start.bodies(np.array(list(phi)), spacing_m=POINT_SPACING_M)
+        result = self._start.bodies(np.array(list(phi)), spacing_m=POINT_SPACING_M)
         return (
-            found
-            if found.solved.all()
-            else replace(found, point_m=np.where(found.solved[:, None, None], found.point_m, np.nan))
+            result
+            if result.solved.all()
+            else replace(result, point_m=np.where(result.solved[:, None, None], result.point_m, np.nan))
         )
 
     def __call__(self, phi: Iterable[State]) -> list[Solved]:
@@ -125,10 +125,10 @@ class SampleStates:
         with self._lock:
             if wanted := [state for state in asked if state not in self._solved]:
                 first = [] if self._compared else self.states
-                found = self.solve([*first, *wanted])
+                result = self.solve([*first, *wanted])
                 if first:
-                    self._compare(found.point_m[: len(first)])
-                rows = zip(found.point_m, found.stability.tolist(), found.max_strain.tolist(), strict=True)
+                    self._compare(result.point_m[: len(first)])
+                rows = zip(result.point_m, result.stability.tolist(), result.max_strain.tolist(), strict=True)
                 solved = [Solved(*row) for row in rows]
                 self._solved |= dict(zip(wanted, solved[len(first) :], strict=True))
         states = [self._solved[state] for state in asked]
@@ -236,10 +236,10 @@ def _narrowest(pieces: Sequence[Piece]) -> list[tuple[int, int]]:
 
 
 def _of_piece(
-    piece: int, places: Sequence[tuple[int, int]], found: Sequence[StateMinima]
+    piece: int, places: Sequence[tuple[int, int]], results: Sequence[StateMinima]
 ) -> tuple[list[int], list[StateMinima]]:
     """Samples of one piece among `places`, and what was found there."""
-    rows = [(sample, one) for (p, sample), one in zip(places, found, strict=True) if p == piece]
+    rows = [(sample, one) for (p, sample), one in zip(places, results, strict=True) if p == piece]
     return [sample for sample, _ in rows], [one for _, one in rows]
 
 
@@ -254,11 +254,11 @@ def _every_sample(pool: Executor, looks: Sequence[_PieceView], limited: Needed) 
     for k in order:
         piece = looks[k].piece
         for samples, future in work[k]:
-            found = future.result()
-            if found is None:  # and all after it
+            result = future.result()
+            if result is None:  # and all after it
                 break
-            piece = _with(piece, samples, found)
-            if not all(one.keeps(limited) for one in found):
+            piece = _with(piece, samples, result)
+            if not all(one.keeps(limited) for one in result):
                 break
         for _, future in work[k]:
             future.result()
@@ -266,11 +266,11 @@ def _every_sample(pool: Executor, looks: Sequence[_PieceView], limited: Needed) 
     return [ended[k] for k in range(len(looks))]
 
 
-def _with(piece: Piece, samples: Sequence[int], found: Sequence[StateMinima]) -> Piece:
+def _with(piece: Piece, samples: Sequence[int], results: Sequence[StateMinima]) -> Piece:
     """The piece with what was found of all states of some of its samples."""
     clearance, stability, strain = piece.clearance_m.copy(), piece.stability.copy(), piece.max_strain.copy()
     phi = piece.phi.copy()
-    for k, one in zip(samples, found, strict=True):
+    for k, one in zip(samples, results, strict=True):
         if one.clearance_m < clearance[k]:
             clearance[k], phi[k] = one.clearance_m, one.phi
         stability[k] = min(stability[k], one.stability)
@@ -317,11 +317,11 @@ class _PieceView:
         """The minima of a batch; None if one before it breaks a limit, beyond which nothing is evaluated."""
         if samples[0] > self._broken:
             return None
-        found = self.least(samples)
-        if not all(one.keeps(limited) for one in found):
+        result = self.least(samples)
+        if not all(one.keeps(limited) for one in result):
             with self._lock:
                 self._broken = min(self._broken, samples[-1])
-        return found
+        return result
 
     def ended(self, piece: Piece) -> Piece:
         """The piece, with how far bodies solved from scratch lay from those walked to; lets go of all bodies."""
@@ -335,9 +335,9 @@ class _PieceView:
         """The minima of each sample; all allowances taken off the clearance."""
         tries = {sample: self._tries(sample) for sample in samples if sample not in self._found}
         while going := {sample: asked for sample, one in tries.items() if (asked := next(one, None))}:
-            for sample, found in zip(going, self._least(going), strict=True):
-                self._found[sample] = found
-                if found.keeps(self.needed):
+            for sample, result in zip(going, self._least(going), strict=True):
+                self._found[sample] = result
+                if result.keeps(self.needed):
                     tries[sample].close()
         for sample in samples:
             for states in self._known_states(sample):
@@ -346,10 +346,10 @@ class _PieceView:
 
     def _least(self, going: Mapping[int, _Try]) -> list[StateMinima]:
         """What the tries find, one of each sample."""
-        found = minima_of_cubes([self._cube(sample, one) for sample, one in going.items()], self.distance)
+        result = minima_of_cubes([self._cube(sample, one) for sample, one in going.items()], self.distance)
         return [
             replace(least, clearance_m=least.clearance_m - self._offset_m(sample, one))
-            for (sample, one), least in zip(going.items(), found, strict=True)
+            for (sample, one), least in zip(going.items(), result, strict=True)
         ]
 
     def _tries(self, sample: int) -> Generator[_Try]:

@@ -115,15 +115,15 @@ def cell_clearances(
     for k, row in _closest(bodies, error, others[~is_known[others // points]], distance, enough_m).items():
         if k not in closest or row[0] < closest[k][0]:
             closest[k] = row
-    found = []
+    results = []
     for k, cell in enumerate(cells):
         at = int(np.argmin(rest[k]))
         least = CellClearance(float(rest[k, at]), cell.middle, middles[k, at, :3])
         if k in closest and closest[k][0] <= least.clearance_m:
             clearance, unit, place = closest[k]
             least = CellClearance(clearance, cell.at(unit), place)
-        found.append(least)
-    return found
+        results.append(least)
+    return results
 
 
 def _by_suspicion(near: NDArray[np.intp], spare: Array, points: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -187,18 +187,18 @@ def cell_minima(asked: Sequence[CellQuery], distance: Distance | None) -> list[S
 
 def _clearances(asked: Sequence[CellQuery], distance: Distance | None) -> list[CellClearance | None]:
     """The clearance of every cell, None where one of its states has no body."""
-    found: list[CellClearance | None] = [
+    results: list[CellClearance | None] = [
         CellClearance(np.inf, one.cell.middle, one.solved[-1].body_m[-1]) if one.has_bodies else None for one in asked
     ]
-    rows = [k for k, one in enumerate(asked) if one.enough_m is not None and found[k] is not None]
+    rows = [k for k, one in enumerate(asked) if one.enough_m is not None and results[k] is not None]
     if distance and rows:
         these, bodies = [asked[k] for k in rows], _bodies([asked[k] for k in rows])
         enough = np.array([one.enough_m for one in these])
         least = np.array([one.is_least_asked for one in these])
         clear = cell_clearances([one.cell for one in these], bodies, distance, enough, least)
         for k, clearance in zip(rows, clear, strict=True):
-            found[k] = clearance
-    return found
+            results[k] = clearance
+    return results
 
 
 def _bodies(asked: Sequence[CellQuery]) -> Array:
@@ -264,9 +264,9 @@ def minima_of_cubes(asked: Sequence[CubeQuery], distance: Distance | None) -> li
     cubes = [_Cube(one) for one in asked]
     while open_ := [cube for cube in cubes if cube.cells]:
         cells = [cell for cube in open_ for cell in cube.cells_asked()]
-        found = iter(cell_minima(cells, distance))
+        result = iter(cell_minima(cells, distance))
         for cube in open_:
-            cube.go_on([next(found) for _ in cube.cells])
+            cube.go_on([next(result) for _ in cube.cells])
     return [cube.least for cube in cubes]
 
 
@@ -307,10 +307,10 @@ class _Cube:
             for cell, of_cell in zip(self.cells, states, strict=True)
         ]
 
-    def go_on(self, found: Sequence[StateMinima]) -> None:
+    def go_on(self, results: Sequence[StateMinima]) -> None:
         """Halves the cells that do not keep what is needed, and takes over what is known of the others."""
         halved = list[Cell]()
-        for cell, of_cell in zip(self.cells, found, strict=True):
+        for cell, of_cell in zip(self.cells, results, strict=True):
             is_open = cell.depth < self.asked.least_depth or not of_cell.keeps(self.needed)
             is_short = of_cell.clearance_m < self.needed.clearance_m
             if is_open and self._is_halved(cell, is_short=is_short) and np.isfinite(of_cell.stability):
@@ -328,7 +328,7 @@ class _Cube:
     def _ask_for_less(self) -> None:
         """Begins again where some state has less than is needed, so that no other has less than what is said."""
         self.least = replace(self.least, solves=self._solves)
-        found, floor = self.least.clearance_m, self.asked.floor_m
-        if floor <= found < self.needed.clearance_m:
-            self.needed = replace(self.needed, clearance_m=max(floor, found - LESS_M))
+        result, floor = self.least.clearance_m, self.asked.floor_m
+        if floor <= result < self.needed.clearance_m:
+            self.needed = replace(self.needed, clearance_m=max(floor, result - LESS_M))
             self._begin()

@@ -70,12 +70,12 @@ def _other_start(robot: Robot, joints: Array) -> str:
 
     approaches = list(_approaches(robot.n - 1))
     with ThreadPoolExecutor() as pool:
-        found = list(pool.map(beyond, approaches))
-    worst = int(np.argmax(found))
-    if found[worst] <= BEYOND_BOUND_M:
+        result = list(pool.map(beyond, approaches))
+    worst = int(np.argmax(result))
+    if result[worst] <= BEYOND_BOUND_M:
         return ""
     turned = ", ".join(f"{np.degrees(turn):+.0f}" for turn in approaches[worst])
-    away_mm = (found[worst] + bound.position_m) * MM_PER_M
+    away_mm = (result[worst] + bound.position_m) * MM_PER_M
     return (
         f"The start has another equilibrium: approached by relative turns of ({turned}) deg the tip stands "
         f"{away_mm:.1f} mm from the frictionless one, beyond the bound of {bound.position_m * MM_PER_M:.2f} mm"
@@ -120,12 +120,12 @@ def other_equilibrium(robot: Robot, pieces: Sequence[Piece], lengths_mm: Sequenc
     def look(item: tuple[int, Piece]) -> OtherEquilibrium:
         number, piece = item
         rows = _rows(piece, lengths_mm[number])
-        found = [OtherEquilibrium(piece.leg, _from_corners(robot, piece, k), "from another corner") for k in rows]
+        results = [OtherEquilibrium(piece.leg, _from_corners(robot, piece, k), "from another corner") for k in rows]
         ends = [0] if number == 0 else []
         if number + 1 == len(pieces) or pieces[number + 1].leg != piece.leg:
             ends.append(len(piece.l_b) - 1)
-        found += [OtherEquilibrium(piece.leg, _from_turns(robot, piece, k), "by a turn") for k in dict.fromkeys(ends)]
-        return max(found, key=lambda other: other.apart_m)
+        results += [OtherEquilibrium(piece.leg, _from_turns(robot, piece, k), "by a turn") for k in dict.fromkeys(ends)]
+        return max(results, key=lambda other: other.apart_m)
 
     with ThreadPoolExecutor(cores()) as pool:
         farthest = max(pool.map(look, enumerate(pieces)), key=lambda other: other.apart_m)
@@ -158,6 +158,6 @@ def _from_turns(robot: Robot, piece: Piece, sample: int) -> float:
 def _walked_tips(robot: Robot, begin: Array, piece: Piece, sample: int) -> Array | None:
     """(C, 3) tips of the corners, walked from base rotations `begin`; None where the robot snaps on the way."""
     theta_b, l_b = np.array([begin, piece.theta_b[sample]]), np.array([piece.l_b[sample]] * 2)
-    found = robot.mechanics.check_path(theta_b, l_b, density=COARSE, accuracy=piece.accuracy)
-    arrived = found.fraction[-1] == 1 and found.status[-1] < Status.UNSTABLE
-    return found.corner_tip_m[-1] if arrived else None
+    result = robot.mechanics.check_path(theta_b, l_b, density=COARSE, accuracy=piece.accuracy)
+    arrived = result.fraction[-1] == 1 and result.status[-1] < Status.UNSTABLE
+    return result.corner_tip_m[-1] if arrived else None

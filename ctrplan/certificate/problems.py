@@ -86,8 +86,8 @@ def stated_bounds(robot: Robot, joints: Array, bound_m: Array, accuracies: Seque
 
 def _closely(robot: Robot, joints: Array, walked_m: Array, upper_m: Array) -> Array:
     """(K,) bounds on the certificate mesh with its allowance, where it is the same equilibrium; else `upper_m`."""
-    found = robot.mechanics.bound_many(*robot.drive.collars(joints), accuracy="certificate").position_m
-    closely = found + bound_allowance_m(robot, "certificate")
+    result = robot.mechanics.bound_many(*robot.drive.collars(joints), accuracy="certificate").position_m
+    closely = result + bound_allowance_m(robot, "certificate")
     is_same = (walked_m - bound_allowance_m(robot, "search") <= closely) & (closely <= upper_m)
     return np.where(is_same, closely, upper_m)
 
@@ -98,26 +98,26 @@ LEAP_M = 2 * SPACING_M  # a shape that moves farther between samples was not fol
 
 def problems_of_walk(scenario: Scenario, space: JointSpace, corners: Array, pieces: Sequence[Piece]) -> list[str]:
     """What keeps shapes from being followed along the polyline `corners` (K, m)."""
-    found = []
+    results = []
     if not space.allowed(corners):
-        found.append("A waypoint breaks a joint limit or the nesting of the tubes.")
+        results.append("A waypoint breaks a joint limit or the nesting of the tubes.")
     for before, piece in zip([None, *pieces[:-1]], pieces, strict=True):
         where = f"leg {piece.leg + 1}"
         if piece.samples.fraction[-1] < 1 and len(pieces) > 1 or breach(piece.samples, PathLimits()):
-            found.append(f"On {where}: {breach(piece.samples, PathLimits()) or 'the walk did not reach its end'}.")
+            results.append(f"On {where}: {breach(piece.samples, PathLimits()) or 'the walk did not reach its end'}.")
         elif before is not None and _apart(scenario, before, piece) > BRANCH_TOLERANCE_M:
-            found.append(f"On {where}: the shape depends on the way there, several equilibria exist.")
+            results.append(f"On {where}: the shape depends on the way there, several equilibria exist.")
         if piece.apart_m > SAME_BRANCH_M:
-            found.append(f"On {where}: another equilibrium exists for the same joints and friction.")
+            results.append(f"On {where}: another equilibrium exists for the same joints and friction.")
         if (leap := float(piece.samples.motion_m.max())) > LEAP_M:
-            found.append(
+            results.append(
                 f"On {where}: a shape leaps by {leap * MM_PER_M:.1f} mm, its friction state loses its equilibrium."
             )
         if (low := float((piece.height_m - piece.offset_m(scenario, piece.accuracy)).min())) < 0:
-            found.append(
+            results.append(
                 f"On {where}: a shape curls back to the front plate, {-low * MM_PER_M:.1f} mm too near or through it."
             )
-    return found
+    return results
 
 
 def problems_of_limits(
@@ -148,12 +148,12 @@ def problems_of_limits(
             (limits.clearance_m - samples.clearance_m.min()) * MM_PER_M,
         ),
     ]
-    found = [
+    results = [
         f"On leg {samples.leg[np.argmax(broken)] + 1}: {text.format(value)}."
         for broken, text, value in checks
         if broken.any()
     ]
-    return found + _problems_of_goal(scenario, samples, bounds)
+    return results + _problems_of_goal(scenario, samples, bounds)
 
 
 def _taken(by_parameters: Array, sample: int) -> str:
@@ -162,16 +162,16 @@ def _taken(by_parameters: Array, sample: int) -> str:
 
 
 def _problems_of_goal(scenario: Scenario, samples: CertificateSamples, bounds: Callable[[], StatedBounds]) -> list[str]:
-    found, limit, on_line = [], scenario.cost.max_error_goal_m, line_error_m(scenario, samples.tip_m)
+    result, limit, on_line = [], scenario.cost.max_error_goal_m, line_error_m(scenario, samples.tip_m)
     if limit is not None:
         error_m, where = (bounds().goal_m, "at the goal") if on_line is None else (bounds().worst_m, "on the line")
         if not error_m <= limit:
             error_mm, limit_mm = error_m * MM_PER_M, limit * MM_PER_M
-            found.append(f"The worst-case error {where} is {error_mm:.2f} mm, above {limit_mm:g} mm.")
+            result.append(f"The worst-case error {where} is {error_mm:.2f} mm, above {limit_mm:g} mm.")
     if on_line is not None and not on_line <= scenario.goal.tolerance_m:
         off_mm, tolerance_mm = on_line * MM_PER_M, scenario.goal.tolerance_m * MM_PER_M
-        found.append(f"The frictionless tip leaves the line by {off_mm:.2f} mm, tolerance {tolerance_mm:g} mm.")
-    return found
+        result.append(f"The frictionless tip leaves the line by {off_mm:.2f} mm, tolerance {tolerance_mm:g} mm.")
+    return result
 
 
 def _shares_of_clearance(scenario: Scenario, pieces: Sequence[Piece], limits: PathLimits) -> str:

@@ -72,8 +72,8 @@ def with_uneven_friction(scenario: Scenario, pieces: Sequence[Piece]) -> list[Pi
         return worst_uneven_friction(distance, piece.theta_b[k], piece.l_b[k]).nearer_m
 
     with ThreadPoolExecutor(cores()) as pool:
-        found = pool.map(nearer, _narrow_places(pieces, limit + NEAR_LIMIT_M))
-        beyond = max([0.0, *(value - UNEVEN_FRICTION_M for value in found)])
+        result = pool.map(nearer, _narrow_places(pieces, limit + NEAR_LIMIT_M))
+        beyond = max([0.0, *(value - UNEVEN_FRICTION_M for value in result)])
     return [
         replace(piece, clearance_m=piece.clearance_m - np.where(_is_near(piece.clearance_m, limit), beyond, 0.0))
         for piece in pieces
@@ -121,21 +121,21 @@ def _nearest(clearances: Callable[[Array], Array], phi: Array, least_m: float, c
 
     def clearances_of(tried: Array) -> Array:
         """At the end of the range a change leads nowhere else."""
-        found, is_other = np.full(len(tried), least_m), np.any(tried != phi, axis=(1, 2))
+        result, is_other = np.full(len(tried), least_m), np.any(tried != phi, axis=(1, 2))
         if is_other.any():
-            found[is_other] = clearances(tried[is_other])
-        return found
+            result[is_other] = clearances(tried[is_other])
+        return result
 
     while step >= LEAST_STEP:
         tried = np.clip(phi + step * np.concatenate([changes, -changes]), -1, 1)
-        found = clearances_of(tried)
-        ways = found.reshape(2, -1)
+        result = clearances_of(tried)
+        ways = result.reshape(2, -1)
         better = np.where(ways.min(axis=0) < least_m, np.where(ways[0] <= ways[1], 1.0, -1.0), 0.0)
         together = np.clip(phi + step * np.tensordot(better, changes, axes=1), -1, 1)
-        found, tried = np.append(found, clearances_of(together[None])), np.concatenate([tried, together[None]])
-        k = int(np.argmin(found))
-        if found[k] < least_m - WORTH_M:
-            least_m, phi = float(found[k]), tried[k]
+        result, tried = np.append(result, clearances_of(together[None])), np.concatenate([tried, together[None]])
+        k = int(np.argmin(result))
+        if result[k] < least_m - WORTH_M:
+            least_m, phi = float(result[k]), tried[k]
         else:
             step /= 2
     return least_m, phi
@@ -143,10 +143,10 @@ def _nearest(clearances: Callable[[Array], Array], phi: Array, least_m: float, c
 
 def _clearances(distance: AnatomyDistance, at: FrictionStates, states: Array) -> Array:
     """(S,) [m] least clearance of bodies at a configuration; inf where no equilibrium was found."""
-    found = at.bodies(states, spacing_m=POINT_SPACING_M)
+    result = at.bodies(states, spacing_m=POINT_SPACING_M)
     clearances = np.full(len(states), np.inf)
-    if found.solved.any():
-        bodies, count = found.point_m[found.solved], int(found.solved.sum())
+    if result.solved.any():
+        bodies, count = result.point_m[result.solved], int(result.solved.sum())
         owner = np.repeat(np.arange(count), bodies.shape[1])
-        clearances[found.solved] = distance.least(bodies.reshape(-1, 3), np.tile(found.radius_m, count), owner, count)
+        clearances[result.solved] = distance.least(bodies.reshape(-1, 3), np.tile(result.radius_m, count), owner, count)
     return clearances

@@ -53,7 +53,7 @@ def with_parameters(
     bound = allowed.bound_m
     friction = np.minimum(bounds.worst_m, samples.bound_m + bound_allowance_m(scenario.robot, "search"))
     wider = StatedBounds(bounds.goal_m + float(bound[-1]), float((friction + bound).max()))
-    found = replace(
+    result = replace(
         samples,
         bound_m=samples.bound_m + bound,
         clearance_m=samples.clearance_m - allowed.clearance_m,
@@ -64,7 +64,7 @@ def with_parameters(
         parameter_stability=allowed.stability,
         parameter_strain=allowed.strain,
     )
-    return found, wider, problems_of_limits(scenario, pieces, found, lambda: wider)
+    return result, wider, problems_of_limits(scenario, pieces, result, lambda: wider)
 
 
 Look = Callable[["Scenario", list[Piece]], list[Piece]]  # at pieces, more closely
@@ -151,9 +151,9 @@ def walk_legs(
 
         def looked(look_closer: Look, pieces: list[Piece]) -> tuple[list[Piece], CertificateSamples, list[str]]:
             pieces = look_closer(scenario, pieces)
-            found = problems_of_walk(scenario, space, corners, pieces)
+            result = problems_of_walk(scenario, space, corners, pieces)
             closer = checked_samples(samples, pieces)
-            return pieces, closer, found + problems_of_limits(scenario, pieces, closer, stated.result)
+            return pieces, closer, result + problems_of_limits(scenario, pieces, closer, stated.result)
 
         problems = [f"{other}."] if (other := other_start(scenario, corners[0])) else []
         problems += problems_of_walk(scenario, space, corners, pieces)
@@ -174,8 +174,8 @@ def walk_legs(
 
 def _other_equilibria(scenario: Scenario, space: JointSpace, pieces: Sequence[Piece]) -> list[str]:
     lengths_mm = [space.length_mm(piece.end - piece.start) for piece in pieces]
-    found = other_equilibrium(scenario.robot, pieces, lengths_mm)
-    return [found.sentence] if found else []
+    result = other_equilibrium(scenario.robot, pieces, lengths_mm)
+    return [result.sentence] if result else []
 
 
 def _bounds(scenario: Scenario, samples: CertificateSamples, pieces: list[Piece]) -> StatedBounds:

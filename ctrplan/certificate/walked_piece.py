@@ -118,9 +118,9 @@ def walked(scenario: Scenario, space: JointSpace, leg: int, start: Array, end: A
     """One piece, from joints start (m,) to end (m,)."""
     density = PathDensity(motion_m=SPACING_M, near_m=SPACING_M, point_spacing_m=POINT_SPACING_M)
     theta, l = space.drive.collars(_straight_steps(space, start, end))  # noqa: E741 (as in the equations)
-    found = scenario.robot.mechanics.check_path(theta, l, density=density, accuracy=accuracy, bodies=True)
-    place = found.segment + found.fraction
-    samples = replace(found, segment=np.zeros_like(found.segment), fraction=place / max(len(theta) - 1, 1))
+    result = scenario.robot.mechanics.check_path(theta, l, density=density, accuracy=accuracy, bodies=True)
+    place = result.segment + result.fraction
+    samples = replace(result, segment=np.zeros_like(result.segment), fraction=place / max(len(theta) - 1, 1))
     rows = np.arange(len(theta))
     theta_b, l_b = (np.column_stack([np.interp(place, rows, c) for c in part.T]) for part in (theta, l))
     places = [start] if np.array_equal(start, end) else [start, (start + end) / 2, end]
@@ -270,8 +270,8 @@ def closely_solved(scenario: Scenario, pieces: Sequence[Piece], spare_m: float) 
         for some in (narrow[:FIRST], narrow[FIRST:]):
             runs = _runs([(p, k) for value, p, k in some if value < ceiling])
             solved = pool.map(lambda run: _on_certificate_mesh(scenario, distance, pieces[run[0]], run[1]), runs)
-            for (p, samples), found in zip(runs, solved, strict=True):
-                for k, (clearance, shapes) in zip(samples, found, strict=True):
+            for (p, samples), result in zip(runs, solved, strict=True):
+                for k, (clearance, shapes) in zip(samples, result, strict=True):
                     closer[p][k] = max(closer[p][k], clearance)
                     ceiling = min(ceiling, closer[p][k])
                     if shapes:
@@ -282,29 +282,29 @@ def closely_solved(scenario: Scenario, pieces: Sequence[Piece], spare_m: float) 
 
 def _runs(places: Sequence[tuple[int, int]]) -> list[Run]:
     """Pieces and samples as runs of samples one after the other, none longer than LONGEST."""
-    found = list[Run]()
+    results = list[Run]()
     for (piece, _), of_run in groupby(enumerate(sorted(places)), lambda row: (row[1][0], row[1][1] - row[0])):
         samples = [k for _, (_, k) in of_run]
-        found += [(piece, samples[i : i + LONGEST]) for i in range(0, len(samples), LONGEST)]
-    return found
+        results += [(piece, samples[i : i + LONGEST]) for i in range(0, len(samples), LONGEST)]
+    return results
 
 
 def _on_certificate_mesh(
     scenario: Scenario, distance: AnatomyDistance, piece: Piece, samples: Sequence[int]
 ) -> list[tuple[float, CornerShapes | None]]:
     """Clearance of each sample's solved shapes, all allowances taken off, and these; -inf on another branch."""
-    found = scenario.robot.mechanics.check_path(
+    result = scenario.robot.mechanics.check_path(
         piece.theta_b[samples], piece.l_b[samples], density=ONLY_THESE, accuracy="certificate", bodies=True
     )
     offset, nothing = piece.offset_m(scenario, "certificate"), (-np.inf, None)
     solved: list[tuple[float, CornerShapes | None]] = [nothing] * len(samples)
-    is_asked = (found.fraction == 1) | (np.arange(len(found.fraction)) == 0)
-    for row in np.flatnonzero(is_asked & (found.status != Status.FAILED)):
-        at = int(found.segment[row] + found.fraction[row])
-        bodies, radius = shapes_of(scenario, found.bodies[row])
+    is_asked = (result.fraction == 1) | (np.arange(len(result.fraction)) == 0)
+    for row in np.flatnonzero(is_asked & (result.status != Status.FAILED)):
+        at = int(result.segment[row] + result.fraction[row])
+        bodies, radius = shapes_of(scenario, result.bodies[row])
         if _apart_m(scenario, piece, samples[at], bodies) > SAME_BRANCH_M:
             continue
-        shapes = CornerShapes(bodies, found.shape_stability[row], found.shape_max_strain[row], radius)
+        shapes = CornerShapes(bodies, result.shape_stability[row], result.shape_max_strain[row], radius)
         owner = np.zeros(bodies.shape[0] * bodies.shape[1], dtype=np.intp)
         least = distance.least(bodies.reshape(-1, 3), np.tile(radius, len(bodies)), owner, 1)[0]
         solved[at] = float(least) - float(offset[samples[at]]), shapes

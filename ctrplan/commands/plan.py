@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,6 +20,7 @@ from ctrplan.commands.terminal import ProgressBar, amber, warn
 from ctrplan.storage.output_folder import output_folder
 
 if TYPE_CHECKING:
+    from ctrplan.certificate.certificate import Unit
     from ctrplan.files.trajectory_file import TrajectoryFormat
     from ctrplan.plans.plan import Plan
 
@@ -131,28 +132,33 @@ def _targets(plan: Plan) -> dict[str, str]:
     return texts
 
 
+VALUES: dict[Unit, Callable[[float], str]] = {
+    "m": lambda value: f"{value * 1e3:.2f} mm",
+    "rad": lambda value: f"{math.degrees(value):.2f} deg",
+    "mm": lambda value: f"{value:.1f} mm",
+    "share": lambda value: f"{100 * value:.2f} %",
+    "number": lambda value: f"{value:.2f}",
+    "count": str,
+}
+
+
 def _figures(plan: Plan) -> dict[str, str]:
+    """The table of figures in lines, with what is said of targets, extras, uncertainty and clearances between them."""
+    from ctrplan.certificate.certificate import FIGURES
     from ctrplan.reports.uncertainty_words import uncertainty_rows
 
-    certificate, reordered = plan.certificate, plan.reorder
-    goal_mm, worst_mm = certificate.goal_bound_m * 1e3, certificate.worst_bound_m * 1e3
-    spacing_mm = certificate.spacing_m * 1e3
-    before_mm, after_mm = reordered.cost_before_mm, reordered.cost_after_mm
-    count, strain_percent = len(certificate.samples.leg), 100 * certificate.max_strain
-    predicted_mm, way_mm = certificate.goal_predicted_m * 1e3, certificate.worst_predicted_m * 1e3
-    changed = f"{before_mm:.1f}" != f"{after_mm:.1f}"
-    gain = f"; reordering took {before_mm:.1f} to {after_mm:.1f} mm" if changed else ""
-    return {
-        **_misses(plan),
-        "worst-case friction error": f"{goal_mm:.2f} mm at the goal, {worst_mm:.2f} mm on the way",
-        "predicted friction error": f"{predicted_mm:.2f} mm at the goal, {way_mm:.2f} mm on the way",
-        **_extras(plan),
-        **uncertainty_rows(plan),
-        **_clearances(plan),
-        "least stability": f"{certificate.min_stability:.2f}, largest strain {strain_percent:.2f} %",
-        "cost": f"{certificate.cost_mm:.1f} mm{gain}",
-        "certified on": f"{count} samples, no point moves more than {spacing_mm:.2f} mm between two",
-    }
+    certificate, reordered, lines = plan.certificate, plan.reorder, _misses(plan)
+    for name, figure in FIGURES.items():
+        (label, around), value = figure.line, getattr(certificate, name)
+        if name == "min_clearance_m":
+            lines |= _extras(plan) | uncertainty_rows(plan) | _clearances(plan)
+        elif label:
+            before = f"{lines[label]}, " if label in lines else ""
+            lines[label] = before + around.format(VALUES[figure.unit](value))
+    before, after = (f"{cost_mm:.1f}" for cost_mm in (reordered.cost_before_mm, reordered.cost_after_mm))
+    lines["cost"] += f"; reordering took {before} to {after} mm" if before != after else ""
+    count, spacing = len(certificate.samples.leg), VALUES["m"](certificate.spacing_m)
+    return lines | {"certified on": f"{count} samples, no point moves more than {spacing} between two"}
 
 
 def _clearances(plan: Plan) -> dict[str, str]:

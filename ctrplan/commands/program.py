@@ -52,7 +52,7 @@ class CommandLine(argparse.ArgumentParser):
     def parse_known_args(  # type: ignore[override]
         self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
     ) -> tuple[argparse.Namespace, list[str]]:
-        """Parses as argparse does, but what is left over is refused by the command that it was given to. Raises InputError."""
+        """Parses as argparse does; the command refuses what is left over. Raises InputError."""
         result, rest = super().parse_known_args(args, namespace)
         if rest:
             self.error(f"{' '.join(rest)}: is not known here")

@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from msgspec import Meta, Struct
+from msgspec import Meta, Struct, defstruct
 from msgspec.structs import asdict
 
 from ctrplan.base.arrays import Array
-from ctrplan.certificate.certificate import Closest
+from ctrplan.certificate.certificate import FIGURES, Closest
 from ctrplan.drive.drive import Drive
 from ctrplan.errors import InputError
 from ctrplan.files.scenario_file import load_scenario
@@ -75,15 +75,14 @@ class ClosestEntry(Struct):
     phi: list[float]
 
 
-class CertificateEntry(Struct):
-    """Claims that are judged."""
+_Claims: Any = defstruct("_Claims", [(key, float | None) for key, figure in FIGURES.items() if figure.claim])
+
+
+class CertificateEntry(_Claims):  # type: ignore[misc]
+    """Claims that are judged, those of the table of figures and these."""
 
     valid: bool
-    worst_bound_m: float | None
     worst_predicted_m: float | None
-    min_clearance_m: float | None
-    min_stability: float | None
-    max_strain: float | None
     targets: Annotated[list[TargetEntry], Meta(min_length=1)]
     samples: SamplesEntry
     closest: ClosestEntry | None = None
@@ -240,12 +239,12 @@ def load_plan(
     content = _json_object(file)
     entry = Document(content, file).to(PlanEntry)
     if isinstance(scenario, Scenario):
-        found = scenario
+        result = scenario
     else:
-        found = load_scenario(scenario or _scenario_file(entry, file), overrides, allow_outside=allow_outside)
-    _check_origin(entry, found, file)
+        result = load_scenario(scenario or _scenario_file(entry, file), overrides, allow_outside=allow_outside)
+    _check_origin(entry, result, file)
     beside = Path(file).parent / "trajectory.csv"
-    return _checked(found, content, file, played_samples(trajectory or beside, found.robot.drive))
+    return _checked(result, content, file, played_samples(trajectory or beside, result.robot.drive))
 
 
 def _json_object(file: str) -> dict[str, Any]:

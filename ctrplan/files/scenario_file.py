@@ -8,17 +8,17 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, Literal, cast, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal, cast, get_args
 
+import msgspec
 import numpy as np
 from msgspec import Meta, Struct
 
-from ctrplan.anatomy.image_file import images_kept
+from ctrplan.anatomy.image import images_kept
 from ctrplan.base.arrays import MM_PER_M, MOST_TURNS_DEG, Array, read_only, shortest_rotation, unit
 from ctrplan.drive.drive import Joint
 from ctrplan.files.robot_file import load_robot, robot_from_dict
 from ctrplan.files.scenario_anatomy import anatomy_notes, anatomy_part, fixture, refuse_targets_outside_images
-from ctrplan.planning.base_pose import DIGITS, MM_DIGITS, BaseFrame, BasePose
 from ctrplan.robot.robot import Robot, nesting_violation
 from ctrplan.scenario.bare_scenario import bare_scenario
 from ctrplan.scenario.scenario import Cost, Goal, Margins, PlannerSettings, Registration, Scenario, StartFriction
@@ -38,6 +38,9 @@ from ctrplan.storage.toml_document import (
     toml_text,
 )
 from ctrplan.storage.toml_table import TomlTable, chosen, file_inside
+
+if TYPE_CHECKING:
+    from ctrplan.planning.base_pose import BaseFrame, BasePose
 
 LIMIT_TOLERANCE = 1e-9  # rad or m
 
@@ -243,7 +246,7 @@ def _build(document: Document, for_robot: Sequence[str], allow_outside: bool) ->
         anatomy=anatomy,
         frame=entry.frame,
         fixtures=tuple(fixture(TomlTable(document, ("fixture", k), allow_outside)) for k in range(len(entry.fixture))),
-        margins=Margins(entry.margins.stability, entry.margins.max_strain),
+        margins=Margins(**msgspec.structs.asdict(entry.margins)),
         cost=_cost(entry.cost),
         planner=planner_settings(TomlTable(document, ("planner",))),
         path=document.file,
@@ -349,6 +352,8 @@ def names_files_outside(document: Document, file: Path) -> bool:
 
 
 def _pose(pose: BasePose | BaseFrame) -> dict[str, Any]:
+    from ctrplan.planning.base_pose import DIGITS, MM_DIGITS, BaseFrame  # planning, which reading needs nothing of
+
     quaternion = BaseFrame(pose.position_m, pose.R).quaternion_wxyz
     position_mm = np.round(pose.position_m * MM_PER_M, MM_DIGITS) + 0.0  # no -0
     return {"position_mm": position_mm.tolist(), "quaternion_wxyz": (np.round(quaternion, DIGITS) + 0.0).tolist()}

@@ -35,7 +35,7 @@ class Measurements:
     tangent: Array  # (K, 3) unit tip tangent; NaN where none was measured, one NaN: seen along that axis, `given`
     time_s: Array | None = None  # (R,) clock of the whole experiment
     is_stream: bool = False  # joints and poses logged together on a continuous motion, nothing settles
-    more: Mapping[str, Array] = field(default_factory=dict)  # other columns (R,), for localising only
+    more: Mapping[str, Array] = field(default_factory=dict)  # other columns (R,), which effects may need
     file: str | None = None
     sha256: str = ""
     warnings: tuple[str, ...] = ()

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from ctrplan.anatomy.image_file import images_kept
+from ctrplan.anatomy.image import images_kept
 from ctrplan.anatomy.patient_frame import Frame
 from ctrplan.anatomy.shape import Role
 from ctrplan.base.arrays import MM_PER_M, Array, shortest_rotation

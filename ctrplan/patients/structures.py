@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ctrplan.anatomy.image import Image, ImageRefusal, UnfitImageRefusal
-from ctrplan.anatomy.image_file import image_of, is_image
+from ctrplan.anatomy import image_file
+from ctrplan.anatomy.image import Image, ImageRefusal, UnfitImageRefusal, image_of
+from ctrplan.anatomy.image_file import is_image
 from ctrplan.anatomy.mesh_file import SUFFIXES as MESHES
 from ctrplan.anatomy.parts import AnatomyPart
 from ctrplan.anatomy.phases import Phases
@@ -57,7 +58,7 @@ def of_mesh(path: Path, unit: str) -> Structure:
 
 def of_image(path: Path) -> list[Structure]:
     """Labels or segments; none of an image of grey values. Raises ImageRefusal."""
-    image = image_of(path)
+    image = image_of(path, image_file.read_image)
     if image.segments:
         return [_segment(path, image, one.name, one.label, one.layer) for one in image.segments]
     counts = _labels(image)

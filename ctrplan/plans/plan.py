@@ -173,9 +173,9 @@ class Plan(PlannedMotion):
 
         Takes seconds. Raises InputError where the certificate does not know its legs.
         """
-        found = self.certificate.recheck()
-        apart = path_differences(self.waypoints, self.trajectory.position, found.fresh.samples.joints)
-        return replace(found, differences=(*apart, *found.differences))
+        result = self.certificate.recheck()
+        apart = path_differences(self.waypoints, self.trajectory.position, result.fresh.samples.joints)
+        return replace(result, differences=(*apart, *result.differences))
 
     def time_of(self, place: Closest) -> float:
         """When [s] the trajectory passes a place of the certificate: `plan.time_of(plan.certificate.closest)`."""

@@ -189,14 +189,14 @@ def follow_the_leader_m(robot: Robot, trajectory: Trajectory) -> float | None:
 
 def _bodies(robot: Robot, trajectory: Trajectory) -> list[Array] | None:
     """Frictionless centrelines (N, 3) in front of the plate, from the plate to the tip."""
-    found = []
+    results = []
     for joints in joints_at(trajectory, np.linspace(0.0, trajectory.duration_s, POSES)):
         shape = robot.mechanics.solve(*robot.drive.collars(joints))
         if shape.status >= Status.FAILED:
             return None
         ahead = shape.centreline_m[shape.s_m >= 0]
-        found.append(ahead if len(ahead) > 1 else np.zeros((2, 3)))
-    return found
+        results.append(ahead if len(ahead) > 1 else np.zeros((2, 3)))
+    return results
 
 
 def _length(line: Array) -> float:

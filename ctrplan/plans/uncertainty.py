@@ -30,7 +30,7 @@ ON_LINE = 8  # samples along a line, evenly; and the one where the frictionless 
 def plan_stops(plan: PlannedMotion) -> tuple[Stop, ...]:
     """The targets of a plan as stops, in the order reached."""
     scenario, samples, reached = plan.scenario, plan.certificate.samples, plan.certificate.targets
-    found: list[Stop] = []
+    results: list[Stop] = []
     begin, first = 0, 0
     targets = scenario.targets[-len(reached) :]  # a certificate of one path knows of its end alone
     for goal, target in zip(targets, reached, strict=True):
@@ -40,9 +40,9 @@ def plan_stops(plan: PlannedMotion) -> tuple[Stop, ...]:
         turn = 0.0
         if goal.direction is not None:
             turn = play_turn(scenario.robot, *scenario.robot.drive.collars(samples.joints[end]))
-        found.append(Stop(goal, rows, first + np.arange(len(rows)), target.play_m, turn))
+        results.append(Stop(goal, rows, first + np.arange(len(rows)), target.play_m, turn))
         begin, first = end, first + len(rows)
-    return tuple(found)
+    return tuple(results)
 
 
 def _on_line(plan: PlannedMotion, goal: Goal, begin: int, end: int) -> NDArray[np.int_]:
@@ -104,8 +104,8 @@ def _uncertainty(scenario: Scenario, motion: _Motion) -> Uncertainty:
         path = DrivenPath(motion.joints, motion.leg, rows)
         simulated = SimulatedPoses.of(scenario, parameters, path, draws.offset, drawn.solved)
     last = len(motion.stops) - 1
-    found = [judged(scenario, drawn, stop, last - k, simulated) for k, stop in enumerate(motion.stops)]
-    *via, goal = (goal_miss(scenario, drawn, *pair) for pair in zip(motion.stops, found, strict=True))
+    results = [judged(scenario, drawn, stop, last - k, simulated) for k, stop in enumerate(motion.stops)]
+    *via, goal = (goal_miss(scenario, drawn, *pair) for pair in zip(motion.stops, results, strict=True))
     return Uncertainty(
         parameters=tuple(intervals(parameters)),
         position_sigma_m=registration.position_sigma_m,
@@ -113,7 +113,7 @@ def _uncertainty(scenario: Scenario, motion: _Motion) -> Uncertainty:
         model_error_m=scenario.robot.model_error_m,
         goal=goal,
         via=tuple(via),
-        tour=tour_miss(found),
+        tour=tour_miss(results),
         closest=closest_approach(scenario, parameters, motion.joints),
         simulated=0 if simulated is None else len(simulated.beyond),
     )

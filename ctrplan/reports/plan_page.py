@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ctrplan.base.package import __version__
+from ctrplan.certificate.certificate import FIGURES
 from ctrplan.files.trajectory_file import TrajectoryFormat, trajectory_formats, write_trajectory
 from ctrplan.plans.plan import Plan, write_plan_json
 from ctrplan.plans.planned_motion import leg_end_s
@@ -36,7 +37,7 @@ from ctrplan.reports.plan_words import (
     worst_miss,
 )
 from ctrplan.reports.uncertainty_words import stated_in_words, uncertainty_rows
-from ctrplan.reports.words import degrees, digits, glossary, millimetres, term
+from ctrplan.reports.words import VALUES, degrees, digits, glossary, millimetres, term
 from ctrplan.storage.output_folder import output_folder, write_atomically, written_together
 
 if TYPE_CHECKING:
@@ -258,31 +259,17 @@ def _target_tiles(plan: Plan) -> Iterator[tuple[str, str]]:
         yield total, term("worst case at the target", asked)
 
 
-def _figure_tiles(plan: Plan) -> list[tuple[str, str]]:
-    certificate = plan.certificate
-    clearance = (
-        millimetres(certificate.min_clearance_m),
-        term("certified clearance", "certified clearance beyond the margins"),
-    )
-    if np.isinf(certificate.min_clearance_m):
-        clearance = ("free space", escaped("no anatomy to stay clear of"))
-    return [
-        (
-            millimetres(certificate.goal_bound_m),
-            term("worst-case friction error", "worst-case friction error at the goal"),
-        ),
-        (
-            millimetres(certificate.goal_predicted_m),
-            term("predicted friction error", "predicted friction error at the goal"),
-        ),
-        (
-            millimetres(certificate.worst_bound_m),
-            term("worst-case friction error", "worst case at most along the path"),
-        ),
-        clearance,
-        (digits(certificate.min_stability), term("stability", "smallest stability")),
-        (f"{digits(plan.trajectory.duration_s)} s", f"duration, {_counted(plan.trajectory.stops, 'stop')} on the way"),
-    ]
+def _figure_tiles(plan: Plan) -> Iterator[tuple[str, str]]:
+    """Figures at the goal first, then those of the whole motion."""
+    shown = [(name, figure) for name, figure in FIGURES.items() if figure.tile[1]]
+    for name, figure in sorted(shown, key=lambda entry: entry[1].join != "last"):
+        value = getattr(plan.certificate, name)
+        if name == "min_clearance_m" and np.isinf(value):
+            yield "free space", "no anatomy to stay clear of"
+        else:
+            yield VALUES[figure.unit](value), term(*figure.tile)
+    stops = _counted(plan.trajectory.stops, "stop")
+    yield f"{digits(plan.trajectory.duration_s)} s", f"duration, {stops} on the way"
 
 
 def _errors_and_margins(plan: Plan) -> Markup:

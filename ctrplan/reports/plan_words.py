@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from ctrplan.certificate.certificate import FIGURES
 from ctrplan.motion.checker import path_limits
 from ctrplan.plans.planned_motion import place_time_s, sample_time_s, settling_duration_s
 from ctrplan.reports import looks
-from ctrplan.reports.words import degrees, digits, millimetres
+from ctrplan.reports.words import VALUES, degrees, digits, millimetres
 
 if TYPE_CHECKING:
     from ctrplan.base.arrays import Array
-    from ctrplan.certificate.certificate import Closest, TargetReached
+    from ctrplan.certificate.certificate import Closest, Figure, TargetReached
     from ctrplan.plans.plan import Plan
     from ctrplan.scenario.scenario import Goal
 
@@ -161,45 +162,59 @@ class CertificateRow:
 
     quantity: str
     value: str
-    requirement: str  # empty where there is none
-    met: bool | None  # None where there is nothing to meet
+    requirement: str = ""  # empty where there is none
+    met: bool | None = None  # None where there is nothing to meet
     caution: bool = False  # allowed, but to be known
 
 
 def certificate_rows(plan: Plan) -> tuple[CertificateRow, ...]:
-    """The certificate line by line, what is required first."""
-    return (*_errors(plan), *_margins(plan), *_figures(plan))
+    """The certificate line by line, in the order of its figures."""
+    others = {"goal_tip_error_m": _at_targets, "min_clearance_m": _clearance}
+    names = [name for name, figure in FIGURES.items() if figure.title]
+    rows = [row for name in names for row in (others[name](plan) if name in others else [_row(plan, name)])]
+    return (*rows, CertificateRow("Duration", f"{digits(plan.trajectory.duration_s)} s"))
 
 
-def _errors(plan: Plan) -> list[CertificateRow]:
-    certificate, scenario = plan.certificate, plan.scenario
-    rows = [
-        _at_most(
-            "Worst-case friction error at the goal, position",
-            certificate.goal_bound_m,
-            scenario.cost.max_error_goal_m,
-        ),
-        _figure("Worst-case friction error at the goal, direction", degrees(certificate.goal_bound_rad)),
-        _figure("Worst-case friction error along the path", millimetres(certificate.worst_bound_m)),
-        _figure("Predicted friction error at the goal", millimetres(certificate.goal_predicted_m)),
-        _figure("Predicted friction error along the path", millimetres(certificate.worst_predicted_m)),
-    ]
-    compensation, tolerance = plan.compensation, scenario.goal.tolerance_m
+def _row(plan: Plan, name: str) -> CertificateRow:
+    """A figure, and what the scenario requires of it."""
+    figure, value = FIGURES[name], getattr(plan.certificate, name)
+    text = VALUES[figure.unit](value)
+    limit = figure.limit(plan.scenario) if figure.limit else None
+    if limit is None:
+        return CertificateRow(figure.title, text)
+    required = f"at {'least' if figure.is_minimum else 'most'} {_limit_words(figure, limit)}"
+    return CertificateRow(figure.title, text, required, figure.meets(value, limit))
+
+
+def _limit_words(figure: Figure, limit: float) -> str:
+    """A limit with the digits that the file has, largest lengths as they are shown."""
+    if figure.unit == "m" and figure.is_minimum:
+        return f"{limit * 1e3:g} mm"
+    plain = {"number": f"{limit:g}", "share": f"{100 * limit:g} %"}
+    return plain.get(figure.unit) or VALUES[figure.unit](limit)
+
+
+def _at_targets(plan: Plan) -> list[CertificateRow]:
+    """Distances from targets in space without friction and at worst, with compensation and settling."""
+    scenario, compensation = plan.scenario, plan.compensation
+    rows = []
     if scenario.goal.tip_m is not None and (compensation is None or compensation.note):
-        rows.append(_at_most("Distance from the goal without friction", certificate.goal_tip_error_m, tolerance))
+        rows.append(_row(plan, "goal_tip_error_m"))
     rows += [
         CertificateRow(
             f"Distance from {miss.target} at worst, with friction{' and play' if miss.play_m else ''}",
             millimetres(miss.total_m),
             f"tolerance {millimetres(miss.tolerance_m)}",
-            None,
-            miss.exceeds,
+            caution=miss.exceeds,
         )
         for miss in worst_misses(plan)
     ]
     if compensation:
         without = f"Predicted distance from the goal (without compensation {millimetres(compensation.error_without_m)})"
-        rows.append(_at_most(without, compensation.error_with_m, tolerance))
+        left_m, most_m = compensation.error_with_m, scenario.goal.tolerance_m
+        rows.append(
+            CertificateRow(without, millimetres(left_m), f"at most {millimetres(most_m)}", bool(left_m <= most_m))
+        )
     return rows + _settling(plan)
 
 
@@ -211,61 +226,17 @@ def _settling(plan: Plan) -> list[CertificateRow]:
     before, after = millimetres(settling.goal_predicted_before_m), millimetres(settling.goal_predicted_after_m)
     clearance = "free space" if math.isinf(settling.min_clearance_m) else millimetres(settling.min_clearance_m)
     return [
-        CertificateRow("Settling oscillation, first turn and duration", first_turn, "", None),
-        CertificateRow("Predicted friction error before and after settling", f"{before}, {after}", "", None),
-        CertificateRow("Smallest clearance while settling, beyond the margins", clearance, "", None),
+        CertificateRow("Settling oscillation, first turn and duration", first_turn),
+        CertificateRow("Predicted friction error before and after settling", f"{before}, {after}"),
+        CertificateRow("Smallest clearance while settling, beyond the margins", clearance),
     ]
 
 
-def _margins(plan: Plan) -> list[CertificateRow]:
-    certificate, limits = plan.certificate, path_limits(plan.scenario)
-    clearance_m, stable, strain = certificate.min_clearance_m, certificate.min_stability, certificate.max_strain
-    clearance = CertificateRow("Clearance to the anatomy", "free space", "", None)
-    if not math.isinf(clearance_m):
-        quantity = "Clearance to the anatomy in every friction state, beyond its margins"
-        least = f"at least {limits.clearance_m * 1e3:g} mm{' (model error)' if limits.clearance_m else ''}"
-        clearance = CertificateRow(quantity, millimetres(clearance_m), least, bool(clearance_m >= limits.clearance_m))
-    stability = CertificateRow(
-        "Smallest stability in every friction state",
-        digits(stable),
-        f"at least {limits.stability:g}",
-        bool(stable >= limits.stability),
-    )
-    most = f"at most {100 * limits.max_strain:g} %"
-    return [
-        clearance,
-        stability,
-        CertificateRow(
-            "Largest strain in every friction state",
-            f"{digits(100 * strain)} %",
-            most,
-            bool(strain <= limits.max_strain),
-        ),
-    ]
-
-
-def _figures(plan: Plan) -> list[CertificateRow]:
-    certificate = plan.certificate
-    figures = [
-        ("Joint path length", f"{digits(certificate.length_mm)} mm"),
-        ("Error summed over the path", f"{digits(certificate.error_integral_mm)} mm"),
-        ("Largest motion of the body between samples", millimetres(certificate.spacing_m)),
-        ("Cost", f"{digits(certificate.cost_mm)} mm"),
-        ("Stops on the way", str(certificate.stops)),
-        ("Duration", f"{digits(plan.trajectory.duration_s)} s"),
-    ]
-    return [CertificateRow(quantity, value, "", None) for quantity, value in figures]
-
-
-def _figure(quantity: str, value: str) -> CertificateRow:
-    """What nothing is required of."""
-    return CertificateRow(quantity, value, "", None)
-
-
-def _at_most(quantity: str, value_m: float, limit_m: float | None) -> CertificateRow:
-    if limit_m is None:
-        return CertificateRow(quantity, millimetres(value_m), "", None)
-    return CertificateRow(quantity, millimetres(value_m), f"at most {millimetres(limit_m)}", bool(value_m <= limit_m))
+def _clearance(plan: Plan) -> list[CertificateRow]:
+    if math.isinf(plan.certificate.min_clearance_m):
+        return [CertificateRow("Clearance to the anatomy", "free space")]
+    row = _row(plan, "min_clearance_m")
+    return [replace(row, requirement=f"{row.requirement} (model error)") if plan.scenario.robot.model_error_m else row]
 
 
 Standing = Literal["good", "caution", "bad"]

@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 from ctrplan.reports.html_page import Markup, explained, tag
+
+if TYPE_CHECKING:
+    from ctrplan.certificate.certificate import Unit
 
 TERMS = {
     "worst-case friction error": "Farthest that friction between the tubes can take the tip from where it would be "
@@ -70,3 +75,13 @@ def digits(value: float) -> str:
     if value == 0 or abs(value) >= 0.1:
         return f"{value:.{max(0, 2 - max(0, math.floor(math.log10(abs(value) or 1))))}f}"
     return f"{value:.2g}" if abs(value) >= LEAST else f"{value:.5f}"
+
+
+VALUES: dict[Unit, Callable[[float], str]] = {
+    "m": millimetres,
+    "rad": degrees,
+    "mm": lambda value: f"{digits(value)} mm",
+    "share": lambda value: f"{digits(100 * value)} %",
+    "number": digits,
+    "count": str,
+}

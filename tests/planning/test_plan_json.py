@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -26,6 +28,12 @@ def free_plan(make_plan: Callable[..., Plan]) -> Plan:
 
 def test_schema_is_one() -> None:
     Draft202012Validator.check_schema(SCHEMA)
+
+
+def test_schema_has_the_present_figures(tmp_path: Path) -> None:
+    subprocess.run([sys.executable, str(ROOT / "tools" / "plan_schema.py"), str(tmp_path / "new.json")], check=True)
+    made = (tmp_path / "new.json").read_text(encoding="utf-8")
+    assert made == (ROOT / "docs" / "plan.schema.json").read_text(encoding="utf-8"), "run tools/plan_schema.py"
 
 
 def test_content_satisfies_the_schema(plan: Plan, free_plan: Plan) -> None:

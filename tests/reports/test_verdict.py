@@ -4,13 +4,25 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
 
+from ctrplan.certificate.certificate import FIGURES
+from ctrplan.commands.plan import _summary
 from ctrplan.plans.plan import Plan
 from ctrplan.reports import looks
-from ctrplan.reports.plan_words import COLOURS, certificate_rows, is_acceptable, standing, verdict
+from ctrplan.reports.plan_page import plan_report_html
+from ctrplan.reports.plan_scene import plan_scene
+from ctrplan.reports.plan_words import (
+    COLOURS,
+    CertificateRow,
+    certificate_rows,
+    is_acceptable,
+    standing,
+    verdict,
+)
 from ctrplan.reports.words import digits, millimetres
 
 
@@ -86,6 +98,25 @@ def test_missed_requirements_show(plan: Plan, change: dict[str, float]) -> None:
     missed = changed(plan, max_error_goal_m=1.0, **change)
     assert [row.met for row in certificate_rows(missed)].count(False) == 1
     assert not is_acceptable(missed) and verdict(missed).startswith("Certified, but short of a requirement: ")
+
+
+def test_the_table_of_figures_is_all_that_shows_a_figure(plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A requirement that is added there stands in the terminal, on the page and in the verdict."""
+    added = replace(
+        FIGURES["goal_predicted_spread_m"],
+        title="Spread of predictions",
+        line=("spread", "{} of predictions"),
+        tile=("predicted friction error", "spread of predictions"),
+        limit=lambda scenario: 1e-3,
+    )
+    monkeypatch.setitem(FIGURES, "goal_predicted_spread_m", added)
+    good, bad = (changed(plan, goal_predicted_spread_m=spread_m) for spread_m in (0.4e-3, 1.47e-3))
+    rows = {row.quantity: row for row in certificate_rows(bad)}
+    assert rows["Spread of predictions"] == CertificateRow("Spread of predictions", "1.47 mm", "at most 1.00 mm", False)
+    assert is_acceptable(good) and not is_acceptable(bad)
+    assert "1.47 mm of predictions" in _summary(Path("out"), bad, ())
+    page = plan_report_html(plan_scene(bad))
+    assert "<b>1.47 mm</b>" in page and "<td>1.47 mm</td>" in page and "spread of predictions</abbr>" in page
 
 
 def test_required_error_is_named(plan: Plan) -> None:

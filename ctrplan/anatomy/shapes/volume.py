@@ -102,7 +102,8 @@ def _voxels_off(result: ImageStructure) -> float:
 
 def _read(path: Path, series: str | None) -> Image:
     from ctrplan.anatomy.dicom import read_series  # with SimpleITK, which few scenarios need
-    from ctrplan.anatomy.image_file import SUFFIXES, image_of, is_image
+    from ctrplan.anatomy.image import image_of
+    from ctrplan.anatomy.image_file import SUFFIXES, is_image, read_image
 
     if path.is_dir() or path.suffix.lower() == ".dcm":
         return read_series(path if path.is_dir() else path.parent, series)
@@ -110,7 +111,7 @@ def _read(path: Path, series: str | None) -> Image:
         raise ImageRefusal(f"is no volume: must end in {', '.join(SUFFIXES)}, or be a folder of a DICOM series")
     if series is not None:
         raise ImageRefusal("has no series: leave the key series out")
-    return image_of(path)
+    return image_of(path, read_image)
 
 
 def _box(image: Image) -> Array:
