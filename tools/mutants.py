@@ -115,8 +115,8 @@ MUTANTS = (
     ),
     Mutant(
         "ctrplan/certificate/certificate.py",
-        "min_clearance_m=min(stage.min_clearance_m for stage in stages),",
-        "min_clearance_m=max(stage.min_clearance_m for stage in stages),",
+        '"min", "m", claim="clearance", limit=',
+        '"max", "m", claim="clearance", limit=',
         "a tour's clearance is that of its narrowest stage",
         "tests/planning/test_closest_places.py::test_a_tour_has_the_places_of_its_narrowest_stage_and_the_start_of_its_first",
     ),
