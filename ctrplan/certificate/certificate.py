@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 from ctrplan.base.arrays import Array
 from ctrplan.drive.legs import distance_from_polyline, merge_legs
 from ctrplan.errors import InputError
-from ctrplan.motion.checker import path_limits
 
 if TYPE_CHECKING:
     from ctrplan.mechanics.accuracy import Accuracy
+    from ctrplan.mechanics.walk import PathLimits
     from ctrplan.scenario.scenario import Scenario, StartFriction
 
 Unit = Literal["", "m", "rad", "mm", "share", "number", "count"]  # "": a field that is no single number
@@ -42,7 +42,8 @@ JOINS: dict[Join, Callable[[list[Any]], Any]] = {
 class Figure:
     """What plan.json, its schema, the terminal, the page and the audit have to know of a figure of the certificate.
 
-    Its key in plan.json is its name in `Certificate`, whose order is that of every list of figures.
+    Its key in plan.json is its name in `Certificate`, whose order is that of every list of figures. A plan whose figure
+    misses its limit is not acceptable; what makes legs invalid, so that a search goes on, stands in `problems.py`.
     """
 
     join: Join  # how the figures of stages make that of the whole motion; "": `joined_certificates` says how
@@ -211,6 +212,13 @@ class TargetReached:
     )
 
 
+def _limits(scenario: Scenario) -> PathLimits:
+    """Imported where a limit is evaluated: files that read plans need no checker of motions."""
+    from ctrplan.motion.checker import path_limits
+
+    return path_limits(scenario)
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Certificate:
     """Dense recheck of the legs, independent of anything the search approximated. Its fields are the table of figures.
@@ -258,7 +266,7 @@ class Certificate:
     ))
     goal_play_m: float = field(default=0.0, metadata=figure("last", "m", "that at the goal"))
     min_clearance_m: float = field(metadata=figure(  # inf in free space
-        "min", "m", claim="clearance", limit=lambda scenario: path_limits(scenario).clearance_m,
+        "min", "m", claim="clearance", limit=lambda scenario: _limits(scenario).clearance_m,
         description="of every friction state to the anatomy, beyond its margins, all allowances taken off; "
         "null in free space",
         title="Clearance to the anatomy in every friction state, beyond its margins",
@@ -267,12 +275,12 @@ class Certificate:
     min_stability: float = field(metadata=figure(
         "min", "number", "in every friction state", claim="stability",
         title="Smallest stability in every friction state", line=("least stability", "{}"),
-        tile=("stability", "smallest stability"), limit=lambda scenario: path_limits(scenario).stability,
+        tile=("stability", "smallest stability"), limit=lambda scenario: _limits(scenario).stability,
     ))
     max_strain: float = field(metadata=figure(
         "max", "share", "in every friction state", claim="strain",
         title="Largest strain in every friction state", line=("least stability", "largest strain {}"),
-        limit=lambda scenario: path_limits(scenario).max_strain,
+        limit=lambda scenario: _limits(scenario).max_strain,
     ))
     length_mm: float = field(metadata=figure(
         "sum", "mm", "length in joint space, 1 rad counted as mm_per_rad", title="Joint path length"

@@ -17,7 +17,7 @@ from ctrplan.drive.drive import UNITS, Kind
 from ctrplan.motion.checker import path_limits
 from ctrplan.plans.planned_motion import leg_end_s, sample_time_s
 from ctrplan.reports import looks
-from ctrplan.reports.html_page import FONT
+from ctrplan.reports.html_page import FIGURE_TEXT
 from ctrplan.reports.words import millimetres
 
 if TYPE_CHECKING:
@@ -70,7 +70,7 @@ class Panel:
 
     @property
     def label(self) -> str:
-        """Of the axis: quantity and unit."""
+        """The label of the axis: quantity and unit."""
         return f"{self.quantity} ({self.unit})" if self.unit else self.quantity
 
     @property
@@ -98,7 +98,7 @@ class Timeline:
 
     @property
     def end_s(self) -> float:
-        """Of the axis, never 0: a motion may take no time."""
+        """The end of the axis, never 0: a motion may take no time."""
         return max(self.duration_s, 1e-3)
 
     @property
@@ -229,7 +229,7 @@ def stacked_figure(panels: Sequence[Panel], timeline: Timeline) -> go.Figure:
         shapes=[_cursor(0.0), *shades],
         hovermode="x unified",
         plot_bgcolor="rgba(0,0,0,0)",
-        font={"color": looks.INK, "size": 13, "family": FONT},
+        font=FIGURE_TEXT,
         uirevision="stays",
     )
     figure.update_xaxes(range=[0, timeline.end_s], showgrid=False)

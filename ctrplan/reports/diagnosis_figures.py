@@ -17,7 +17,7 @@ from ctrplan.diagnosis.localise import quantities
 from ctrplan.diagnosis.result import Diagnosis
 from ctrplan.pipeline.term import Term
 from ctrplan.reports import looks
-from ctrplan.reports.html_page import FONT
+from ctrplan.reports.html_page import FIGURE_TEXT
 
 PARTS = 8  # of a quantity's range, by rank
 LEAST_M = 1e-9  # a shift that has a direction
@@ -34,15 +34,15 @@ class Signature:
     values: Array  # (K,) of it, as `quantities` has them
 
 
-def signatures(found: Diagnosis) -> tuple[Signature, ...]:
-    """Of the effects that the verdict lists; predicts every pose once more for each of them."""
-    known = quantities(found.base.fit.chain.data)
-    return tuple(_signature(found, term, known) for term in found.listed)
+def signatures(diagnosis: Diagnosis) -> tuple[Signature, ...]:
+    """Signatures of the effects that the verdict lists; predicts every pose once more for each of them."""
+    known = quantities(diagnosis.base.fit.chain.data)
+    return tuple(_signature(diagnosis, term, known) for term in diagnosis.listed)
 
 
-def _signature(found: Diagnosis, term: Term, known: Mapping[str, Array]) -> Signature:
+def _signature(diagnosis: Diagnosis, term: Term, known: Mapping[str, Array]) -> Signature:
     """The chosen model with and without the effect, which is at its neutral values then."""
-    chain, p = found.chosen.fit.chain, found.chosen.fit.p
+    chain, p = diagnosis.chosen.fit.chain, diagnosis.chosen.fit.p
     place = next(s for t, s in zip(chain.terms, chain.slices(), strict=True) if t.key == term.key)
     without = p.copy()
     without[place] = chain.neutral[place]
@@ -78,33 +78,33 @@ class SelectionErrors:
     signatures: tuple[Signature, ...]  # of the verdict's effects
 
 
-def selection_errors(found: Diagnosis) -> SelectionErrors:
+def selection_errors(diagnosis: Diagnosis) -> SelectionErrors:
     """Predicts every pose of the selection with the calibrated model, with its effects, and without each of them."""
-    data = found.base.fit.chain.data
-    solved = ~(excused(found.base.failed) | excused(found.chosen.failed))
-    fits = (found.base.fit, found.chosen.fit)
+    data = diagnosis.base.fit.chain.data
+    solved = ~(excused(diagnosis.base.failed) | excused(diagnosis.chosen.failed))
+    fits = (diagnosis.base.fit, diagnosis.chosen.fit)
     predictions = (fit.chain.predict(fit.p, derivatives=False) for fit in fits)
     before, after = (np.where(solved, distances(prediction, data), np.nan) for prediction in predictions)
-    return SelectionErrors(before, after, signatures(found))
+    return SelectionErrors(before, after, signatures(diagnosis))
 
 
 BEFORE, AFTER = looks.LIMIT, looks.SERIES[0]
 HEIGHT = 340
 
 
-def where_figure(found: Diagnosis, errors: SelectionErrors) -> go.Figure:
+def where_figure(diagnosis: Diagnosis, errors: SelectionErrors) -> go.Figure:
     """Distance of every pose of the selection, before and after, against the two quantities it goes along with most."""
-    names = [trend.quantity for trend in found.place.trends[:2]]
-    known = quantities(found.base.fit.chain.data)
+    names = [trend.quantity for trend in diagnosis.place.trends[:2]]
+    known = quantities(diagnosis.base.fit.chain.data)
     figure = make_subplots(rows=1, cols=len(names), shared_yaxes=True, horizontal_spacing=0.06)
     clouds = [("calibrated", BEFORE, errors.calibrated_m), ("with the effects", AFTER, errors.with_effects_m)]
     for column, name in enumerate(names, start=1):
         values, unit = _shown(name, known[name])
-        for label, colour, error_m in clouds if found.chosen.terms else clouds[:1]:
+        for label, colour, error_m in clouds if diagnosis.chosen.terms else clouds[:1]:
             cloud = _cloud(values, error_m * MM_PER_M, label, colour, named=column == 1)
             figure.add_trace(cloud, row=1, col=column)
         figure.update_xaxes(title_text=f"{name}{f' ({unit})' if unit else ''}", row=1, col=column)
-    figure.add_hline(y=found.noise.floor_m * MM_PER_M, line={"color": looks.MUTED, "dash": "dash", "width": 1})
+    figure.add_hline(y=diagnosis.noise.floor_m * MM_PER_M, line={"color": looks.MUTED, "dash": "dash", "width": 1})
     figure.update_yaxes(title_text="error of the tip (mm)", rangemode="tozero", col=1)
     return _styled(figure)
 
@@ -127,35 +127,35 @@ def signature_figure(signature: Signature) -> go.Figure:
     return _styled(figure)
 
 
-def gap_figure(found: Diagnosis) -> go.Figure:
+def gap_figure(diagnosis: Diagnosis) -> go.Figure:
     """Share of the held-out set's poses with an error up to a value, before and after."""
     figure = go.Figure()
     for label, colour, error in (
-        ("calibrated", BEFORE, found.gap.before_m),
-        ("with the effects", AFTER, found.gap.after_m),
+        ("calibrated", BEFORE, diagnosis.gap.before_m),
+        ("with the effects", AFTER, diagnosis.gap.after_m),
     ):
         ordered = np.sort(error) * MM_PER_M
         share = 100 * np.arange(1, len(ordered) + 1) / len(ordered)
         figure.add_trace(
             go.Scatter(x=ordered, y=share, mode="lines", name=label, line={"color": colour, "shape": "hv"})
         )
-    figure.add_vline(x=found.gap.floor_m * MM_PER_M, line={"color": looks.MUTED, "dash": "dash", "width": 1})
+    figure.add_vline(x=diagnosis.gap.floor_m * MM_PER_M, line={"color": looks.MUTED, "dash": "dash", "width": 1})
     figure.update_xaxes(title_text="error of the tip (mm), dashed: noise", rangemode="tozero")
     figure.update_yaxes(title_text="poses with at most this error (%)", range=[0, 101])
     return _styled(figure)
 
 
-def path_figure(found: Diagnosis) -> go.Figure:
+def path_figure(diagnosis: Diagnosis) -> go.Figure:
     """Gains of what was tried, step by step."""
-    labels = [f"{k}. {step.action} {step.effect}" for k, step in enumerate(found.path, start=1)]
-    gains = [step.gain for step in found.path]
+    labels = [f"{k}. {step.action} {step.effect}" for k, step in enumerate(diagnosis.path, start=1)]
+    gains = [step.gain for step in diagnosis.path]
     figure = go.Figure(
         go.Bar(
             x=gains,
             y=labels,
             orientation="h",
-            marker={"color": [AFTER if step.taken else looks.PLATE for step in found.path]},
-            error_x={"array": [step.error for step in found.path], "color": looks.MUTED, "thickness": 1},
+            marker={"color": [AFTER if step.taken else looks.PLATE for step in diagnosis.path]},
+            error_x={"array": [step.error for step in diagnosis.path], "color": looks.MUTED, "thickness": 1},
             showlegend=False,
         )
     )
@@ -182,7 +182,7 @@ def _styled(figure: Any, height: int = HEIGHT) -> go.Figure:
     figure.update_layout(
         height=height,
         margin={"l": 60, "r": 20, "t": 20, "b": 50},
-        font={"family": FONT, "color": looks.INK, "size": 13},
+        font=FIGURE_TEXT,
         plot_bgcolor="white",
         paper_bgcolor="white",
         legend={"orientation": "h", "y": 1.12},

@@ -1,22 +1,27 @@
-"""A page that stands alone: everything in one file, nothing loaded from anywhere, every text escaped."""
+"""Pages that stand alone, from templates: everything in one file, nothing loaded from anywhere, every text escaped."""
 
 from __future__ import annotations
 
 import base64
-import html
 import json
+import math
 import zlib
-from collections.abc import Iterable, Sequence
 from functools import cache
 from importlib.resources import files
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from ctrplan.reports import looks
+from ctrplan.base.package import __version__
+from ctrplan.reports import looks, words
+from ctrplan.reports.words import Markup
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
 
 # The browser itself refuses whatever would reach for the network; plotly.js builds functions from strings.
 POLICY = "default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval'; style-src 'unsafe-inline'; img-src data: blob:"
 
 FONT = 'system-ui, -apple-system, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif'
+FIGURE_TEXT = {"color": looks.INK, "size": 13, "family": FONT}
 BUTTONS_2D, BUTTONS_3D = ("toImage", "resetScale2d"), ("toImage",)  # none that leaves the page
 KEY_STYLE = """#key, .scene-key { display: flex; flex-wrap: wrap; gap: 6px; margin: 0 0 12px; }
 button { font: inherit; padding: 5px 12px; border-radius: 6px; border: 1px solid #c9d1d8; background: #fff;
@@ -81,54 +86,9 @@ dt {{ font-weight: 600; }} dd {{ margin: 0 0 8px; color: {looks.MUTED}; max-widt
 """
 
 
-class Markup(str):
-    """HTML that is finished and not escaped again; plain strings are escaped wherever they enter a page."""
-
-    __slots__ = ()
-
-
-def escaped(text: str) -> Markup:
-    """`text` so that it is read as it stands, whatever its characters."""
-    return text if isinstance(text, Markup) else Markup(html.escape(text))
-
-
-def tag(name: str, *content: str, kind: str = "") -> Markup:
-    """An element around its content, `kind` being its class."""
-    attribute = f' class="{html.escape(kind)}"' if kind else ""
-    return Markup(f"<{name}{attribute}>{''.join(map(escaped, content))}</{name}>")
-
-
-def explained(text: str, meaning: str) -> Markup:
-    """Text with what it means in a tooltip."""
-    return Markup(f'<abbr title="{html.escape(meaning)}">{escaped(text)}</abbr>')
-
-
 def script(name: str) -> str:
     """The content of a JavaScript file of this package."""
-    return (files("ctrplan.reports") / name).read_text(encoding="utf-8")
-
-
-def lines(texts: Iterable[str]) -> Markup:
-    """Texts below each other."""
-    return Markup("<br>".join(map(escaped, texts)))
-
-
-def section(title: str, *content: str) -> Markup:
-    """A part of the page with its heading."""
-    return tag("section", tag("h2", title), *content)
-
-
-def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> Markup:
-    """Rows of cells below a header."""
-    head = tag("thead", tag("tr", *(tag("th", cell) for cell in header)))
-    body = tag("tbody", *(tag("tr", *(tag("td", cell) for cell in row)) for row in rows))
-    return tag("div", tag("table", head, body), kind="wide")
-
-
-def facts(pairs: Iterable[tuple[str, str]]) -> Markup:
-    """A table of names and what they stand for."""
-    rows = (tag("tr", tag("td", name, kind="key"), tag("td", value)) for name, value in pairs)
-    return tag("table", tag("tbody", *rows))
+    return (files("ctrplan.reports") / "scripts" / name).read_text(encoding="utf-8")
 
 
 def plot(
@@ -144,8 +104,8 @@ def plot(
     height = f"{figure.layout.height}px" if figure.layout.height else "100%"
     place = f'<div id="{name}" class="plotly-graph-div" style="height:{height}; width:100%;"></div>'
     call = f'drawn("{name}", "{packed(figure.to_json())}", {config}).then(() => {{{script or ""}\n}});'
-    first = Markup(f"<script>{_library()}</script>") if with_library else Markup()
-    return tag("div", first, Markup(f"{place}<script>{call}</script>"), kind=kind)
+    first = f"<script>{_library()}</script>" if with_library else ""
+    return Markup(f'<div class="{kind}">{first}{place}<script>{call}</script></div>')
 
 
 def packed(text: str) -> str:
@@ -161,12 +121,22 @@ def _library() -> str:
     return f'{script("packed.js")}\nconst plotly = library("{packed(get_plotlyjs())}");\n'
 
 
-def page(title: str, *content: str) -> str:
-    """The whole file."""
-    head = (
-        f'<meta charset="utf-8"><meta http-equiv="Content-Security-Policy" content="{POLICY}">'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"{tag('title', title)}<style>{STYLE}</style>"
+@cache
+def _templates() -> Environment:
+    from jinja2 import Environment, PackageLoader, StrictUndefined  # when a page is made and not before
+
+    loader = PackageLoader("ctrplan.reports")
+    environment = Environment(
+        loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    body = tag("main", *content)
-    return f'<!DOCTYPE html>\n<html lang="en">\n<head>{head}</head>\n<body>\n{body}\n</body>\n</html>\n'
+    environment.globals.update(
+        {name: getattr(words, name) for name in ("TERMS", "term", "millimetres", "degrees", "digits")}
+    )
+    environment.globals.update(POLICY=Markup(POLICY), STYLE=Markup(STYLE), version=__version__)
+    environment.filters["abs"], environment.tests["finite"] = abs, math.isfinite
+    return environment
+
+
+def rendered(template: str, **content: Any) -> Markup:
+    """A page, or a part of one, from a file of the folder templates; a name that it does not know is an error."""
+    return Markup(_templates().get_template(template).render(content))

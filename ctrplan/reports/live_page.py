@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import html
 import json
-from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from ctrplan.reports import looks
-from ctrplan.reports.html_page import FONT, KEY_STYLE, escaped, explained, script
-from ctrplan.reports.words import glossary, term
+from ctrplan.reports.html_page import FONT, KEY_STYLE, rendered, script
+from ctrplan.reports.words import Markup, explained, term
 
 if TYPE_CHECKING:
     from ctrplan.reports.live_state import LiveState
@@ -60,7 +58,6 @@ dd {{ margin: 0 0 8px; color: {looks.MUTED}; }}
     border-bottom: 1px solid {looks.GRID}; }}
   aside {{ border: 0; padding-top: 12px; }} }}
 """
-BASE = ("x", "y", "z", "about x", "about y", "about z")
 ROWS = (
     ("bound_deg", explained("error of the direction", "By how much friction can turn the tip's direction.")),
     ("stability", term("stability")),
@@ -71,8 +68,8 @@ ROWS = (
         "sure_mm",
         explained("same, allowances taken off", "Less what certificates take off for what is not proven."),
     ),
-    ("tip_mm", escaped("tip without friction")),
-    ("target_free", escaped("from the goal without friction")),
+    ("tip_mm", "tip without friction"),
+    ("target_free", "from the goal without friction"),
     ("target_worst", term("worst case at the target", "from the goal at worst")),
 )
 WORDS = ("worst-case friction error", "envelope of friction", "corner shapes", "clearance", "stability", "strain")
@@ -80,39 +77,10 @@ WORDS = ("worst-case friction error", "envelope of friction", "corner shapes", "
 
 def live_page(state: LiveState) -> str:
     """The HTML of the page; its scripts come from the same server."""
-    name, robot = html.escape(state.scenario.name), html.escape(state.scenario.robot.name)
-    rows = "".join(
-        f'<tr{" hidden" if key.startswith("target") else ""}><td>{label}</td><td id="{key}"></td></tr>'
-        for key, label in ROWS
+    scenario, style = state.scenario, Markup(STYLE)
+    return rendered(
+        "live.html", name=scenario.name, robot=scenario.robot.name, rows=ROWS, LIVE_STYLE=style, WORDS=WORDS
     )
-    bound = term("worst-case friction error", "worst-case friction error of the tip")
-    return f"""<!DOCTYPE html>
-<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
-<link rel="icon" href="data:,"><title>{name} - ctrplan view</title><style>{STYLE}</style></head>
-<body><main id="scene"></main><aside><p class="kicker">{robot}</p><h1>{name}</h1>
-<p class="kicker">{bound}</p><div id="bound">–</div><div id="meter"><div></div></div>
-<div id="state" class="quiet" role="status">Solving the first pose ...</div><div id="player" class="row" hidden>
-<button id="play" type="button">▶</button>
-<input id="time" type="range" min="0" value="0" aria-label="time"><output id="now"></output></div>
-<div id="joints"></div>
-<table><tbody>{rows}</tbody></table>
-<div id="key"></div>
-<div class="row"><button id="reset" type="button">Back to the start</button></div>
-<p class="kicker">tip to here, mm (or click on a target)</p>
-<form id="pick" class="row">{_numbers("tip", "xyz", "required")}
-<button type="submit">Reach</button></form>
-<p class="kicker">base moved by, mm, and turned about x, y, z, °</p>
-<div id="base" class="row">{_numbers("base", BASE, 'value="0"')}</div>
-<p class="kicker" style="margin-top: 14px">this pose, for a scenario file</p><pre id="toml"></pre>
-{glossary(*WORDS)}</aside>
-<script src="plotly.js"></script><script src="scene.js"></script><script src="live.js"></script></body></html>
-"""
-
-
-def _numbers(what: str, names: Sequence[str], more: str) -> str:
-    """A field for each of some numbers."""
-    fields = (f'<input type="number" step="any" {more} aria-label="{what} {n}" placeholder="{n}">' for n in names)
-    return "".join(fields)
 
 
 def scene_script(state: LiveState) -> str:

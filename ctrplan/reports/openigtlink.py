@@ -150,13 +150,13 @@ def play_tips(
     `on_listening` is told the port. Raises InputError where that can't be had, and without pyigtl.
     """
     pyigtl()
-    found = np.flatnonzero(np.isfinite(result.position_m).all(axis=1))
+    outcome = np.flatnonzero(np.isfinite(result.position_m).all(axis=1))
     with Broadcast(port) as broadcast:
         on_listening(broadcast.port)
         while not broadcast.is_heard:
             if interrupted.wait(LOOK_S):
                 return
-        for k, wait_s in zip(found.tolist(), np.diff(_times(result)[found], append=np.nan).tolist(), strict=True):
+        for k, wait_s in zip(outcome.tolist(), np.diff(_times(result)[outcome], append=np.nan).tolist(), strict=True):
             broadcast.send(tip_messages(result.position_m[k], result.tangent[k]))
             if interrupted.wait(wait_s if wait_s > 0 else 0.0):
                 return

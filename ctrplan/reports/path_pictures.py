@@ -33,10 +33,15 @@ def stacked(title: str, pairs: int, xlabel: str, heights: Sequence[float]) -> tu
     axes[0].set_title(title, loc="left", fontsize=14, fontweight="bold", color=looks.INK, parse_math=False)
     axes[-1].set_xlabel(xlabel)
     for ax in axes:
-        ax.grid(color=looks.GRID, linewidth=0.8)
-        ax.set_axisbelow(True)
-        ax.spines[["top", "right"]].set_visible(False)
+        _open_axes(ax)
     return figure, axes[0], axes[1] if pairs else None
+
+
+def _open_axes(ax: Axes) -> None:
+    """A grid behind the curves, no frame above and at the right."""
+    ax.grid(color=looks.GRID, linewidth=0.8)
+    ax.set_axisbelow(True)
+    ax.spines[["top", "right"]].set_visible(False)
 
 
 def png(figure: Figure) -> bytes:
@@ -138,7 +143,7 @@ def _draw_friction(ax: Axes, result: Simulation) -> None:
     label_friction(ax)
 
 
-SWEEP_SIZE_IN, SWEEP_DPI = (10.0, 7.0), 120
+SWEEP_SIZE_IN = (10.0, 7.0)
 BOUND_LABEL = "worst-case friction error of the tip (mm)"
 MOST_MARKERS = 60
 WIDEST_CAPTION, WIDEST_NAME = (
@@ -154,7 +159,7 @@ UNUSABLE = {  # status -> colour, hatch, words
 
 def sweep_figure(result: Sweep) -> Figure:
     """The bound over the axes; where there is none, grey says why. Made without pyplot, no global state."""
-    figure = Figure(figsize=SWEEP_SIZE_IN, dpi=SWEEP_DPI, facecolor="white", layout="constrained")
+    figure = Figure(figsize=SWEEP_SIZE_IN, dpi=DPI, facecolor="white", layout="constrained")
     ax = figure.add_subplot()
     caption = textwrap.wrap(_caption(result), WIDEST_CAPTION)
     name, pad = textwrap.shorten(result.robot.name, WIDEST_NAME, placeholder=" ..."), 12 + 14 * max(1, len(caption))
@@ -171,10 +176,8 @@ def sweep_figure(result: Sweep) -> Figure:
 
 def sweep_png(result: Sweep) -> bytes:
     """The figure as a PNG file's content."""
-    content = io.BytesIO()
     with rc_context({"hatch.linewidth": 0.6, "hatch.color": looks.MUTED}):
-        sweep_figure(result).savefig(content, format="png", dpi=SWEEP_DPI)
-    return content.getvalue()
+        return png(sweep_figure(result))
 
 
 def _draw_curve(ax: Axes, result: Sweep) -> None:
@@ -191,9 +194,7 @@ def _draw_curve(ax: Axes, result: Sweep) -> None:
     ax.set_xlim(*sorted(axis.values[[0, -1]]))
     ax.set_ylim(bottom=0)
     ax.set_ylabel(BOUND_LABEL)
-    ax.grid(color=looks.GRID, linewidth=0.8)
-    ax.set_axisbelow(True)
-    ax.spines[["top", "right"]].set_visible(False)
+    _open_axes(ax)
 
 
 def _draw_map(ax: Axes, result: Sweep) -> None:
@@ -234,8 +235,8 @@ def _ends(axis: SweepAxis) -> tuple[float, float]:
 
 def _status(result: Sweep) -> NDArray[np.int_]:
     """(K,) status; a bound that is not a number counts as failed."""
-    found = result.bounds.status
-    return np.where(result.usable | (found == Status.UNSTABLE), found, int(Status.FAILED))
+    outcome = result.bounds.status
+    return np.where(result.usable | (outcome == Status.UNSTABLE), outcome, int(Status.FAILED))
 
 
 def _bound_mm(result: Sweep) -> Array:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import html
 import json
-import math
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -16,10 +15,10 @@ from ctrplan.base.surface import Surface, capsule
 from ctrplan.plans.planned_motion import place_time_s, sample_time_s
 from ctrplan.reports import looks
 from ctrplan.reports.curves import CURSOR
-from ctrplan.reports.html_page import Markup, lines, plot, script, section, table, tag
+from ctrplan.reports.html_page import plot, rendered, script
 from ctrplan.reports.looks import side_azimuth_rad, view_box
 from ctrplan.reports.plan_scene import PlanScene, goal_tip, tip_path
-from ctrplan.reports.plan_words import START_FRICTION, ClearanceRow, Kind, clearance_rows, point_words
+from ctrplan.reports.plan_words import START_FRICTION, Kind, clearance_rows, point_words
 from ctrplan.reports.robot_surface import anatomy_surface, stand, swept_surface, thinned
 from ctrplan.reports.scene_traces import (
     SIDES,
@@ -31,11 +30,10 @@ from ctrplan.reports.scene_traces import (
     robot_traces,
     xyz,
 )
-from ctrplan.reports.words import digits, millimetres, term
+from ctrplan.reports.words import Markup, millimetres
 
 if TYPE_CHECKING:
     from ctrplan.plans.plan import Plan
-    from ctrplan.plans.planned_motion import ComparedWay
     from ctrplan.reports.plan_scene import NarrowestPose
 
 WAY_NAMES = {
@@ -44,39 +42,6 @@ WAY_NAMES = {
     "straight line": "all joints at once, as without a look at friction",
     "translations first": "translations before rotations",
 }
-LIMITATION = (
-    "All end at the joint values of this plan, so that the worst case at the goal is the same. A planner that knows no "
-    "friction might choose others; that is not compared."
-)
-
-
-def other_ways(plan: Plan) -> Markup:
-    """Ways to the goal by their predicted error there, this plan first; nothing where none was compared."""
-    ways = sorted(plan.reorder.alternatives, key=lambda way: way.name != "as driven")
-    if not ways:
-        return Markup()
-    head = ("Same goal, driven", term("predicted friction error", "Predicted error there"))
-    rows = ((_name(way), _left(way)) for way in ways)
-    return tag("div", table(head, rows), tag("p", LIMITATION, kind="quiet small"), kind="ways")
-
-
-def ways_table(plan: Plan) -> Markup:
-    """The same with lengths and what stands against each."""
-    rows = (
-        (_name(way), _left(way), f"{digits(way.length_mm)} mm", way.problem or "valid")
-        for way in plan.reorder.alternatives
-    )
-    return table(("Way to the goal", "Predicted friction error there", "Joint length", "Validity"), rows)
-
-
-def _name(way: ComparedWay) -> Markup | str:
-    name = WAY_NAMES.get(way.name, way.name)
-    return tag("b", name) if way.name == "as driven" else name
-
-
-def _left(way: ComparedWay) -> Markup | str:
-    left = millimetres(way.goal_predicted_m) if math.isfinite(way.goal_predicted_m) else "no way"
-    return tag("span", f"{left}, not valid", kind="bad") if way.problem else left
 
 
 def camera_places(scene: PlanScene) -> dict[str, Any]:
@@ -114,8 +79,8 @@ def _closest(scene: PlanScene, side: Array) -> dict[str, Any]:
 
 
 def _mm(point_m: Array) -> list[float]:
-    found: list[float] = np.round(point_m * 1e3, 3).tolist()
-    return found
+    results: list[float] = np.round(point_m * 1e3, 3).tolist()
+    return results
 
 
 NAMES: dict[Kind, str] = {
@@ -162,22 +127,13 @@ def _gap(pose: NarrowestPose) -> list[Any]:
 
 def clearance_section(plan: Plan) -> Markup:
     """Three numbers with their places, and what is assumed of friction before the start; nothing in free space."""
-    rows = clearance_rows(plan)
-    if not rows:
-        return Markup()
-    header = ("Clearance beyond the margins", "", "Where, in the anatomy's frame", "When")
-    start = f"Friction before the start: {START_FRICTION[plan.certificate.start_friction]}."
-    return section("How near it comes to the anatomy", table(header, map(_cells, rows)), tag("p", start, kind="quiet"))
-
-
-def _cells(row: ClearanceRow) -> tuple[Markup | str, ...]:
-    where = (f"tube {row.place.tube} to {row.place.part}", point_words(row.place.point_m))
-    state = "no friction" if row.kind == "nominal" else f"friction {row.friction}"
-    return (
-        term(NAMES[row.kind]),
-        tag("b", millimetres(row.clearance_m).replace(" ", NO_BREAK)),
-        lines(where),
-        lines(text.replace(" ", NO_BREAK) for text in (row.when, state)),
+    return rendered(
+        "plan_clearance.html",
+        rows=clearance_rows(plan),
+        start=START_FRICTION[plan.certificate.start_friction],
+        whole=lambda text: text.replace(" ", NO_BREAK),
+        point_words=point_words,
+        NAMES=NAMES,
     )
 
 
@@ -269,21 +225,23 @@ def _goal(plan: Plan) -> list[Any]:
     return traces
 
 
-SCRIPTS = ("fit_camera.js", "scene_key.js", "plan_page/player.js", "plan_page/looking.js")
+SCRIPTS = ("fit_camera.js", "scene_key.js", "player.js", "looking.js")
 CURVES = ("margins", "joints")  # where the time is marked
 SHORTEST_FRAME_MS, LONGEST_FRAME_MS = 60, 200  # a motion plays in real time where that is neither jerky nor dull
-HINT = "Drag to turn, scroll to zoom; a click on a name hides a part. The time is marked on the curves below."
 
 
-def motion_section(scene: PlanScene) -> Markup:
-    """Scene and player, figures of the moment, and what other ways to the same goal would leave."""
+def shown_motion(scene: PlanScene) -> dict[str, Any]:
+    """Scene and player, figures of the first moment, which the player changes, and other ways, this plan first."""
     code = "".join(map(script, SCRIPTS)) + _starting(scene)
     figure = scene_figure(scene)
-    drawn = plot(figure, "scene", with_library=True, script=code, kind="plot scene")
-    left = tag("div", drawn, _controls(scene), Markup('<div id="looking" class="looking"></div><div id="key"></div>'))
-    right = tag("div", _figures(scene), other_ways(scene.plan), kind="beside")
-    hint = tag("p", HINT + _thinned(scene, figure), kind="quiet hint")
-    return section("The motion", tag("div", left, right, kind="motion"), hint)
+    return {
+        "scene": plot(figure, "scene", with_library=True, script=code, kind="plot scene"),
+        "last": len(scene.path) - 1,
+        "start_s": scene.start.time_s,
+        "thinned": _thinned(scene, figure),
+        "ways": sorted(scene.plan.reorder.alternatives, key=lambda way: way.name != "as driven"),
+        **{name: texts[0] for name, texts in moments(scene).items()},
+    }
 
 
 def moments(scene: PlanScene) -> dict[str, list[str]]:
@@ -301,35 +259,6 @@ def _then(times: Array, column: Array, at: Array) -> list[float]:
 
 def _length(value_m: float) -> str:
     return "free space" if value_m == np.inf else millimetres(value_m)
-
-
-def _controls(scene: PlanScene) -> Markup:
-    last = len(scene.path) - 1
-    if not last:
-        return Markup()
-    return Markup(
-        '<div class="player"><button id="play" type="button">▶ Play</button>'
-        f'<input id="time" type="range" min="0" max="{last}" value="0" step="1" aria-label="time">'
-        f'<output id="now">{scene.start.time_s:.1f} s</output></div>'
-    )
-
-
-def _figures(scene: PlanScene) -> Markup:
-    """Of the first frame; the player changes them."""
-    first = {name: values[0] for name, values in moments(scene).items()}
-    rows = (
-        ("now_bound", term("worst-case friction error", "worst-case friction error now"), "large bound"),
-        ("now_predicted", term("predicted friction error", "predicted friction error now"), "large"),
-        ("now_clearance", term("clearance", "clearance beyond the margins now"), "large"),
-    )
-    return tag(
-        "div",
-        *(
-            tag("div", Markup(f'<b id="{name}" class="{kind}">{first[name]}</b>'), tag("span", label))
-            for name, label, kind in rows
-        ),
-        kind="moment",
-    )
 
 
 def _thinned(scene: PlanScene, figure: Any) -> str:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ctrplan.base.package import __version__
 from ctrplan.certificate.certificate import FIGURES
 from ctrplan.files.trajectory_file import TrajectoryFormat, trajectory_formats, write_trajectory
 from ctrplan.plans.plan import Plan, write_plan_json
@@ -23,13 +23,12 @@ from ctrplan.reports.curves import (
     stacked_figure,
     timeline,
 )
-from ctrplan.reports.html_page import Markup, escaped, facts, lines, page, plot, section, table, tag
-from ctrplan.reports.plan_motion import clearance_section, motion_section, ways_table
+from ctrplan.reports.html_page import plot, rendered
+from ctrplan.reports.plan_motion import WAY_NAMES, clearance_section, shown_motion
 from ctrplan.reports.plan_picture import write_plan_png
 from ctrplan.reports.plan_scene import plan_scene
 from ctrplan.reports.plan_words import (
     MEANING,
-    CertificateRow,
     certificate_in_words,
     certificate_rows,
     standing,
@@ -37,158 +36,14 @@ from ctrplan.reports.plan_words import (
     worst_miss,
 )
 from ctrplan.reports.uncertainty_words import stated_in_words, uncertainty_rows
-from ctrplan.reports.words import VALUES, degrees, digits, glossary, millimetres, term
+from ctrplan.reports.words import VALUES, Markup, digits, millimetres, term
 from ctrplan.storage.output_folder import output_folder, write_atomically, written_together
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go
 
-    from ctrplan.base.arrays import Array
+    from ctrplan.plans.planned_motion import Leg, ReorderReport
     from ctrplan.reports.plan_scene import PlanScene
-    from ctrplan.uncertainty.result import GoalMiss, ParameterInterval
-    from ctrplan.uncertainty.worst_case import Contributor, TurnContributor
-
-
-def certificate_table(plan: Plan) -> Markup:
-    """Every quantity of the certificate with what is required of it."""
-    rows = ((row.quantity, row.value, row.requirement, _status(row)) for row in certificate_rows(plan))
-    return table(("Quantity", "Value", "Required", "Status"), rows)
-
-
-def _status(row: CertificateRow) -> Markup:
-    if row.caution:
-        return tag("span", "! beyond it", kind="caution")
-    texts = {True: tag("span", "✓ met", kind="good"), False: tag("span", "✗ not met", kind="bad"), None: escaped("")}
-    return texts[row.met]
-
-
-def target_section(plan: Plan) -> Markup:
-    """Each of several targets; nothing where there is one."""
-    if not plan.scenario.via:
-        return Markup()
-    ends = leg_end_s(plan)
-    rows = (
-        (
-            f"{number}{f', {target.name}' if target.name else ''}",
-            f"{ends[target.leg]:.2f} s",
-            millimetres(target.tip_error_m),
-            millimetres(target.bound_m),
-        )
-        for number, target in enumerate(plan.certificate.targets, start=1)
-    )
-    header = ("Target", "Reached at", "Distance without friction", "Worst-case friction error")
-    return section("Targets", table(header, rows))
-
-
-def leg_table(plan: Plan) -> Markup:
-    """When each leg is driven and what moves."""
-    ends = leg_end_s(plan)
-    starts = np.concatenate([[0.0], ends[:-1]])
-    rows = (
-        (str(k), leg.kind, f"{start:.2f} to {end:.2f} s", lines(_moves(plan, leg.start, leg.end)))
-        for k, (leg, start, end) in enumerate(zip(plan.legs, starts, ends, strict=True), start=1)
-    )
-    return table(("Leg", "Kind", "Time", "What moves"), rows)
-
-
-def _moves(plan: Plan, start: Array, end: Array) -> Iterator[str]:
-    for joint, a, b in zip(plan.scenario.robot.drive.joints, start, end, strict=True):
-        if a != b:
-            unit = "°" if joint.unit == "deg" else f" {joint.unit}"
-            yield f"{joint.name}: {a / joint.si_per_unit:.2f}{unit} → {b / joint.si_per_unit:.2f}{unit}"
-
-
-def reorder_tables(plan: Plan) -> tuple[Markup, Markup, Markup]:
-    """What was changed, what that changed, and what other ways would have left."""
-    report = plan.reorder
-    rows = [
-        ("Cost", f"{digits(report.cost_before_mm)} mm", f"{digits(report.cost_after_mm)} mm"),
-        (
-            "Worst-case friction error at the goal",
-            millimetres(report.goal_bound_before_m),
-            millimetres(report.goal_bound_after_m),
-        ),
-        (
-            "Error summed over the path",
-            f"{digits(report.error_integral_before_mm)} mm",
-            f"{digits(report.error_integral_after_mm)} mm",
-        ),
-        ("Stops on the way", str(report.stops_before), str(report.stops_after)),
-    ]
-    changes = tag("ul", *(tag("li", change) for change in report.changes))
-    return changes, table(("Quantity", "Before", "After"), rows), ways_table(plan)
-
-
-def provenance_table(plan: Plan) -> Markup:
-    """Files, checksums, planner and version."""
-    scenario, robot = plan.scenario, plan.scenario.robot
-    return facts(
-        [
-            ("Scenario", f"{scenario.name}, {scenario.path or 'not from a file'}"),
-            ("SHA-256 of the scenario", tag("code", scenario.sha256)),
-            ("Robot", f"{robot.name}, {robot.path or 'not from a file'}"),
-            ("SHA-256 of the robot", tag("code", robot.sha256)),
-            ("Planner", f"{plan.planner}, {plan.style}, seed {plan.seed}"),
-            ("Search", f"{digits(plan.search_time_s)} s, first certified path at {digits(plan.first_certified_s)} s"),
-            ("Search ended by", plan.ended_by),
-            ("ctrplan", __version__),
-        ]
-    )
-
-
-BAR = 24  # blocks of the largest share
-
-
-def uncertainty_section(plan: Plan) -> Markup:
-    """Nothing where nothing is stated to be uncertain."""
-    found = plan.uncertainty
-    if found is None:
-        return Markup()
-    parts = [
-        facts(list(uncertainty_rows(plan).items())),
-        *(part for k, miss in enumerate(found.via, start=1) for part in _target(miss, _named(miss, k))),
-        *_target(found.goal, "the goal"),
-    ]
-    if found.closest:
-        parts += [tag("h3", "Causes where the robot comes nearest to the anatomy"), _causes(found.closest.contributors)]
-    if found.parameters:
-        parts += [tag("h3", "Intervals"), _intervals(found.parameters)]
-    return section("What is uncertain", *parts, *(tag("p", text, kind="quiet") for text in stated_in_words(found)))
-
-
-def _named(miss: GoalMiss, number: int) -> str:
-    return f"target {number} ({miss.name})" if miss.name else f"target {number}"
-
-
-def _target(miss: GoalMiss, name: str) -> list[Markup]:
-    parts = [tag("h3", f"Causes at {name}"), _causes(miss.contributors)]
-    if miss.turn:
-        parts += [tag("h3", f"Causes of the turn at {name}"), _turns(miss.turn.contributors)]
-    return parts
-
-
-def _causes(contributors: Sequence[Contributor]) -> Markup:
-    return _bars([(c.name, c.share_m, c.saved_m) for c in contributors], millimetres)
-
-
-def _turns(contributors: Sequence[TurnContributor]) -> Markup:
-    return _bars([(c.name, c.share_rad, c.saved_rad) for c in contributors], degrees)
-
-
-def _bars(causes: Sequence[tuple[str, float, float]], said: Callable[[float], str]) -> Markup:
-    largest = max((abs(share) for _, share, _ in causes), default=0.0) or 1.0
-    rows = (
-        (name, said(share), "█" * round(BAR * max(share, 0.0) / largest), said(saved)) for name, share, saved in causes
-    )
-    return table(("Cause", "Share of the worst case", "", "Measuring it would take off"), rows)
-
-
-def _intervals(parameters: Sequence[ParameterInterval]) -> Markup:
-    rows = (
-        (p.name, p.title, f"{digits(p.value)} {p.unit}", f"{digits(p.low)} to {digits(p.high)} {p.unit}")
-        for p in parameters
-    )
-    return table(("Parameter", "What it is", "Value", "95 % interval"), rows)
 
 
 WORDS = (
@@ -207,27 +62,65 @@ def write_plan_report(path: str | os.PathLike[str], scene: PlanScene) -> None:
 def plan_report_html(scene: PlanScene) -> str:
     """The content of report.html."""
     plan, scenario = scene.plan, scene.plan.scenario
-    return page(
-        f"{scenario.name} - ctrplan",
-        tag("p", f"Motion plan for {scenario.robot.name}", kind="kicker"),
-        tag("h1", scenario.name),
-        tag("p", verdict(plan), kind=f"verdict {standing(plan)}"),
-        _remarks("What is wrong", plan.certificate.problems),
-        motion_section(scene),
-        _tiles(plan),
-        clearance_section(plan),
-        section("Certificate", *(tag("p", text) for text in certificate_in_words(plan)), certificate_table(plan)),
-        uncertainty_section(plan),
-        target_section(plan),
-        _remarks("Remarks", tuple(dict.fromkeys((*plan.notes, *scenario.warnings)))),
-        _errors_and_margins(plan),
-        _joints(plan),
-        section("Legs", leg_table(plan)),
-        section("What reordering changed", *reorder_tables(plan)),
-        section("What the error bound means", *(tag("p", text) for text in MEANING)),
-        section("Words", glossary(*WORDS)),
-        section("Where this comes from", provenance_table(plan)),
+    return rendered(
+        "plan.html",
+        title=f"{scenario.name} - ctrplan",
+        plan=plan,
+        scenario=scenario,
+        robot=scenario.robot,
+        certificate=plan.certificate,
+        verdict=verdict(plan),
+        standing=standing(plan),
+        moving=shown_motion(scene),
+        figures=[*_target_tiles(plan), *_figure_tiles(plan)],
+        clearance=clearance_section(plan),
+        certificate_words=certificate_in_words(plan),
+        certificate_rows=certificate_rows(plan),
+        uncertainty=uncertainty_section(plan),
+        notes=tuple(dict.fromkeys((*plan.notes, *scenario.warnings))),
+        margins=plot(margins_figure(plan), "margins", kind="plot twin"),
+        joints=plot(joints_figure(plan), "joints", kind="plot twin"),
+        ends_s=leg_end_s(plan),
+        moves=partial(_moves, plan),
+        reordered=_reordered(plan.reorder),
+        counted=_counted,
+        MEANING=MEANING,
+        SHADES=SHADES,
+        WAY_NAMES=WAY_NAMES,
+        WORDS=WORDS,
     )
+
+
+def uncertainty_section(plan: Plan) -> Markup:
+    """Nothing where nothing is stated to be uncertain."""
+    result = plan.uncertainty
+    if result is None:
+        return Markup()
+    rows, stated = uncertainty_rows(plan), stated_in_words(result)
+    return rendered("plan_uncertainty.html", uncertainty=result, rows=rows, stated=stated)
+
+
+def _moves(plan: Plan, leg: Leg) -> Iterator[str]:
+    for joint, a, b in zip(plan.scenario.robot.drive.joints, leg.start, leg.end, strict=True):
+        if a != b:
+            unit = "°" if joint.unit == "deg" else f" {joint.unit}"
+            yield f"{joint.name}: {a / joint.si_per_unit:.2f}{unit} → {b / joint.si_per_unit:.2f}{unit}"
+
+
+def _reordered(report: ReorderReport) -> list[tuple[str, ...]]:
+    """Quantities before and after."""
+    figures = (
+        ("Cost", VALUES["mm"], report.cost_before_mm, report.cost_after_mm),
+        ("Worst-case friction error at the goal", millimetres, report.goal_bound_before_m, report.goal_bound_after_m),
+        (
+            "Error summed over the path",
+            VALUES["mm"],
+            report.error_integral_before_mm,
+            report.error_integral_after_mm,
+        ),
+        ("Stops on the way", str, report.stops_before, report.stops_after),
+    )
+    return [(name, said(before), said(after)) for name, said, before, after in figures]
 
 
 def margins_figure(plan: Plan) -> go.Figure:
@@ -240,21 +133,11 @@ def joints_figure(plan: Plan) -> go.Figure:
     return stacked_figure([*position_panels(plan), speed_panel(plan)], timeline(plan))
 
 
-def _remarks(title: str, texts: Sequence[str]) -> Markup:
-    return section(title, tag("ul", *(tag("li", text) for text in texts))) if texts else Markup()
-
-
-def _tiles(plan: Plan) -> Markup:
-    shown = [*_target_tiles(plan), *_figure_tiles(plan)]
-    return tag(
-        "div", *(tag("div", tag("b", value), tag("span", name), kind="tile") for value, name in shown), kind="tiles"
-    )
-
-
 def _target_tiles(plan: Plan) -> Iterator[tuple[str, str]]:
     """How far from its target the tip may end, beside what the scenario asks for."""
     if miss := worst_miss(plan):
-        total = tag("span", millimetres(miss.total_m), kind="caution" if miss.exceeds else "good")
+        kind = "caution" if miss.exceeds else "good"
+        total = Markup(f'<span class="{kind}">{millimetres(miss.total_m)}</span>')
         asked = f"from {miss.target} at worst; tolerance {millimetres(miss.tolerance_m)}"
         yield total, term("worst case at the target", asked)
 
@@ -270,20 +153,6 @@ def _figure_tiles(plan: Plan) -> Iterator[tuple[str, str]]:
             yield VALUES[figure.unit](value), term(*figure.tile)
     stops = _counted(plan.trajectory.stops, "stop")
     yield f"{digits(plan.trajectory.duration_s)} s", f"duration, {stops} on the way"
-
-
-def _errors_and_margins(plan: Plan) -> Markup:
-    count = len(plan.certificate.samples.joints)
-    hint = f"{_counted(count, 'place')} of the path, each solved with the full model. {SHADES}"
-    return section(
-        "Errors and margins along the path",
-        tag("p", hint, kind="quiet"),
-        plot(margins_figure(plan), "margins", kind="plot twin"),
-    )
-
-
-def _joints(plan: Plan) -> Markup:
-    return section("Joints", tag("p", SHADES, kind="quiet"), plot(joints_figure(plan), "joints", kind="plot twin"))
 
 
 def _counted(count: int, thing: str) -> str:

@@ -109,7 +109,7 @@ def _draw_curves(ax: Axes, panel: Panel, limit_colour: str | None = None) -> Non
 
 
 def _largest(panel: Panel) -> float:
-    """Of everything drawn in the panel, 0 at least."""
+    """The largest value of everything drawn in the panel, 0 at least."""
     drawn = [series.values[np.isfinite(series.values)] for series in panel.series]
     return float(np.concatenate([*drawn, [limit.value for limit in panel.limits], [0.0]]).max())
 

@@ -64,16 +64,16 @@ def narrowest_pose(scenario: Scenario, place: Closest | None) -> NarrowestPose |
     if place is None:
         return None
     collars = scenario.robot.drive.collars(place.joints)
-    found = scenario.robot.mechanics.friction_bodies(
+    result = scenario.robot.mechanics.friction_bodies(
         *collars, place.phi[None], spacing_m=SPACING_M, accuracy="certificate"
     )
-    if not found.solved[0] or len(found.radius_m) < 2:
+    if not result.solved[0] or len(result.radius_m) < 2:
         return None
-    points = scenario.located(found.point_m[0])
+    points = scenario.located(result.point_m[0])
     along = np.gradient(points, axis=0)
     tangent = along / np.linalg.norm(along, axis=1, keepdims=True)
-    clearance = exact_clearance(scenario.anatomy, points) - found.radius_m
-    return NarrowestPose(place, Rod(points, tangent, found.radius_m), clearance, _gap(scenario, place))
+    clearance = exact_clearance(scenario.anatomy, points) - result.radius_m
+    return NarrowestPose(place, Rod(points, tangent, result.radius_m), clearance, _gap(scenario, place))
 
 
 def _gap(scenario: Scenario, place: Closest) -> Array:
@@ -107,11 +107,11 @@ class WrittenMotion:
     @property
     def targets(self) -> dict[str, Array]:
         """Places (3,) to be reached, in their order, by their names; of joint values the place that they lead to."""
-        goals, found = self.scenario.targets, {}
+        goals, result = self.scenario.targets, {}
         for k, goal in enumerate(goals, start=1):
             name = goal.name or ("goal" if k == len(goals) else f"target {k}")
-            found[name] = goal.tip_m if goal.tip_m is not None else self.path[-1].tip_m
-        return found
+            result[name] = goal.tip_m if goal.tip_m is not None else self.path[-1].tip_m
+        return result
 
     @property
     def step_m(self) -> float:

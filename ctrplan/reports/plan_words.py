@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class WorstMiss:
-    """Of a target in space."""
+    """How far the tip may end from a target in space at worst."""
 
     target: str  # "the target", or which of several
     without_friction_m: float
@@ -62,18 +62,18 @@ class WorstMiss:
 
 
 def worst_misses(plan: Plan) -> tuple[WorstMiss, ...]:
-    """Of every target in space in the order reached, the goal last; none where the goal is joint values."""
-    certificate, scenario, found = plan.certificate, plan.scenario, []
+    """Worst misses of every target in space, in the order reached, the goal last; none for a goal in joint values."""
+    certificate, scenario, result = plan.certificate, plan.scenario, []
     for number, (goal, at) in enumerate(zip(scenario.via, certificate.targets, strict=False), start=1):
         if goal.tip_m is not None:
             name = f"target {number}{f' ({goal.name})' if goal.name else ''}"
-            found.append(_miss(plan, name, goal, at))
+            result.append(_miss(plan, name, goal, at))
     if scenario.goal.tip_m is not None:
         off, friction, play = certificate.goal_tip_error_m, certificate.goal_bound_m, certificate.goal_play_m
         parameters = float(certificate.samples.parameter_bound_m[-1])
         tolerance = scenario.goal.tolerance_m
-        found.append(WorstMiss("the target", off, friction - parameters, play, tolerance, parameters))
-    return tuple(found)
+        result.append(WorstMiss("the target", off, friction - parameters, play, tolerance, parameters))
+    return tuple(result)
 
 
 def _miss(plan: Plan, name: str, goal: Goal, at: TargetReached) -> WorstMiss:

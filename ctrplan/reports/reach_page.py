@@ -12,15 +12,14 @@ import numpy as np
 import plotly.graph_objects as go
 
 from ctrplan.base.arrays import Array
-from ctrplan.base.package import __version__
 from ctrplan.errors import SolverError
 from ctrplan.planning.reach import Configuration, Reach
 from ctrplan.reports import looks
-from ctrplan.reports.html_page import Markup, facts, page, plot, script, section, table, tag
+from ctrplan.reports.html_page import plot, rendered, script
 from ctrplan.reports.looks import view_box
 from ctrplan.reports.robot_surface import RobotPose, anatomy_surface, pose, stand
 from ctrplan.reports.scene_traces import anatomy_traces, lay_out, mesh_trace, xyz
-from ctrplan.reports.words import degrees, digits, glossary, millimetres, term
+from ctrplan.reports.words import digits, millimetres, term
 from ctrplan.scenario.scenario import Scenario
 
 MOST_DRAWN = len(looks.SERIES)  # branches, which have a colour each
@@ -38,14 +37,14 @@ class ReachScene:
     poses: tuple[tuple[int, RobotPose], ...]  # branch, and the robot in its first configuration
 
 
-def reach_scene(scenario: Scenario, found: Reach, branches: list[int]) -> ReachScene:
+def reach_scene(scenario: Scenario, reach: Reach, branches: list[int]) -> ReachScene:
     """Solves a bound for each branch that is drawn."""
     poses = []
     for branch in range(min(MOST_DRAWN, len(set(branches)))):
         with suppress(SolverError):
-            poses.append((branch, pose(scenario, found.configurations[branches.index(branch)].joints)))
-    target = scenario.located(np.asarray(found.target.tip_m))
-    return ReachScene(scenario, found.configurations, tuple(branches), target, tuple(poses))
+            poses.append((branch, pose(scenario, reach.configurations[branches.index(branch)].joints)))
+    target = scenario.located(np.asarray(reach.target.tip_m))
+    return ReachScene(scenario, reach.configurations, tuple(branches), target, tuple(poses))
 
 
 def reach_figure(scene: ReachScene) -> go.Figure:
@@ -81,15 +80,30 @@ if (document.readyState === 'loading') document.addEventListener('DOMContentLoad
 def reach_report_html(scene: ReachScene) -> str:
     """The content of report.html; there must be a configuration."""
     scenario, best = scene.scenario, _best(scene)
-    return page(
-        f"Ways to a point - {scenario.name}",
-        tag("p", f"Inverse kinematics of {scenario.robot.name}", kind="kicker"),
-        tag("h1", _headline(scene)),
-        tag("p", _sentence(scene), kind=f"verdict {'good' if any(c.valid for c in scene.configurations) else 'bad'}"),
-        _tiles(best),
-        _drawn(scene),
-        section("All of them, lowest worst-case error first", _table(scene), glossary(*WORDS)),
-        section("Where this comes from", _provenance(scene)),
+    joints, code = scenario.robot.drive.joints, script("fit_camera.js") + script("scene_key.js") + START
+    return rendered(
+        "reach.html",
+        title=f"Ways to a point - {scenario.name}",
+        scenario=scenario,
+        robot=scenario.robot,
+        headline=_headline(scene),
+        sentence=_sentence(scene),
+        standing="good" if any(c.valid for c in scene.configurations) else "bad",
+        figures=[
+            (millimetres(best.bound_m), term("worst-case friction error", "smallest worst-case friction error")),
+            (millimetres(best.tip_error_m), "tip without friction from the point, there"),
+            (_clearance(best), term("clearance", "clearance beyond margins, there")),
+            (digits(best.stability), term("stability", "stability, there")),
+        ],
+        figure=plot(reach_figure(scene), "scene", with_library=True, script=code, kind="plot scene"),
+        all_drawn=len(set(scene.branches)) <= MOST_DRAWN,
+        rows=list(zip(scene.configurations, scene.branches, strict=True)),
+        names=[f"{joint.name} ({joint.unit})" for joint in joints],
+        values=lambda c: [value / joint.si_per_unit for value, joint in zip(c.joints.tolist(), joints, strict=True)],
+        clearance=_clearance,
+        colours=looks.SERIES,
+        MUTED=looks.MUTED,
+        WORDS=WORDS,
     )
 
 
@@ -114,61 +128,5 @@ def _sentence(scene: ReachScene) -> str:
     )
 
 
-def _tiles(best: Configuration) -> Markup:
-    shown = [
-        (millimetres(best.bound_m), term("worst-case friction error", "smallest worst-case friction error")),
-        (millimetres(best.tip_error_m), "tip without friction from the point, there"),
-        (_clearance(best), term("clearance", "clearance beyond margins, there")),
-        (digits(best.stability), term("stability", "stability, there")),
-    ]
-    return tag("div", *(tag("div", tag("b", v), tag("span", n), kind="tile") for v, n in shown), kind="tiles")
-
-
-def _drawn(scene: ReachScene) -> Markup:
-    code = script("fit_camera.js") + script("scene_key.js") + START
-    figure = plot(reach_figure(scene), "scene", with_library=True, script=code, kind="plot scene")
-    hint = "The first configuration of each branch with its envelope of friction. Drag to turn, scroll to zoom."
-    if len(set(scene.branches)) > MOST_DRAWN:
-        hint += f" The {MOST_DRAWN} branches with the smallest worst case are drawn."
-    return section("In space", figure, Markup('<div id="key"></div>'), tag("p", hint, kind="quiet hint"))
-
-
-def _table(scene: ReachScene) -> Markup:
-    joints = scene.scenario.robot.drive.joints
-    head = (
-        term("branch", "Branch"), *(f"{joint.name} ({joint.unit})" for joint in joints),
-        term("worst-case friction error", "Worst case"), "Direction", term("stability", "Stability"),
-        term("clearance", "Clearance"), "Tip error", "",
-    )  # fmt: skip
-    pairs = zip(scene.configurations, scene.branches, strict=True)
-    return table(head, (_row(scene, c, branch) for c, branch in pairs))
-
-
-def _row(scene: ReachScene, c: Configuration, branch: int) -> tuple[str, ...]:
-    joints = zip(c.joints.tolist(), scene.scenario.robot.drive.joints, strict=True)
-    colour = looks.SERIES[branch] if branch < MOST_DRAWN else looks.MUTED
-    return (
-        Markup(f'<b style="color: {colour}">{branch + 1}</b>'),
-        *(f"{value / joint.si_per_unit:.2f}" for value, joint in joints),
-        millimetres(c.bound_m),
-        degrees(c.bound_rad),
-        digits(c.stability),
-        _clearance(c),
-        millimetres(c.tip_error_m),
-        tag("span", f"not valid: {c.reason}", kind="bad") if c.reason else tag("span", "valid", kind="good"),
-    )
-
-
 def _clearance(c: Configuration) -> str:
     return "free space" if math.isinf(c.clearance_m) else millimetres(c.clearance_m)
-
-
-def _provenance(scene: ReachScene) -> Markup:
-    scenario, robot = scene.scenario, scene.scenario.robot
-    return facts(
-        [
-            ("File", f"{scenario.name}, {scenario.path or robot.path or 'not from a file'}"),
-            ("SHA-256 of the robot", tag("code", robot.sha256)),
-            ("ctrplan", __version__),
-        ]
-    )

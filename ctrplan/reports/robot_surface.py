@@ -225,9 +225,9 @@ def _depths(nodes: Array, counts: tuple[int, int, int], centres: Array, radii: A
 
     def depths(places: Array) -> tuple[Array, Array]:
         lifted, which = tree.query(np.pad(places, ((0, 0), (0, 1))), distance_upper_bound=largest + far)
-        found, near = np.full(len(places), far), which < len(centres)
-        found[near] = np.linalg.norm(places[near] - centres[which[near]], axis=1) - radii[which[near]]
-        return found, np.where(found > 0, np.minimum(lifted - largest, far), found)
+        result, near = np.full(len(places), far), which < len(centres)
+        result[near] = np.linalg.norm(places[near] - centres[which[near]], axis=1) - radii[which[near]]
+        return result, np.where(result > 0, np.minimum(lifted - largest, far), result)
 
     places = np.unravel_index(np.arange(len(nodes)), counts, order="F")
     some = np.flatnonzero(np.all([place % STRIDE == 0 for place in places], axis=0))
@@ -242,12 +242,12 @@ def _depths(nodes: Array, counts: tuple[int, int, int], centres: Array, radii: A
 
 def _spheres(rods: Sequence[Rod], cell: float) -> tuple[Array, Array]:
     """Centres (K, 3) and radii (K,) along the rods, none thinner than the grid can hold."""
-    found = []
+    results = []
     for rod in rods:
         s_m = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(rod.centreline_m, axis=0), axis=1))])
         at = np.linspace(0.0, s_m[-1], int(s_m[-1] / (SPACING_CELLS * cell)) + 2)
-        found.append(np.column_stack([np.interp(at, s_m, row) for row in (*rod.centreline_m.T, rod.radius_m)]))
-    rows = np.concatenate(found)
+        results.append(np.column_stack([np.interp(at, s_m, row) for row in (*rod.centreline_m.T, rod.radius_m)]))
+    rows = np.concatenate(results)
     return rows[:, :3], np.maximum(rows[:, 3], THINNEST_CELLS * cell)
 
 

@@ -11,7 +11,7 @@ from ctrplan.anatomy.patient_frame import Frame, axis_label
 from ctrplan.base.arrays import Array
 from ctrplan.base.surface import Surface
 from ctrplan.reports import looks
-from ctrplan.reports.html_page import FONT
+from ctrplan.reports.html_page import FIGURE_TEXT
 from ctrplan.reports.looks import side_azimuth_rad
 from ctrplan.reports.robot_surface import RobotPose, tube_surface
 
@@ -115,5 +115,5 @@ def lay_out(figure: go.Figure, lower_m: Array, upper_m: Array, robot_m: Array, f
         scene={"aspectmode": "manual", "aspectratio": aspect, "camera": camera, **axes},
         showlegend=False,  # the key is beside the scene
         uirevision="stays",
-        font={"color": looks.INK, "size": 13, "family": FONT},
+        font=FIGURE_TEXT,
     )

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
 from ctrplan.reports import looks
-from ctrplan.reports.html_page import FONT, Markup, plot, section, table, tag
+from ctrplan.reports.html_page import FIGURE_TEXT
 from ctrplan.reports.looks import view_box
 from ctrplan.reports.robot_surface import anatomy_surface
 from ctrplan.reports.scene_traces import anatomy_traces, lay_out, xyz
@@ -96,36 +96,36 @@ def thinned_rows(count: int) -> Indices:
 
 def outcomes(table: StudyTable) -> Indices:
     """(K,) index into OUTCOMES of each row."""
-    found, done = np.full(len(table), 3), table.done & ~none_is_valid(table)
+    result, done = np.full(len(table), 3), table.done & ~none_is_valid(table)
     if "within_tolerance" not in table.columns:
-        found[done] = 2
-        return found
+        result[done] = 2
+        return result
     kept = table["within_tolerance"]
-    found[done & (kept == 1)] = 0
-    found[done & (kept == 0)] = 1
-    found[done & np.isnan(kept)] = 2
-    return found
+    result[done & (kept == 1)] = 0
+    result[done & (kept == 0)] = 1
+    result[done & np.isnan(kept)] = 2
+    return result
 
 
 def none_is_valid(table: StudyTable) -> Flags:
     """(K,) rows that are done and say that nothing was found, as functions may: none valid, or no error at worst."""
-    found = np.zeros(len(table), dtype=bool)
+    result = np.zeros(len(table), dtype=bool)
     if "valid" in table.columns:
-        found |= table["valid"] == 0
+        result |= table["valid"] == 0
     if "worst_mm" in table.columns:
-        found |= np.isnan(table["worst_mm"])
-    return table.done & found
+        result |= np.isnan(table["worst_mm"])
+    return table.done & result
 
 
 def _shares(table: StudyTable, places: Places) -> list[tuple[Quantity, Array]]:
     """(P,) shares of each point's rows that are worth a map; none where every point has one row."""
     if len(table) == len(places.points_mm):
         return []
-    found = [(Quantity("", "share with an answer", "", 1), places.mean(table.done.astype(float)))]
+    results = [(Quantity("", "share with an answer", "", 1), places.mean(table.done.astype(float)))]
     if "within_tolerance" in table.columns:
         kept = (table["within_tolerance"] == 1).astype(float)
-        found.insert(0, (Quantity("", "share within tolerance whatever friction does", "", 1), places.mean(kept)))
-    return found
+        results.insert(0, (Quantity("", "share within tolerance whatever friction does", "", 1), places.mean(kept)))
+    return results
 
 
 def _outcome_traces(table: StudyTable, places: Places, rows: Indices) -> list[Any]:
@@ -180,63 +180,52 @@ WORDS = {
     "morris": ("Their standard deviation", "Mean size of elementary effects", "Morris' elementary effects"),
 }
 
-BEYOND = (
-    "A share below 0 or above 1 is one that the samples are too few for: "
-    "it is 0 or 1 within its interval, and draws.count makes it narrower."
-)
 
-
-def sensitivity_section(
-    study: StudyDefinition, rows: StudyTable, judged: Quantity | None, library: list[bool]
-) -> list[Markup]:
-    """Nothing where nothing was drawn for it."""
+def shown_sensitivity(study: StudyDefinition, rows: StudyTable, judged: Quantity | None) -> dict[str, Any] | None:
+    """What a study's number depends on, drawn and in rows; None where nothing was drawn for it."""
     if judged is None or study.entry.draws.method == "random" or find_spec("SALib") is None:
-        return []
-    found = sensitivity(study, rows, judged.column)
-    if found is None:
-        return []
-    first, total, title = WORDS[found.method]
-    order = np.argsort(-np.nan_to_num(found.total))
+        return None
+    result = sensitivity(study, rows, judged.column)
+    if result is None:
+        return None
+    first, total, title = WORDS[result.method]
+    order = np.argsort(-np.nan_to_num(result.total)).tolist()
     lines = [
-        [found.keys[k], digits(found.total[k]), f"± {digits(found.total_interval[k])}", digits(found.first[k])]
-        for k in order.tolist()
+        [result.keys[k], digits(result.total[k]), f"± {digits(result.total_interval[k])}", digits(result.first[k])]
+        for k in order
     ]
-    drawn = plot(_figure(found, order.tolist(), total), "sensitivity", with_library=library[0])
-    library[0] = False
-    kept = f"{found.used} of {found.count} {'base samples' if found.method == 'sobol' else 'trajectories'} were used"
-    left_out = tag("p", f"{kept}: in the others a task has no number.", kind="quiet hint")
-    return [
-        section(
-            f"What {judged.name} depends on: {title}",
-            drawn,
-            table(["", total, "95 % interval", first], lines),
-            left_out if found.used < found.count else "",
-            tag("p", BEYOND, kind="quiet hint") if found.method == "sobol" and _is_beyond(found) else "",
-        )
-    ]
+    kept = f"{result.used} of {result.count} {'base samples' if result.method == 'sobol' else 'trajectories'} were used"
+    return {
+        "title": title,
+        "figure": _figure(result, order, total),
+        "header": ["", total, "95 % interval", first],
+        "rows": lines,
+        "left_out": f"{kept}: in the others a task has no number." if result.used < result.count else "",
+        "is_beyond": result.method == "sobol" and _is_beyond(result),
+    }
 
 
-def _is_beyond(found: Sensitivity) -> bool:
-    shares = np.concatenate([found.first, found.total + found.total_interval])
+def _is_beyond(result: Sensitivity) -> bool:
+    shares = np.concatenate([result.first, result.total + result.total_interval])
     return bool(np.any((shares < 0) | (shares > 1)))
 
 
-def _figure(found: Sensitivity, order: list[int], label: str) -> go.Figure:
-    names = [found.keys[k] for k in order]
+def _figure(result: Sensitivity, order: list[int], label: str) -> go.Figure:
+    names = [result.keys[k] for k in order]
     figure = go.Figure(
         go.Bar(
-            x=found.total[order],
+            x=result.total[order],
             y=names,
             orientation="h",
             marker={"color": looks.SERIES[0]},
-            error_x={"array": found.total_interval[order], "color": looks.MUTED},
+            error_x={"array": result.total_interval[order], "color": looks.MUTED},
         )
     )
     figure.update_layout(
         height=90 + ROW * len(names),
         margin={"l": 10, "r": 12, "t": 8, "b": 44},
         plot_bgcolor="#fff",
-        font={"color": looks.INK, "size": 13, "family": FONT},
+        font=FIGURE_TEXT,
     )
     figure.update_xaxes(title_text=label, gridcolor=looks.GRID, rangemode="tozero")
     figure.update_yaxes(autorange="reversed", automargin=True)
@@ -256,8 +245,8 @@ def pareto_front(x: Array, y: Array, x_better: int, y_better: int) -> NDArray[np
         if y_better * y[k] > best:
             best = y_better * y[k]
             front.append(k)
-    found = np.array(front, dtype=np.intp)
-    return found[np.argsort(x[found], kind="stable")]
+    result = np.array(front, dtype=np.intp)
+    return result[np.argsort(x[result], kind="stable")]
 
 
 def trade_off_figure(table: StudyTable, judged: Quantity, others: list[Quantity]) -> go.Figure | None:
@@ -286,7 +275,7 @@ def trade_off_figure(table: StudyTable, judged: Quantity, others: list[Quantity]
         height=HEIGHT,
         margin={"l": 60, "r": 12, "t": 44, "b": 48},
         plot_bgcolor="#fff",
-        font={"color": looks.INK, "size": 13, "family": FONT},
+        font=FIGURE_TEXT,
         legend={"orientation": "h", "x": 1, "xanchor": "right", "y": 1.02, "yanchor": "bottom"},
     )
     figure.update_xaxes(title_text=judged.label, gridcolor=looks.GRID)

@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from ctrplan.base.arrays import Array
-from ctrplan.base.package import __version__
-from ctrplan.reports.html_page import Markup, explained, facts, page, plot, script, section, table, tag
+from ctrplan.reports.html_page import plot, rendered, script
 from ctrplan.reports.study_figures import (
     BASES,
     TARGETS,
     Places,
     map_figure,
     none_is_valid,
-    sensitivity_section,
+    shown_sensitivity,
     trade_off_figure,
 )
 from ctrplan.reports.study_tables import (
@@ -30,7 +30,7 @@ from ctrplan.reports.study_tables import (
     percent,
     quantities,
 )
-from ctrplan.reports.words import digits
+from ctrplan.reports.words import digits, explained
 from ctrplan.storage.output_folder import write_atomically
 from ctrplan.studies.study.analysis import judged_by
 from ctrplan.studies.study.study_definition import StudyDefinition
@@ -53,7 +53,7 @@ class BasePoses:
 
     @classmethod
     def of(cls, rows: StudyTable, column: str) -> BasePoses | None:
-        """Of a study with several base poses, by a column of which less is better; None of another."""
+        """Base poses of a study with several of them, by a column of which less is better; None of another study."""
         if not all(name in rows.columns for name in (*COLUMNS, column)):
             return None
         each = np.column_stack([rows[name] for name in COLUMNS])
@@ -83,8 +83,8 @@ class BasePoses:
         return np.lexsort((np.nan_to_num(self.mean, nan=np.inf), -self.within, -self.reached))
 
 
-def poses_table(rows: StudyTable, judged: Quantity) -> Markup | None:
-    """The best poses of a study; None where it has none, or one."""
+def poses_rows(rows: StudyTable, judged: Quantity) -> dict[str, Any] | None:
+    """The best poses of a study, with a header and how many there are; None where it has none, or one."""
     poses = BasePoses.of(rows, judged.column)
     if poses is None:
         return None
@@ -99,8 +99,7 @@ def poses_table(rows: StudyTable, judged: Quantity) -> Markup | None:
         for k in poses.order[:MOST_ROWS].tolist()
     ]
     head = ["Position (mm)", "Looks along", "With an answer", "Within tolerance whatever friction does"]
-    shown = f"The best {len(lines)} of {len(poses.count)}." if len(lines) < len(poses.count) else ""
-    return Markup(table([*head, f"Mean of {judged.label}"], lines) + tag("p", shown, kind="quiet hint"))
+    return {"header": [*head, f"Mean of {judged.label}"], "rows": lines, "all": len(poses.count)}
 
 
 def _vector(numbers: Array, places: int) -> str:
@@ -119,9 +118,6 @@ MAPS = (
     (TARGETS, "Where: targets", "targets"),
     (BASES, "Where: base poses", "bases"),
 )
-SEVERAL = (
-    "A point that stands for several tasks has their share, the worst of their outcomes, and the mean of their numbers."
-)
 
 
 def write_study_report(study: StudyDefinition, table: StudyTable) -> None:
@@ -134,24 +130,42 @@ def study_report_html(study: StudyDefinition, table: StudyTable) -> str:
     """The content of report.html."""
     shown = quantities(study, table)
     judged = next((quantity for quantity in shown if quantity.column == judged_by(study)), None)
+    trade_off = trade_off_figure(table, judged, shown) if judged else None
+    sensitive = shown_sensitivity(study, table, judged)
     library = [True]  # the first figure brings plotly.js
-    parts = [
-        *_maps(study, table, shown, library),
-        *_tables(study, table, judged),
-        *_trade_off(table, judged, shown, library),
-        *sensitivity_section(study, table, judged, library),
-    ]
-    return page(
-        f"Study - {study.name}",
-        tag("p", f"Study of {study.count:,} tasks ({study.kind.kind})", kind="kicker"),
-        tag("h1", study.name),
-        tag("p", _verdict(study, table), kind=f"verdict {'good' if table.done.any() else 'bad'}"),
-        _tiles(table, judged),
-        *parts,
-        section("All numbers", of_numbers(table, shown), of_flags(table, shown)) if shown else "",
-        _failures(table),
-        section("Where this comes from", _provenance(study, table)),
+    seconds, workers = sum(value or 0.0 for value in table.columns["seconds"]), len(set(table.columns["worker"]))
+    return rendered(
+        "study.html",
+        title=f"Study - {study.name}",
+        kicker=f"Study of {study.count:,} tasks ({study.kind.kind})",
+        study=study,
+        rows=table,
+        judged=judged,
+        quantities=shown,
+        verdict=_verdict(study, table),
+        figures=_tiles(table, judged),
+        maps=_maps(study, table, shown, library),
+        poses=poses_rows(table, judged) if judged else None,
+        along=along_axes(study, table, judged),
+        extremes=of_extremes(study, table, judged) if judged else [],
+        trade_off=_plot(trade_off, "trade-off", library),
+        sensitive=sensitive,
+        sensitivity_figure=_plot(sensitive["figure"] if sensitive else None, "sensitivity", library),
+        numbers=of_numbers(table, shown),
+        flags=of_flags(table, shown),
+        reasons=of_reasons(table),
+        processor_time=f"{seconds:,.0f} s on {workers} worker{'s' * (workers != 1)}",
+        versions=", ".join(sorted(set(table.columns["version"]))),
     )
+
+
+def _plot(figure: Any, name: str, library: list[bool], **options: Any) -> str:
+    """Nothing where there is no figure."""
+    if figure is None:
+        return ""
+    drawn = plot(figure, name, with_library=library[0], **options)
+    library[0] = False
+    return drawn
 
 
 def _verdict(study: StudyDefinition, table: StudyTable) -> str:
@@ -168,9 +182,7 @@ def _verdict(study: StudyDefinition, table: StudyTable) -> str:
     return sentence
 
 
-def _tiles(table: StudyTable, judged: Quantity | None) -> Markup:
-    import numpy as np
-
+def _tiles(table: StudyTable, judged: Quantity | None) -> list[tuple[str, str]]:
     shown = [(f"{len(table):,}", "tasks"), (percent(float(table.done.mean()) if len(table) else 0.0), "with an answer")]
     if "within_tolerance" in table.columns:
         share = float(np.nan_to_num(table["within_tolerance"]).mean())
@@ -181,61 +193,17 @@ def _tiles(table: StudyTable, judged: Quantity | None) -> Markup:
         values = values[np.isfinite(values)]
         for pick, word in ((np.min, "least"), (np.median, "median"), (np.max, "largest")):
             shown.append((f"{digits(float(pick(values)))} {judged.unit}".rstrip(), f"{word} {judged.name}"))
-    return tag("div", *(tag("div", tag("b", v), tag("span", n), kind="tile") for v, n in shown), kind="tiles")
+    return shown
 
 
-def _maps(study: StudyDefinition, table: StudyTable, shown: list[Quantity], library: list[bool]) -> list[Markup]:
-    found = []
+def _maps(
+    study: StudyDefinition, table: StudyTable, shown: list[Quantity], library: list[bool]
+) -> list[dict[str, Any]]:
+    results = []
     for where, title, name in MAPS:
-        places = Places.of(table, where)
-        if places is None:
-            continue
-        code = script("fit_camera.js") + script("scene_key.js") + MAP_SCRIPT.replace("NAME", name)
-        figure = map_figure(study.scenario, table, places, shown)
-        drawn = plot(figure, name, with_library=library[0], script=code, kind="plot scene")
-        library[0] = False
-        key = Markup(f'<div id="key-{name}" class="scene-key"></div>')
-        hint = f"{len(places.points_mm):,} points. Choose what is shown above; drag to turn, scroll to zoom. "
-        found.append(section(title, drawn, key, tag("p", hint + SEVERAL, kind="quiet hint")))
-    return found
-
-
-def _tables(study: StudyDefinition, table: StudyTable, judged: Quantity | None) -> list[Markup]:
-    found = [section(f"By {name}", content) for name, content in along_axes(study, table, judged)]
-    if judged is not None:
-        if (poses := poses_table(table, judged)) is not None:
-            found.insert(0, section("Base poses, the best first", poses))
-        found.append(section(f"Best and worst by {judged.name}", of_extremes(study, table, judged)))
-    return found
-
-
-def _trade_off(table: StudyTable, judged: Quantity | None, shown: list[Quantity], library: list[bool]) -> list[Markup]:
-    figure = trade_off_figure(table, judged, shown) if judged is not None else None
-    if figure is None:
-        return []
-    drawn = plot(figure, "trade-off", with_library=library[0])
-    library[0] = False
-    hint = "Every point is a task; on the front, nothing else is better in one number and as good in the other."
-    return [section("Trade-off", drawn, tag("p", hint, kind="quiet hint"))]
-
-
-def _failures(table: StudyTable) -> Markup:
-    if table.done.all():
-        return Markup("")
-    return section("Tasks without an answer", of_reasons(table))
-
-
-def _provenance(study: StudyDefinition, table: StudyTable) -> Markup:
-    main = study.entry.scenario or study.entry.robot or ""
-    seconds = sum(value or 0.0 for value in table.columns["seconds"])
-    workers = len(set(table.columns["worker"]))
-    return facts(
-        [
-            ("Study", study.document.file or "not from a file"),
-            ("Scenario" if study.entry.scenario else "Robot", main),
-            ("SHA-256 of the robot", tag("code", study.robot.sha256)),
-            ("Seed", str(study.entry.seed)),
-            ("Processor time", f"{seconds:,.0f} s on {workers} worker{'s' * (workers != 1)}"),
-            ("ctrplan", ", ".join(sorted(set(table.columns["version"]))) or __version__),
-        ]
-    )
+        if places := Places.of(table, where):
+            code = script("fit_camera.js") + script("scene_key.js") + MAP_SCRIPT.replace("NAME", name)
+            figure = map_figure(study.scenario, table, places, shown)
+            drawn = _plot(figure, name, library, script=code, kind="plot scene")
+            results.append({"title": title, "name": name, "figure": drawn, "points": len(places.points_mm)})
+    return results

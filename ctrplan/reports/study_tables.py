@@ -1,4 +1,4 @@
-"""Tables of a study's page: along each axis, of every number, of the reasons, of the best and the worst row."""
+"""Rows of a study's page: along each axis, of every number, of the reasons, of the best and the worst row."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from ctrplan.base.arrays import Array
-from ctrplan.reports.html_page import Markup, escaped, facts, table, tag
 from ctrplan.reports.words import digits
 from ctrplan.studies.study.analysis import extremes, judged_by
 from ctrplan.studies.study.store import PLANS
@@ -68,13 +67,13 @@ def quantities(study: StudyDefinition, table: StudyTable) -> list[Quantity]:
     outside = {*FIRST, *LAST, *TIMING, *inputs_of(study, table)}
     known = {quantity.column: quantity for quantity in KNOWN}
     order = [judged_by(study), *known, *table.columns]
-    found = []
+    results = []
     for column in dict.fromkeys(name for name in order if name in table.columns and name not in outside):
         values = table[column]
         is_judged = column == judged_by(study) and values.dtype == np.float64 and bool(np.isfinite(values).any())
         if is_judged or (values.dtype == np.float64 and spread(values) > 0):
-            found.append(known.get(column) or _named(column, is_flag(table, column)))
-    return found
+            results.append(known.get(column) or _named(column, is_flag(table, column)))
+    return results
 
 
 def is_flag(table: StudyTable, column: str) -> bool:
@@ -104,16 +103,16 @@ MOST_REASONS = 8
 _NUMBER = re.compile(r"-?\d[\d.,]*(e-?\d+)?")
 
 
-def along_axes(study: StudyDefinition, rows: StudyTable, judged: Quantity | None) -> list[tuple[str, Markup]]:
-    """For each input with a few values: its tasks, what became of them, and what they are judged by."""
-    found = []
+def along_axes(study: StudyDefinition, rows: StudyTable, judged: Quantity | None) -> list[Any]:
+    """Name, header and rows of each input with a few values: tasks, what became of them, what they are judged by."""
+    results = []
     for name in inputs_of(study, rows):
         values = rows.columns[name]
         distinct = sorted(set(values), key=lambda value: (str(type(value)), value))
         if 2 <= len(distinct) <= MOST_VALUES and not name.startswith(("target_", "base_")):
             lines = [_line(rows, np.array([v == value for v in values]), value, judged) for value in distinct]
-            found.append((name, table(_head(rows, name, judged), lines)))
-    return found
+            results.append((name, _head(rows, name, judged), lines))
+    return results
 
 
 def _head(rows: StudyTable, name: str, judged: Quantity | None) -> list[str]:
@@ -134,25 +133,25 @@ def _line(rows: StudyTable, chosen: Array, value: Any, judged: Quantity | None) 
     return line
 
 
-def of_numbers(rows: StudyTable, shown: list[Quantity]) -> Markup:
-    """Median and ends of every number."""
+def of_numbers(rows: StudyTable, shown: list[Quantity]) -> list[list[str]]:
+    """Every number: how many tasks have it, median and ends."""
     lines = []
     for quantity in shown:
         values = rows[quantity.column]
         if not is_flag(rows, quantity.column):
             lines.append([quantity.label, f"{np.isfinite(values).sum():,}", *_summary(values)])
-    return table(["", "Tasks that have it", "Median", "Least", "Largest"], lines)
+    return lines
 
 
-def of_flags(rows: StudyTable, shown: list[Quantity]) -> Markup:
-    """In how many tasks what is a yes or no is a yes; nothing where there is none."""
+def of_flags(rows: StudyTable, shown: list[Quantity]) -> list[list[str]]:
+    """What is a yes or no: how many tasks say it, in how many it is a yes, their share."""
     lines = []
     for quantity in shown:
         values = rows[quantity.column]
         if is_flag(rows, quantity.column):
             yes, known = int((values == 1).sum()), int(np.isfinite(values).sum())
             lines.append([quantity.label, f"{known:,}", f"{yes:,}", percent(yes / known)])
-    return table(["", "Tasks that say it", "Yes", "Share"], lines) if lines else Markup("")
+    return lines
 
 
 def _summary(values: Array) -> list[str]:
@@ -162,41 +161,28 @@ def _summary(values: Array) -> list[str]:
     return [digits(float(pick(known))) for pick in (np.median, np.min, np.max)]
 
 
-def of_reasons(rows: StudyTable) -> Markup:
+def of_reasons(rows: StudyTable) -> list[list[str]]:
     """Why tasks have no answer, those that differ in numbers alone counted together, each with one of its sentences."""
     sentences: dict[tuple[str, str], list[str]] = {}
     for status, reason in zip(rows.columns["status"], rows.columns["reason"], strict=True):
         if status != "done":
             sentences.setdefault((status, _NUMBER.sub("#", reason)), []).append(reason)
     most = Counter({key: len(said) for key, said in sentences.items()}).most_common(MOST_REASONS)
-    lines = [[f"{count:,}", key[0], sentences[key][0]] for key, count in most]
-    return table(["Tasks", "", "For example"], lines)
+    return [[f"{count:,}", key[0], sentences[key][0]] for key, count in most]
 
 
-def of_extremes(study: StudyDefinition, rows: StudyTable, judged: Quantity) -> Markup:
-    """The best and the worst row, with their plans."""
-    every = list(rows.rows())
-    found = extremes(every, judged.column)
-    parts = []
-    for label, k in zip(("Best", "Worst"), found, strict=False):
-        parts += [
-            tag("h3", f"{label}: {digits(every[k][judged.column])} {judged.unit}".rstrip()),
-            _case(study, rows, every[k]),
-        ]
-    return Markup("".join(parts))
-
-
-def _case(study: StudyDefinition, rows: StudyTable, row: dict[str, Any]) -> Markup:
-    pairs = [(name, _shown(row[name])) for name in inputs_of(study, rows) if row.get(name) is not None]
-    place = Path(PLANS) / f"{row['index']:06d}"
-    kept = (rows.folder or Path()) / place
-    names = [name for name in ("report.html", "plan.png", "plan.json") if (kept / name).is_file()]
-    if names:
-        links = ", ".join(f'<a href="{escaped((place / name).as_posix())}">{escaped(name)}</a>' for name in names)
-        pairs.append(("plan", Markup(links)))
-    if command := _command(study, row):
-        pairs.append(("again", tag("code", command)))
-    return facts(pairs)
+def of_extremes(study: StudyDefinition, rows: StudyTable, judged: Quantity) -> list[dict[str, Any]]:
+    """Best and worst row: inputs, files of the plan with their addresses, and the command that repeats it."""
+    every, cases = list(rows.rows()), []
+    for which, k in zip(("Best", "Worst"), extremes(every, judged.column), strict=False):
+        row, place = every[k], Path(PLANS) / f"{every[k]['index']:06d}"
+        inputs = [(name, _shown(row[name])) for name in inputs_of(study, rows) if row.get(name) is not None]
+        kept = (rows.folder or Path()) / place
+        names = [name for name in ("report.html", "plan.png", "plan.json") if (kept / name).is_file()]
+        files = [(name, (place / name).as_posix()) for name in names]
+        label = f"{which}: {digits(row[judged.column])} {judged.unit}".rstrip()
+        cases.append({"label": label, "inputs": inputs, "files": files, "command": _command(study, row)})
+    return cases
 
 
 def _command(study: StudyDefinition, row: dict[str, Any]) -> str:

@@ -18,23 +18,23 @@ Rows = dict[str, str]  # what -> how much
 
 def uncertainty_rows(plan: Plan) -> Rows:
     """Worst cases with their causes, and chances; empty where nothing is stated to be uncertain."""
-    found = plan.uncertainty
-    if found is None:
+    result = plan.uncertainty
+    if result is None:
         return {}
     rows = dict[str, str]()
-    for number, miss in enumerate(found.via, start=1):
+    for number, miss in enumerate(result.via, start=1):
         name = f"target {number}"
         rows |= _target_rows(miss, (f"{name} with uncertainty", f"{name} turned at worst", f"chance to miss {name}"))
-    rows |= _target_rows(found.goal, ("at worst with uncertainty", "turned at worst", "chance to miss tolerance"))
-    if found.tour:
-        chances = _by_friction(met, found.tour.chance_by_history, found.tour.chance_any_friction)
+    rows |= _target_rows(result.goal, ("at worst with uncertainty", "turned at worst", "chance to miss tolerance"))
+    if result.tour:
+        chances = _by_friction(met, result.tour.chance_by_history, result.tour.chance_any_friction)
         rows["chance to meet all targets"] = chances
-    if found.closest:
-        left, without = millimetres(found.closest.worst_m), millimetres(found.closest.nominal_m)
+    if result.closest:
+        left, without = millimetres(result.closest.worst_m), millimetres(result.closest.nominal_m)
         rows["room with uncertainty"] = (
-            f"{left} beyond the margins, {without} without it; it takes {found.closest.sentence}"
+            f"{left} beyond the margins, {without} without it; it takes {result.closest.sentence}"
         )
-        margin, touch = percent(found.closest.chance_margin), percent(found.closest.chance_touch)
+        margin, touch = percent(result.closest.chance_margin), percent(result.closest.chance_touch)
         rows["chance to lose room"] = f"{margin} to enter the margin, {touch} to touch"
     return rows
 
@@ -58,47 +58,48 @@ def _by_friction(said: Callable[[Chance], str], by_history: Chance | None, any_f
     return f"{predicted}{said(any_friction)} in the worst friction state"
 
 
-def met(found: Chance) -> str:
+def met(chance: Chance) -> str:
     """The chance that something does not happen, or the bound on it where it happened to every draw or to none."""
-    share = 1 - found.stated
-    if found.stated == 0:
-        return f"above {digits(100 * (1 - found.high))} %"
+    share = 1 - chance.stated
+    if chance.stated == 0:
+        return f"above {digits(100 * (1 - chance.high))} %"
     if share == 0:
-        return f"below {digits(100 * (1 - found.low))} %"
-    return f"{digits(100 * share)} %" if found.is_confirmed else f"{digits(100 * share)} % (by solves)"
+        return f"below {digits(100 * (1 - chance.low))} %"
+    return f"{digits(100 * share)} %" if chance.is_confirmed else f"{digits(100 * share)} % (by solves)"
 
 
-def percent(found: Chance) -> str:
+def percent(chance: Chance) -> str:
     """A chance, or the bound on one that no draw had; that of the solves where they are worse."""
-    share = found.stated
+    share = chance.stated
     if share == 0:
-        return f"below {digits(100 * found.high)} %"
-    return f"{digits(100 * share)} %" if found.is_confirmed else f"{digits(100 * share)} % (by solves)"
+        return f"below {digits(100 * chance.high)} %"
+    return f"{digits(100 * share)} %" if chance.is_confirmed else f"{digits(100 * share)} % (by solves)"
 
 
-def stated_in_words(found: Uncertainty) -> list[str]:
+def stated_in_words(uncertainty: Uncertainty) -> list[str]:
     """Paragraphs: what the numbers rest on."""
     base = (
-        f"the base within {millimetres(found.position_sigma_m)} and {digits(math.degrees(found.rotation_sigma_rad))}° "
+        f"the base within {millimetres(uncertainty.position_sigma_m)} and "
+        f"{digits(math.degrees(uncertainty.rotation_sigma_rad))}° "
         "(standard deviations of each coordinate and each rotation)"
     )
-    known = [f"{len(found.parameters)} parameters by their 95 % intervals"] if found.parameters else []
-    known += [base] if found.position_sigma_m or found.rotation_sigma_rad else []
-    if found.model_error_m:
-        known.append(f"what calibration left unexplained, {millimetres(found.model_error_m)} in 95 % of poses")
+    known = [f"{len(uncertainty.parameters)} parameters by their 95 % intervals"] if uncertainty.parameters else []
+    known += [base] if uncertainty.position_sigma_m or uncertainty.rotation_sigma_rad else []
+    if uncertainty.model_error_m:
+        known.append(f"what calibration left unexplained, {millimetres(uncertainty.model_error_m)} in 95 % of poses")
     return [
         f"Known are {', '.join(known)}. The worst case has every one of them at the worst end of its 95 % interval at "
         "once, which hardly any robot is; what calibration left unexplained exceeds its number in one pose of twenty.",
-        f"Chances are shares of {found.draws:,} draws of the linearised model; what {found.solved} solves differ by is "
-        f"in all of them. {found.distribution[0].upper()}{found.distribution[1:]}.",
-        *_simulated(found),
+        f"Chances are shares of {uncertainty.draws:,} draws of the linearised model; what {uncertainty.solved} solves "
+        f"differ by is in all of them. {uncertainty.distribution[0].upper()}{uncertainty.distribution[1:]}.",
+        *_simulated(uncertainty),
     ]
 
 
-def _simulated(found: Uncertainty) -> list[str]:
-    if not found.simulated:
+def _simulated(uncertainty: Uncertainty) -> list[str]:
+    if not uncertainty.simulated:
         return []
     return [
-        f"Friction as predicted: the motion was simulated on {found.simulated} of these robots, each from one of the "
-        "friction states that the start may have. They are equally likely, unless they were observed.",
+        f"Friction as predicted: the motion was simulated on {uncertainty.simulated} of these robots, each from one "
+        "of the friction states that the start may have. They are equally likely, unless they were observed.",
     ]

@@ -2,14 +2,29 @@
 
 from __future__ import annotations
 
+import html
 import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from ctrplan.reports.html_page import Markup, explained, tag
-
 if TYPE_CHECKING:
     from ctrplan.certificate.certificate import Unit
+
+
+class Markup(str):
+    """HTML that is finished; templates escape every other text."""
+
+    __slots__ = ()
+
+    def __html__(self) -> str:
+        """For templates, which escape all else."""
+        return self
+
+
+def explained(text: str, meaning: str) -> Markup:
+    """Text with what it means in a tooltip."""
+    return Markup(f'<abbr title="{html.escape(meaning)}">{html.escape(text)}</abbr>')
+
 
 TERMS = {
     "worst-case friction error": "Farthest that friction between the tubes can take the tip from where it would be "
@@ -47,12 +62,6 @@ TERMS = {
 def term(name: str, text: str = "") -> Markup:
     """`text`, or the term itself, with what the term means in its tooltip."""
     return explained(text or name, TERMS[name])
-
-
-def glossary(*names: str) -> Markup:
-    """A fold with these terms, for readers whose finger has no tooltip."""
-    entries = (part for name in names for part in (tag("dt", name), tag("dd", TERMS[name])))
-    return tag("details", tag("summary", "What the words mean"), tag("dl", *entries))
 
 
 LEAST = 1e-4  # of which Python would write a power of ten

@@ -9,11 +9,11 @@ from collections.abc import Callable
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from browser import Browser, chromium
+from jinja2 import UndefinedError
 from packed_page import library, unpacked
 
 from ctrplan.anatomy.parts import AnatomyPart
@@ -22,12 +22,12 @@ from ctrplan.base.surface import capsule
 from ctrplan.plans.plan import Plan
 from ctrplan.plans.planned_motion import ComparedWay
 from ctrplan.reports.curves import CURSOR
-from ctrplan.reports.html_page import Markup, page, table, tag
+from ctrplan.reports.html_page import _templates, rendered
 from ctrplan.reports.plan_motion import moments, scene_figure
 from ctrplan.reports.plan_page import joints_figure, margins_figure, plan_report_html, write_plan_report
 from ctrplan.reports.plan_scene import FRAMES, PlanScene, plan_scene
 from ctrplan.reports.plan_words import certificate_rows, verdict
-from ctrplan.reports.words import millimetres
+from ctrplan.reports.words import Markup, millimetres
 
 HOSTILE = """<script>alert("x")</script><img src=x onerror=alert(1)>'&</title>"""
 LOADING = ("src", "href", "data", "poster", "srcset", "action", "formaction", "background")
@@ -219,10 +219,22 @@ def test_free_space_and_rest_are_reported(make_plan: Callable[..., Plan], waypoi
     assert "free space" in Page(plan_report_html(plan_scene(plan))).text
 
 
-@pytest.mark.parametrize("make", [lambda text: tag("p", text, kind=text), lambda text: table([text], [[text]])])
-def test_page_escapes_what_is_not_markup(make: Any) -> None:
-    assert HOSTILE not in page(HOSTILE, make(HOSTILE)) and Page(page("", make(HOSTILE))).text.count(HOSTILE) >= 1
-    assert tag("p", Markup("<b>x</b>")) == "<p><b>x</b></p>"
+@pytest.mark.parametrize("call", ["table([t], [[t]])", "tiles([(t, t)])", "list([t])", "remarks(t, [t])",
+                                  "facts([(t, t)])", "opening(t, t, t, t)", "source(t, t, t, t)"])  # fmt: skip
+def test_page_escapes_what_is_not_markup(call: str) -> None:
+    name = call.split("(")[0]
+    template = _templates().from_string(f'{{% from "parts.html" import {name} %}}{{{{ {call} }}}}')
+    page = template.render(t=HOSTILE)
+    assert HOSTILE not in page and Page(page).text.count(HOSTILE) >= 1
+    assert HOSTILE not in rendered("page.html", title=HOSTILE)
+    assert "<b>x</b>" in template.render(t=Markup("<b>x</b>"))
+
+
+def test_every_template_is_read_and_a_name_that_it_lacks_is_an_error() -> None:
+    for name in _templates().list_templates():
+        _templates().get_template(name)
+    with pytest.raises(UndefinedError):
+        rendered("page.html")
 
 
 def looks_around_and_cuts(browser: Browser, scene: PlanScene) -> None:

@@ -38,12 +38,12 @@ def stated_error_m(motion: WrittenMotion) -> Array:
     joints = joints_at(motion.plan, np.array(motion.times_s))
     fine = robot.mechanics.bound_many(*robot.drive.collars(joints), accuracy="certificate").position_m
     fine = fine + bound_allowance_m(robot, "certificate") + np.nan_to_num(motion.at("parameter_bound_m"))
-    found = np.fmax(walked_m, fine)
+    result = np.fmax(walked_m, fine)
     if certificate["worst_bound_m"] is not None:
-        found = np.minimum(found, certificate["worst_bound_m"])
+        result = np.minimum(result, certificate["worst_bound_m"])
     if motion.times_s[-1] == motion.plan.time_s[-1] and certificate["goal_bound_m"] is not None:
-        found[-1] = certificate["goal_bound_m"]
-    return np.asarray(np.where(np.isfinite(walked_m), found, np.nan))
+        result[-1] = certificate["goal_bound_m"]
+    return np.asarray(np.where(np.isfinite(walked_m), result, np.nan))
 
 
 def rgb(colour: str) -> Array:
