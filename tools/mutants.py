@@ -97,7 +97,7 @@ MUTANTS = (
         "np.sqrt(far**2 - half_m**2)",
         "np.sqrt(far**2 + half_m**2)",
         "the body between two points is nearer than they are",
-        "tests/planning/test_friction_cube.py tests/planning/test_closest_places.py",
+        "tests/planning/test_certificate.py::test_pieces_of_a_body_cover_it",
     ),
     Mutant(
         "ctrplan/certificate/friction_cube.py",
@@ -115,8 +115,8 @@ MUTANTS = (
     ),
     Mutant(
         "ctrplan/certificate/certificate.py",
-        "min_clearance_m=min(stage.min_clearance_m for stage in stages),",
-        "min_clearance_m=max(stage.min_clearance_m for stage in stages),",
+        '"min", "m", claim="clearance", limit=',
+        '"max", "m", claim="clearance", limit=',
         "a tour's clearance is that of its narrowest stage",
         "tests/planning/test_closest_places.py::test_a_tour_has_the_places_of_its_narrowest_stage_and_the_start_of_its_first",
     ),
@@ -175,7 +175,7 @@ MUTANTS = (
         "CHI95 = 2.795483 ",
         "CHI95 = 1.959964 ",
         "95 % of distances in space lie within the worst case",
-        "tests/uncertainty/test_worst_case.py",
+        "tests/planning/test_plan_uncertainty.py::test_registration_alone_misses_by_a_chi_distribution",
     ),
 )
 

@@ -63,7 +63,7 @@ def told(which: str, smooth_mm: float = 0.3) -> tuple[Finding, ...]:
 
 def named_in(data: Measurements) -> tuple[Finding, ...]:
     selector = selector_of(data)
-    return rules.named_beside(selector, selector.bench.scored([RIPPLE])).findings
+    return rules.effects_beside_built_term(selector, selector.bench.scored([RIPPLE])).findings
 
 
 def selector_of(data: Measurements) -> PartialSelector:

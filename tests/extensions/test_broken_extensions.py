@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 from extending_page import PLACES, run, source, write_extension, write_inputs
+from made_up_input import FUZZ
 
 BOUND = "ctrplan bound my_pair.toml --theta-deg 0 90 --l-mm 0 -15 --set effects.guide_twist.theta_2_deg_per_mm=1"
 COMMANDS = {
@@ -48,7 +49,12 @@ BROKEN = [
 ]
 
 
-@pytest.mark.parametrize(("heading", "old", "new", "said"), BROKEN, ids=[f"{case[0]}: {case[3]}" for case in BROKEN])
+ALIKE = ("can't be imported", "registers no", "is the name of another")  # said by what reads all four
+FIRST = [next(case for case in BROKEN if said in case[3]) for said in ALIKE]
+TRIED = [case for case in BROKEN if FUZZ or case in FIRST or not any(said in case[3] for said in ALIKE)]
+
+
+@pytest.mark.parametrize(("heading", "old", "new", "said"), TRIED, ids=[f"{case[0]}: {case[3]}" for case in TRIED])
 def test_a_file_that_can_not_be_used_is_named(heading: str, old: str, new: str, said: str, tmp_path: Path) -> None:
     assert old in source(heading)
     file = f"EXTENSIONS/{PLACES[heading]}"
@@ -63,7 +69,7 @@ def test_a_file_that_can_not_be_used_is_named(heading: str, old: str, new: str, 
         ("A planner", "rrt_star.py"),
         ("An obstacle", "sphere.py"),
         ("An output format", "csv_table.py"),
-    ],
+    ][: 4 if FUZZ else 1],
 )
 def test_a_file_of_the_name_of_a_shipped_one_is_refused(heading: str, shipped: str, tmp_path: Path) -> None:
     place = PLACES[heading].rpartition("/")[0] + "/" + shipped

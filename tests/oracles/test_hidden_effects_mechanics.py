@@ -18,6 +18,7 @@ from hidden_effects.poses import Solver
 from hidden_effects.rod import Rod
 from hidden_effects.tube import Array, Section, Softening, Tube
 from hidden_effects.world import ROBOTS, World, believed, withdrawn
+from made_up_input import FUZZ
 from places import ROOT
 
 from ctrplan.mechanics.core import Mechanics
@@ -151,7 +152,7 @@ WITHDRAWN = [  # deg, mm: the innermost tube ends so far in front of the others'
 
 
 @pytest.mark.parametrize("configuration", WITHDRAWN)
-@pytest.mark.parametrize("phi", [(0.0, 0.0), (1.0, -1.0)])
+@pytest.mark.parametrize("phi", [(0.0, 0.0), (1.0, -1.0)] if FUZZ else [(1.0, -1.0)])
 def test_agrees_with_ctrplan_where_the_innermost_tube_is_withdrawn(
     configuration: tuple[float, float, float], phi: tuple[float, float]
 ) -> None:
