@@ -3,9 +3,9 @@
 known pairs and triples, positions without tangents, innermost tubes that are withdrawn, streams with lag and friction,
 and with effects that nobody knows.
 
-    python -m hidden_effects.laboratory_rows make FOLDER --seed 1   # in tests/oracles; worlds take 10 to 60 s each
-    python -m hidden_effects.laboratory_rows ask FOLDER             # about 30 s a set, some minutes on streams
-    python -m hidden_effects.laboratory_rows table FOLDER
+    python -m banks.laboratory_rows make FOLDER --seed 1   # in tests/oracles; worlds take 10 to 60 s each
+    python -m banks.laboratory_rows ask FOLDER             # about 30 s a set, some minutes on streams
+    python -m banks.laboratory_rows table FOLDER
 
 Every world is solved once. A set adds noise and a smooth error: 0.3 and 1 mm beside hidden effects, 1 to 3 mm and five
 memories in nulls, of which every row has its own. Sets without tangents are those of pairs and of other poses at rest,
@@ -24,19 +24,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-
 from hidden_effects.bank import several_known
-from hidden_effects.built_terms import (  # first: it sets threads and finds the tests' generator
-    Hidden,
-    ask,
-    made_of,
-    read,
-)
 from hidden_effects.case import Case, true_names
 from hidden_effects.dataset import measurements_csv, robot_toml
 from hidden_effects.leftovers import Leftover, add_leftover
 from hidden_effects.noise import add_noise
 from hidden_effects.score import wilson
+
+from banks.built_terms import (  # first: it sets threads and finds the tests' generator
+    Hidden,
+    ask,
+    made_of,
+    read,
+)
 
 AT_REST, POSITIONS, WITHDRAWN, STREAM = "at rest", "position only", "withdrawn", "stream"
 WAYS = (AT_REST, POSITIONS, WITHDRAWN, STREAM)  # of measuring; every one has its nulls

@@ -1,9 +1,9 @@
 """What built terms and names beside them are worth: effects that no catalogue has, alone and beside a known one, and
 nulls with memory.
 
-    python -m hidden_effects.built_terms make FOLDER     # in tests/oracles; worlds take 15 to 40 s each
-    python -m hidden_effects.built_terms ask FOLDER      # about 30 s each
-    python -m hidden_effects.built_terms table FOLDER
+    python -m banks.built_terms make FOLDER     # in tests/oracles; worlds take 15 to 40 s each
+    python -m banks.built_terms ask FOLDER      # about 30 s each
+    python -m banks.built_terms table FOLDER
 
 Every world is solved once and measured in 32 configurations, with three tubes five approaches each. A set adds noise
 and smooth random errors: of 0.3 and 1 mm, to nulls of 1 to 3 mm and several memories. Robots of two and four tubes are
@@ -30,6 +30,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from hidden_effects.case import Case, Made, make
+from hidden_effects.dataset import measurements_csv, robot_toml
+from hidden_effects.effects import truth_name
+from hidden_effects.equilibrium import NoEquilibrium
+from hidden_effects.leftovers import Leftover, add_leftover
+from hidden_effects.noise import add_noise
+from hidden_effects.score import wilson
 
 from ctrplan.calibration.estimates import distances
 from ctrplan.diagnosis import built_term as limits
@@ -43,13 +50,6 @@ from ctrplan.files.robot_file import load_robot
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.pipeline.followed_runs import friction_correction
 from ctrplan.pipeline.parametric_chain import ParametricChain
-from hidden_effects.case import Case, Made, make
-from hidden_effects.dataset import measurements_csv, robot_toml
-from hidden_effects.effects import truth_name
-from hidden_effects.equilibrium import NoEquilibrium
-from hidden_effects.leftovers import Leftover, add_leftover
-from hidden_effects.noise import add_noise
-from hidden_effects.score import wilson
 
 CONFIGURATIONS, RETRIES = 32, 8
 Hidden = tuple[tuple[str, float], ...]

@@ -1,6 +1,6 @@
 """Whether a known part could be told at all: how far it stands out for one who knows everything else.
 
-    python -m hidden_effects.decidable_parts FOLDER w12_00 w45_01    # in tests/oracles; sets of built_terms, 15 s each
+    python -m banks.decidable_parts FOLDER w12_00 w45_01    # in tests/oracles; sets of built_terms, 15 s each
 
 The world is solved again without its known effect. What that changes is the effect's own part of the measurements, in
 standard errors: beside the calibration and the frame, which are fitted, and a covariance. `knows all` has the noise and
@@ -21,16 +21,16 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from hidden_effects.case import make
+from hidden_effects.leftovers import DEG_PER_MM, _places
 
+from banks.built_terms import known
 from ctrplan.calibration.residuals import residuals
 from ctrplan.diagnosis.adequacy import noise_floor
 from ctrplan.diagnosis.correlated_bench import FRAMES, CorrelatedBench
 from ctrplan.diagnosis.usable_poses import block_split, blocks, usable_poses
 from ctrplan.files.measurement_file import load_measurements
 from ctrplan.files.robot_file import load_robot
-from hidden_effects.built_terms import known
-from hidden_effects.case import make
-from hidden_effects.leftovers import DEG_PER_MM, _places
 
 Array = np.ndarray
 
