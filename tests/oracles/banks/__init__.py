@@ -1,1 +1,1 @@
-"""Banks of data with hidden effects that diagnoses are judged on: made by hidden_effects, diagnosed by ctrplan, scored."""
+"""Banks of data with hidden effects on which diagnoses are judged: made by hidden_effects, diagnosed, scored."""
