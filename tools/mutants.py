@@ -1,4 +1,4 @@
-"""Twenty mutants: one line of the program is made wrong at a time, and the tests that are named for it have to fail.
+"""Mutants: one line of the program is made wrong at a time, and the tests that are named for it have to fail.
 
 `python tools/mutants.py` works on a copy of the tree in build/mutants and prints which mutants die; it ends with 1
 where one lives, or where the tests fail on the unchanged copy. `--only WORD ...` takes those whose file or number is
@@ -176,6 +176,20 @@ MUTANTS = (
         "CHI95 = 1.959964 ",
         "95 % of distances in space lie within the worst case",
         "tests/planning/test_plan_uncertainty.py::test_registration_alone_misses_by_a_chi_distribution",
+    ),
+    Mutant(
+        "ctrplan/effects/drive/backlash.py",
+        "theta[:, tube] -= width / 2 * directions[:, tube]",
+        "theta[:, tube] += width / 2 * directions[:, tube]",
+        "play stands behind the joint that pushed it",
+        "tests/effects/test_backlash.py",
+    ),
+    Mutant(
+        "ctrplan/calibration/residuals.py",
+        "square: Array = np.where(norm <= c, norm**2, 2 * c * norm - c * c)",
+        "square: Array = np.where(norm <= c, norm**2, 2 * c * norm + c * c)",
+        "the robust loss goes on straight beyond its limit",
+        "tests/calibration/test_robust_loss.py",
     ),
 )
 
