@@ -2,7 +2,7 @@
 # make fuzz: 10,000 made-up files per reader, 100 interruptions per command.
 # make wheel: a wheel from the source distribution, run where no compiler is.  make api: guides and interface as a site.
 # make sanitize: the core under sanitizers.  make bank: 20,000 random robots, and 216 measured data sets diagnosed.
-# make mutants: twenty lines made wrong, one at a time, each of which tests have to notice.
+# make mutants: 22 lines made wrong, one at a time, each of which tests have to notice.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
