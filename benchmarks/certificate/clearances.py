@@ -78,7 +78,7 @@ NAMES = ["airway", "heart_chamber", "ribs", "sinus", "ventricle", "vessel"]
 
 
 def clearances_mm(certificate: Certificate) -> list[float]:
-    """Of the frictionless robot, of the worst friction state found, and what is certified."""
+    """Clearances of the frictionless robot, of the worst friction state, and what is certified."""
     assert certificate.nominal is not None and certificate.closest is not None
     found = certificate.nominal.clearance_m, certificate.closest.clearance_m, certificate.min_clearance_m
     return [1e3 * value for value in found]

@@ -205,7 +205,7 @@ def random_joints(count: int) -> tuple[Array, Array]:
 
 
 def times_ms(work: Callable[..., object], *arguments: Array) -> Array:
-    """Of one call per row of the arguments."""
+    """Times of one call per row of the arguments."""
     work(*(rows[0] for rows in arguments))
     taken = []
     for row in zip(*arguments, strict=True):

@@ -81,7 +81,7 @@ class Region(NamedTuple):
 
 
 def regions(shape: Shape) -> list[Region]:
-    """Of a pair, base to tip."""
+    """The contact regions of a pair, base to tip."""
     (s,), (force,), (angle,) = shape.contact_s_m, shape.contact_force_N, shape.contact_angle_rad
     loaded = np.flatnonzero(force > CONTACT * force.max())
     new = (np.diff(s[loaded]) > 4e-3) | (np.cos(np.diff(angle[loaded])) < 0)

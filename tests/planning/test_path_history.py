@@ -111,7 +111,7 @@ def test_oscillation_turns_neighbours_against_each_other_and_comes_back(checker:
 
 @pytest.fixture(scope="module")
 def loaded(checker: MotionChecker, turned_last: Array) -> Certificate:
-    """Of the path that leaves friction at the goal."""
+    """The certificate of the path that leaves friction at the goal."""
     return certify(checker.scenario, turned_last)
 
 
