@@ -91,7 +91,6 @@ def test_an_effect_outside_the_catalogue_gets_no_name() -> None:
     assert found.judgement.adequacy.within.is_noise and not found.judgement.adequacy.between.is_noise
 
 
-@pytest.mark.usefixtures("without_building")
 def test_an_effect_taken_out_is_not_replaced_by_another_name() -> None:
     data = measured(ROBOT, PLAN, BASE | {"backlash": {"theta_2_deg": 8.0}})
     found = diagnose(ROBOT, data, catalogue=QUICK, without=["backlash"])
