@@ -38,6 +38,6 @@ bin/ctrplan plan "$scenarios/pair_free.toml" --time 2 -o out
 bin/python -c "
 import json
 assert json.load(open('out/plan.json'))['certificate']['valid']
-from ctrplan.mechanics import kernel_name
+from ctrplan.mechanics.core import kernel_name
 print('kernel:', kernel_name())"
 echo "$(cd ../wheel && echo ctrplan-*.whl) runs without a compiler"
