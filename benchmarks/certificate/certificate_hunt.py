@@ -52,8 +52,7 @@ from ctrplan.errors import CtrplanError
 from ctrplan.files.robot_file import load_robot, robot_from_dict
 from ctrplan.mechanics.accuracy import Accuracy
 from ctrplan.robot.robot import Robot
-from ctrplan.scenario.bare_scenario import bare_scenario
-from ctrplan.scenario.joint_space import JointSpace
+from ctrplan.scenario.joint_space import JointSpace, bare_scenario
 from ctrplan.scenario.scenario import Scenario
 
 RESULTS = ROOT / "build" / "certificate_hunt.jsonl"

@@ -18,14 +18,14 @@ import numpy as np
 from ctrplan.base.arrays import Array
 from ctrplan.base.long_work import Progress, part_of
 from ctrplan.certificate.certificate import SAME, SHARE, Certificate, Difference, Settling, joined_certificates
-from ctrplan.certificate.certify import certify, frictionless_arrives
+from ctrplan.certificate.certify import certify
 from ctrplan.drive.trajectory import PERIOD_S, time_parameterise
 from ctrplan.errors import CtrplanError
 from ctrplan.files.plan_file import WrittenPlan
 from ctrplan.files.robot_file import robot_from_dict
-from ctrplan.planning.compensate import predicted_arrives
+from ctrplan.planning.compensate import either_arrives
+from ctrplan.planning.endings import settled_again
 from ctrplan.planning.goal_states import nearest_turn
-from ctrplan.planning.oscillate import settled_again
 from ctrplan.plans.plan import Plan, plan_to_json
 from ctrplan.plans.planned_motion import Leg, ReorderReport, follow_the_leader_m, leg_kind
 from ctrplan.robot.robot import Robot
@@ -71,7 +71,7 @@ def _certificate(plan: WrittenPlan, progress: Progress | None) -> Certificate:
     if plan.certificate["start_friction"] == "observed":
         rule = "predictions start from an observer's state, which no file holds: plan.recheck() where it was planned"
         raise CtrplanError(f"{plan.file or plan.scenario.name}: {rule}.")
-    stages, first, start = [], 0, plan.scenario.start
+    stages, first, start = list[Certificate](), 0, plan.scenario.start
     lasts = [target["leg"] for target in plan.certificate["targets"]]
     targets = plan.scenario.targets
     if len(lasts) != len(targets) or lasts != sorted(lasts) or lasts[-1] != len(plan.waypoints) - 2:
@@ -81,16 +81,12 @@ def _certificate(plan: WrittenPlan, progress: Progress | None) -> Certificate:
         corners = plan.waypoints[first : last + 2]
         corners = corners[:1] if len(corners) == 2 and np.array_equal(*corners) else corners
         stage = replace(plan.scenario, start=start, goal=nearest_turn(plan.scenario, start, goal), via=())
-        arrival = predicted_arrives if k + 1 == len(targets) and _is_compensated(plan) else frictionless_arrives
-        stages.append(certify(stage, corners, arrival=arrival, progress=part_of(progress, k, len(targets))))
+        starts = stages[-1].end_states or None if stages else None
+        told = part_of(progress, k, len(targets))
+        stages.append(certify(stage, corners, goal_test=either_arrives, starts=starts, progress=told))
         start, first = corners[-1], last + 1
     joined = joined_certificates(stages)
     return replace(joined, settling=_settling(plan, joined))
-
-
-def _is_compensated(plan: WrittenPlan) -> bool:
-    compensation = plan.content.get("compensation")
-    return compensation is not None and not compensation["note"]
 
 
 def _settling(plan: WrittenPlan, certificate: Certificate) -> Settling | None:

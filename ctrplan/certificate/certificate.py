@@ -7,7 +7,7 @@ again. Do the legs hold? On the certificate mesh, the finer one, they must be va
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from itertools import chain
 from operator import itemgetter
@@ -21,7 +21,9 @@ from ctrplan.drive.legs import distance_from_polyline, merge_legs
 from ctrplan.errors import InputError
 
 if TYPE_CHECKING:
+    from ctrplan.certificate.arrival import Arrival, ErasedPair
     from ctrplan.mechanics.accuracy import Accuracy
+    from ctrplan.mechanics.history import HistoryState
     from ctrplan.mechanics.walk import PathLimits
     from ctrplan.scenario.scenario import Scenario, StartFriction
 
@@ -165,6 +167,8 @@ class CertificateSamples:
     parameter_clearance_m: Array  # (K,) what they and registration take off the clearance; off clearance_m
     parameter_stability: Array  # (K,) what uncertain parameters take off the stability; off stability
     parameter_strain: Array  # (K,) and add to the strain; in max_strain
+    spread_m: Array  # (K,) size of the set of friction states at the tip: half the largest distance of two histories
+    friction_spread: Array  # (K, n - 1) of each pair: 1 where nothing is known of its friction, 0 where all is
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,6 +214,7 @@ class TargetReached:
     line_error_m: float | None = (
         None  # largest distance of the frictionless tip from the line on the way, if it has one
     )
+    arrival: Arrival | None = None  # None where a history found no equilibrium
 
 
 def _limits(scenario: Scenario) -> PathLimits:
@@ -314,8 +319,11 @@ class Certificate:
     closest: Closest | None = None  # the robot in any friction state
     narrowest: Closest | None = None  # where min_clearance_m is left, in the friction state that comes closest there
     targets: tuple[TargetReached, ...] = ()  # in the order reached, the goal last
+    arrival: Arrival | None = None  # at the goal, by this motion; None where a history found no equilibrium
     settling: Settling | None = None
-    walk_again: Callable[[Accuracy | None], Certificate] | None = None  # the same legs; on the same mesh if None
+    end_states: tuple[HistoryState, ...] = ()  # friction states at the end, one for each start
+    # The same legs; on the same mesh if None, from the friction states that a stage before left.
+    walk_again: Callable[[Accuracy | None, Sequence[HistoryState] | None], Certificate] | None = None
 
     def recheck(self) -> Recheck:
         """Walks the legs again, on the mesh they were certified on and on the certificate mesh; see `Recheck`.
@@ -324,11 +332,11 @@ class Certificate:
         """
         if self.walk_again is None:
             raise InputError("holds no legs to walk again", key="certificate")
-        return Recheck(self, self.walk_again("certificate"), self._differences(self.walk_again(None)))
+        return Recheck(self, self.walk_again("certificate", None), self._differences(self.walk_again(None, None)))
 
     def _differences(self, again: Certificate) -> tuple[Difference, ...]:
         """The differences of all figures, samples and targets included, from those of another walk of the same legs."""
-        result = differences(self, again, skip=("settling", "walk_again"))
+        result = differences(self, again, skip=("settling", "end_states", "walk_again"))
         if self.settling is None:
             return result
         swinging = again.samples.leg >= self.settling.first_leg
@@ -386,6 +394,7 @@ def joined_certificates(stages: list[Certificate]) -> Certificate:
         closest=_closest(stages, "closest"),
         narrowest=_closest(stages, "narrowest"),
         targets=targets,
+        arrival=targets[-1].arrival,
         walk_again=_all_again(stages),
         settling=last.settling and replace(last.settling, first_leg=last.settling.first_leg + before),
     )
@@ -404,12 +413,21 @@ def _closest(stages: list[Certificate], name: Literal["nominal", "closest", "nar
     return min(results, key=lambda one: one[0])[1] if results else None
 
 
-def _all_again(stages: list[Certificate]) -> Callable[[Accuracy | None], Certificate] | None:
-    """Walks every stage again; None where one does not know its legs."""
+def _all_again(
+    stages: list[Certificate],
+) -> Callable[[Accuracy | None, Sequence[HistoryState] | None], Certificate] | None:
+    """Walks every stage again, from where the one before leaves friction; None where one does not know its legs."""
     ways = [stage.walk_again for stage in stages if stage.walk_again is not None]
     if len(ways) < len(stages):
         return None
-    return lambda accuracy: joined_certificates([again(accuracy) for again in ways])
+
+    def again(accuracy: Accuracy | None, starts: Sequence[HistoryState] | None) -> Certificate:
+        results: list[Certificate] = []
+        for way in ways:
+            results.append(way(accuracy, results[-1].end_states or None if results else starts))
+        return joined_certificates(results)
+
+    return again
 
 
 def _legs(stage: Certificate) -> int:
@@ -422,15 +440,40 @@ def _legs_driven(stage: Certificate) -> int:
     return stage.stops + 1 if stage.length_mm > 0 else 0
 
 
+def _after(before: Arrival | None, arrival: Arrival, legs: int) -> Arrival:
+    """The arrival of a stage that begins with the friction states that the one before left, `legs` legs into a tour."""
+    restart = None if arrival.restart is None else arrival.restart + legs
+    if restart is None and before is not None:
+        restart = before.restart
+    erased = tuple(
+        before.erased[k] if before and pair.leg is None and not pair.kept else _shifted(pair, legs)
+        for k, pair in enumerate(arrival.erased)
+    )
+    return replace(arrival, restart=restart, erased=erased)
+
+
+def _shifted(pair: ErasedPair, legs: int) -> ErasedPair:
+    return pair if pair.leg is None else replace(pair, leg=pair.leg + legs)
+
+
 def _joined_samples(stages: list[Certificate]) -> tuple[CertificateSamples, tuple[TargetReached, ...]]:
     columns: dict[str, list[NDArray[Any]]] = {name: [] for name in CertificateSamples.__dataclass_fields__}
-    targets, legs, travelled = [], 0, 0.0
+    targets, legs, travelled = list[TargetReached](), 0, 0.0
     for number, stage in enumerate(stages):
         keep = slice(0 if number == 0 else 1, None)  # a stage begins with the last sample of the one before
         for name, parts in columns.items():
             offset = {"leg": legs, "path_mm": travelled}.get(name, 0)
             parts.append((getattr(stage.samples, name) + offset)[keep])
-        targets += [replace(t, leg=t.leg + legs, path_mm=t.path_mm + travelled) for t in stage.targets]
+        before = targets[-1].arrival if targets else None
+        targets += [
+            replace(
+                target,
+                leg=target.leg + legs,
+                path_mm=target.path_mm + travelled,
+                arrival=target.arrival and _after(before, target.arrival, legs),
+            )
+            for target in stage.targets
+        ]
         legs += _legs(stage)
         travelled += stage.length_mm
     return CertificateSamples(**{name: np.concatenate(parts) for name, parts in columns.items()}), tuple(targets)

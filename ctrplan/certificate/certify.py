@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -12,17 +13,18 @@ import numpy as np
 from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.base.long_work import Progress
 from ctrplan.certificate.anatomy_distance import AnatomyDistance
+from ctrplan.certificate.arrival import Arrival, arrival, restart_waypoint, simulated_rows
 from ctrplan.certificate.certificate import Certificate, CertificateSamples, TargetReached
 from ctrplan.certificate.closest import closest_places
 from ctrplan.certificate.friction_states import BEYOND_BOUND_M
 from ctrplan.certificate.problems import frictionless_miss, goal_miss_m, line_error_m
 from ctrplan.certificate.walked_legs import WalkedLegs, walk_legs
-from ctrplan.certificate.walked_piece import Piece
 from ctrplan.mechanics.accuracy import Accuracy
 from ctrplan.mechanics.shapes import Shape
-from ctrplan.scenario.prediction import PathPrediction, predict, rows_to_simulate, start_states
+from ctrplan.scenario.prediction import FrictionStart, PathPrediction, predict_end, start_states
 
 if TYPE_CHECKING:
+    from ctrplan.mechanics.history import HistoryState
     from ctrplan.scenario.scenario import Scenario
 
 
@@ -56,7 +58,7 @@ class SimulatedBodies:
         return f"A simulated robot comes {(deep + BEYOND_BOUND_M) * MM_PER_M:.2f} mm too close to the anatomy."
 
 
-class Arrival(Protocol):
+class GoalTest(Protocol):
     """Says in sentences why the end of a certified path does not meet the goal; none if it does."""
 
     def __call__(self, scenario: Scenario, samples: CertificateSamples, prediction: PathPrediction) -> list[str]:
@@ -74,7 +76,9 @@ def certify(
     corners: Array,
     *,
     accuracy: Accuracy = "search",
-    arrival: Arrival = frictionless_arrives,
+    goal_test: GoalTest = frictionless_arrives,
+    starts: Sequence[FrictionStart] | None = None,
+    restart: bool = True,
     progress: Progress | None = None,
 ) -> Certificate:
     """Walks the polyline `corners` (K, m) of actuated joints so that no body point moves more than 0.5 mm a sample.
@@ -88,25 +92,31 @@ def certify(
     depend on the way there.
 
     Friction errors are the bound, whatever the history; the same less what the friction law says translations released,
-    which the cost counts as the search does; and the prediction by simulated histories. `arrival` says what misses the
-    goal.
+    which the cost counts as the search does; and the prediction by simulated histories, from `starts` where a motion
+    before this one left the robot in these friction states. `goal_test` says what misses the goal. From where an
+    interrupted run begins again is simulated too, unless it is not wanted.
     """
-    return finished(walk_legs(scenario, corners, accuracy=accuracy, progress=progress), arrival)
+    result = finished(walk_legs(scenario, corners, accuracy=accuracy, progress=progress), goal_test, starts)
+    return with_restart(scenario, result, starts) if restart else result
 
 
 def finished(
-    walk: WalkedLegs, arrival: Arrival = frictionless_arrives, progress: Progress | None = None
+    walk: WalkedLegs,
+    goal_test: GoalTest = frictionless_arrives,
+    starts: Sequence[FrictionStart] | None = None,
+    progress: Progress | None = None,
 ) -> Certificate:
     """The certificate of walked legs, histories simulated; walked again where not all clearance was asked for."""
-    scenario = walk.scenario
+    scenario, begun = walk.scenario, start_states(walk.scenario) if starts is None else starts
     if np.isfinite(walk.spare_m):
         walk = walk_legs(scenario, walk.corners, accuracy=walk.accuracy, progress=progress)
     bodies = SimulatedBodies.of(scenario)
     with ThreadPoolExecutor(1) as beside:  # of few histories one ends last
         places = beside.submit(closest_places, scenario, walk.pieces, walk.samples)
-        prediction, samples = _predicted(scenario, walk.pieces, walk.samples, walk.accuracy, bodies)
+        history = _simulated(walk, begun, bodies)
         closest = places.result()
-    problems = walk.problems + arrival(scenario, samples, prediction) + _contradictions(prediction, samples)
+    prediction, samples = history.prediction, history.samples
+    problems = walk.problems + goal_test(scenario, samples, prediction) + _contradictions(prediction, samples)
     problems += [bodies.sentence] if bodies and bodies.sentence else []
     return Certificate(
         samples=samples,
@@ -133,19 +143,44 @@ def finished(
         spacing_m=float(samples.motion_m.max()),
         worst_play_m=float(samples.play_m.max()),
         goal_play_m=float(samples.play_m[-1]),
-        targets=(_target(walk, samples),),
+        arrival=history.arrival,
+        targets=(_target(walk, samples, history.arrival),),
         start_friction=scenario.start_friction,
         nominal=closest.nominal,
         closest=closest.friction,
         narrowest=closest.certified,
-        walk_again=partial(_walked_again, scenario, walk.corners, walk.accuracy, arrival),
+        end_states=tuple(history.end_states),
+        walk_again=partial(_walked_again, scenario, walk.corners, walk.accuracy, goal_test),
     )
 
 
 def _walked_again(
-    scenario: Scenario, corners: Array, first: Accuracy, arrival: Arrival, accuracy: Accuracy | None
+    scenario: Scenario,
+    corners: Array,
+    first: Accuracy,
+    goal_test: GoalTest,
+    accuracy: Accuracy | None,
+    starts: Sequence[FrictionStart] | None = None,
 ) -> Certificate:
-    return certify(scenario, corners, accuracy=accuracy or first, arrival=arrival)
+    return certify(scenario, corners, accuracy=accuracy or first, goal_test=goal_test, starts=starts)
+
+
+def with_restart(
+    scenario: Scenario, certificate: Certificate, starts: Sequence[FrictionStart] | None = None
+) -> Certificate:
+    """The certificate of one path, its arrival knowing from where an interrupted run begins again.
+
+    Asked for of what is driven in the end: it takes as long as the histories do.
+    """
+    samples = certificate.samples
+    if certificate.arrival is None or not certificate.valid:
+        return certificate
+    rows, _ = simulated_rows(scenario, samples.joints, samples.leg)
+    begun = start_states(scenario) if starts is None else starts
+    path = samples.joints[rows], samples.leg[rows], certificate.goal_predicted_tip_m
+    arrival = replace(certificate.arrival, restart=restart_waypoint(scenario, *path, begun))
+    *before, last = certificate.targets
+    return replace(certificate, arrival=arrival, targets=(*before, replace(last, arrival=arrival)))
 
 
 def _contradictions(prediction: PathPrediction, samples: CertificateSamples) -> list[str]:
@@ -164,7 +199,7 @@ def _contradictions(prediction: PathPrediction, samples: CertificateSamples) -> 
     return results
 
 
-def _target(walk: WalkedLegs, samples: CertificateSamples) -> TargetReached:
+def _target(walk: WalkedLegs, samples: CertificateSamples, arrival: Arrival | None) -> TargetReached:
     scenario = walk.scenario
     return TargetReached(
         name=scenario.goal.name,
@@ -177,29 +212,47 @@ def _target(walk: WalkedLegs, samples: CertificateSamples) -> TargetReached:
         tip_error_m=goal_miss_m(scenario, samples.tip_m[-1]),
         play_m=float(samples.play_m[-1]),
         line_error_m=line_error_m(scenario, samples.tip_m),
+        arrival=arrival,
     )
 
 
-def _predicted(
-    scenario: Scenario,
-    pieces: list[Piece],
-    samples: CertificateSamples,
-    accuracy: Accuracy,
-    bodies: SimulatedBodies | None,
-) -> tuple[PathPrediction, CertificateSamples]:
-    """Simulated histories along the samples, and the samples with their errors; the bound where a simulation failed."""
-    robot = scenario.robot
-    rows = rows_to_simulate(robot, samples.joints, samples.leg)
-    prediction = predict(robot, samples.joints[rows], start_states(scenario), accuracy, bodies)
+@dataclass(frozen=True, eq=False)
+class _Simulated:
+    """What the histories along walked legs say."""
+
+    prediction: PathPrediction
+    samples: CertificateSamples  # with their errors and the size of the set of friction states
+    arrival: Arrival | None  # None where a history found no equilibrium
+    end_states: list[HistoryState]
+
+
+def _simulated(walk: WalkedLegs, starts: Sequence[FrictionStart], bodies: SimulatedBodies | None) -> _Simulated:
+    """Histories along the samples from `starts`; the bound where a simulation failed."""
+    scenario, robot, samples, accuracy = walk.scenario, walk.scenario.robot, walk.samples, walk.accuracy
+    rows, keep = simulated_rows(scenario, samples.joints, samples.leg)
+    joints, leg = samples.joints[rows], samples.leg[rows]
+    prediction, end_states = predict_end(robot, joints, starts, accuracy, bodies, keep)
     frictionless = samples.tip_m[rows]
     finer = np.concatenate(
-        [np.full(len(p.samples.fraction) - (k > 0), p.accuracy != accuracy) for k, p in enumerate(pieces)]
+        [np.full(len(p.samples.fraction) - (k > 0), p.accuracy != accuracy) for k, p in enumerate(walk.pieces)]
     )[rows]
     if finer.any():  # compared on the mesh of the simulation, the other one would pass for friction
-        collars = robot.drive.collars(samples.joints[rows][finer])
+        collars = robot.drive.collars(joints[finer])
         without = np.zeros((int(finer.sum()), robot.n - 1))
         frictionless[finer] = robot.mechanics.tips_with_friction(*collars, without, accuracy=accuracy).position_m
     errors = prediction.errors(frictionless)
     errors = np.where(np.isnan(errors), samples.bound_m[rows], errors)
-    along = np.interp(np.arange(len(samples.leg)), rows, errors)
-    return prediction, replace(samples, predicted_m=along)
+    every = np.arange(len(samples.leg))
+    samples = replace(
+        samples,
+        predicted_m=np.interp(every, rows, errors),
+        spread_m=np.interp(every, rows, prediction.spread_m),
+        friction_spread=np.array([np.interp(every, rows, column) for column in prediction.friction_spread.T]).T.reshape(
+            len(every), robot.n - 1
+        ),
+    )
+    if not np.all(np.isfinite(prediction.tip_m)):
+        return _Simulated(prediction, samples, None, [])
+    bound_m, play_m = float(walk.samples.bound_m[-1]), float(samples.play_m[-1])
+    at_end = arrival(scenario, joints, leg, prediction, starts, goal_bound_m=bound_m, play_m=play_m)
+    return _Simulated(prediction, samples, at_end, end_states)

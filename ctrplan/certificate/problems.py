@@ -44,12 +44,14 @@ def line_error_m(scenario: Scenario, tip_m: Array) -> float | None:
 
 
 def frictionless_miss(scenario: Scenario, tip_m: Array) -> list[str]:
-    """A sentence if the last of tips (K, 3) misses the goal."""
-    goal, miss = scenario.goal, goal_miss_m(scenario, tip_m[-1])
-    if goal.tip_m is None or miss <= goal.tolerance_m:
-        return []
-    miss_mm, tolerance_mm = miss * MM_PER_M, goal.tolerance_m * MM_PER_M
-    return [f"The frictionless tip ends {miss_mm:.2f} mm from the target, tolerance {tolerance_mm:g} mm."]
+    """Sentences if the last of tips (K, 3) misses the goal, or any of them its line."""
+    goal, miss, on_line = scenario.goal, goal_miss_m(scenario, tip_m[-1]), line_error_m(scenario, tip_m)
+    result, allowed = [], f"tolerance {goal.tolerance_m * MM_PER_M:g} mm"
+    if on_line is not None and not on_line <= goal.tolerance_m:
+        result.append(f"The frictionless tip leaves the line by {on_line * MM_PER_M:.2f} mm, {allowed}.")
+    if goal.tip_m is not None and not miss <= goal.tolerance_m:
+        result.append(f"The frictionless tip ends {miss * MM_PER_M:.2f} mm from the target, {allowed}.")
+    return result
 
 
 MOST = 20  # samples solved on the certificate mesh
@@ -168,9 +170,6 @@ def _problems_of_goal(scenario: Scenario, samples: CertificateSamples, bounds: C
         if not error_m <= limit:
             error_mm, limit_mm = error_m * MM_PER_M, limit * MM_PER_M
             result.append(f"The worst-case error {where} is {error_mm:.2f} mm, above {limit_mm:g} mm.")
-    if on_line is not None and not on_line <= scenario.goal.tolerance_m:
-        off_mm, tolerance_mm = on_line * MM_PER_M, scenario.goal.tolerance_m * MM_PER_M
-        result.append(f"The frictionless tip leaves the line by {off_mm:.2f} mm, tolerance {tolerance_mm:g} mm.")
     return result
 
 

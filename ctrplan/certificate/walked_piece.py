@@ -225,6 +225,8 @@ def joined_samples(scenario: Scenario, space: JointSpace, corners: Array, pieces
             "parameter_clearance_m": np.zeros(len(s.fraction)),
             "parameter_stability": np.zeros(len(s.fraction)),
             "parameter_strain": np.zeros(len(s.fraction)),
+            "spread_m": s.position_m,  # until it is simulated
+            "friction_spread": np.ones((len(s.fraction), scenario.robot.n - 1)),
         }
         for name, values in rows.items():
             columns[name].append(values[keep])

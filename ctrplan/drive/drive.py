@@ -54,6 +54,17 @@ class Joint:
         return UNITS[self.kind][1]
 
 
+@dataclass(frozen=True)
+class ExecutionTolerance:
+    """How far a joint may go beyond the end of a leg before it comes back, or be behind the others on the way.
+
+    The default is what positioning stages of such drives resolve and settle within.
+    """
+
+    rotation_rad: float = math.radians(0.2)
+    translation_m: float = 0.05e-3
+
+
 @dataclass(frozen=True, eq=False)
 class Drive:
     """m actuators moving the collars of n tubes: commanded = home + sum over joints of moves * joint value.
@@ -68,6 +79,7 @@ class Drive:
     home_l_m: Array  # (n,)
     terms: tuple[DriveTerm, ...] = ()  # what the drive does to collars (K, n), (K, n) besides, from [effects.*]
     play: tuple[Array, Array] | None = None  # (n,) [rad], (n,) [m]: how far collars may be off either way, likewise
+    execution: ExecutionTolerance = ExecutionTolerance()
 
     def collars(self, q: ArrayLike) -> tuple[Array, Array]:
         """theta_b [rad] and l_b [m], each (n,) or (K, n), for joint values `q` (m,) or (K, m).

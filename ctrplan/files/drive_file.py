@@ -10,7 +10,7 @@ import numpy as np
 from msgspec import Meta, Struct
 
 from ctrplan.base.arrays import Array, read_only
-from ctrplan.drive.drive import UNITS, Drive, Joint, Kind
+from ctrplan.drive.drive import UNITS, Drive, ExecutionTolerance, Joint, Kind
 from ctrplan.mechanics.tube import Tube
 from ctrplan.storage.toml_document import Angle, Document, Name
 
@@ -58,8 +58,19 @@ class HomeEntry(Struct, forbid_unknown_fields=True):
     l_mm: list[Travel] | None = None
 
 
+class ExecutionEntry(Struct, forbid_unknown_fields=True):
+    """[execution]: how exactly the drive follows a trajectory, see `ExecutionTolerance`."""
+
+    rotation_deg: Annotated[float, Meta(ge=0, le=20)] = 0.2
+    translation_mm: Annotated[float, Meta(ge=0, le=5)] = 0.05
+
+
 def build_drive(
-    home: HomeEntry, entries: Sequence[JointEntry] | None, tubes: Sequence[Tube], document: Document
+    home: HomeEntry,
+    entries: Sequence[JointEntry] | None,
+    execution: ExecutionEntry,
+    tubes: Sequence[Tube],
+    document: Document,
 ) -> Drive:
     """Drive of a robot file; without [[joint]], a rotation and a translation per tube. Raises InputError."""
     n = len(tubes)
@@ -78,7 +89,8 @@ def build_drive(
         if _in_columns(joint.name) in [_in_columns(other.name) for other in joints[:j]]:
             rule = "must differ from the names of the other joints by more than blanks and underscores"
             raise document.fault(rule, "joint", j, "name")
-    return Drive(joints, read_only(theta), read_only(l))
+    tolerance = ExecutionTolerance(math.radians(execution.rotation_deg), execution.translation_mm * 1e-3)
+    return Drive(joints, read_only(theta), read_only(l), execution=tolerance)
 
 
 def _in_columns(name: str) -> str:

@@ -13,6 +13,7 @@ from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
+from ctrplan.certificate.arrival import Arrival
 from ctrplan.certificate.certificate import Certificate, CertificateSamples, Settling
 from ctrplan.drive.trajectory import PERIOD_S, Trajectory, time_parameterise
 from ctrplan.errors import InputError
@@ -22,7 +23,8 @@ from ctrplan.plans.planned_motion import Compensation, Leg, ReorderReport, leg_k
 from ctrplan.uncertainty.result import Uncertainty
 
 SAME_S, SAME = 1e-6, 1e-6  # of times [s] and joint values [rad, m] that were written with few digits
-TYPES = {"Accuracy": str, "StartFriction": str}  # names that the dataclasses know while types are checked
+# Names that the dataclasses know while types are checked.
+TYPES = {"Accuracy": str, "StartFriction": str, "Arrival": Arrival, "HistoryState": object}
 T = TypeVar("T")
 
 
@@ -65,7 +67,7 @@ def open_plan(
 def _certificate(written: WrittenPlan) -> Certificate:
     content, settling = written.content["certificate"], written.content["settling"]
     samples = _made(CertificateSamples, content["samples"])
-    known = {**content, "settling": None, "walk_again": None, "samples": None}
+    known = {**content, "settling": None, "walk_again": None, "end_states": [], "samples": None}
     certificate = _made(Certificate, known)
     object.__setattr__(certificate, "samples", samples)
     if settling is not None:

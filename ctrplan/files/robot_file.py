@@ -14,7 +14,7 @@ from msgspec import Meta, Struct
 
 from ctrplan.base.arrays import Array, read_only
 from ctrplan.errors import InputError
-from ctrplan.files.drive_file import HomeEntry, JointEntry, build_drive
+from ctrplan.files.drive_file import ExecutionEntry, HomeEntry, JointEntry, build_drive
 from ctrplan.measurement.sensor import Marker, SensorNoise
 from ctrplan.mechanics.tube import SOFTEST_NM2, STIFFEST_NM2, Contact, Tube, TubeSection
 from ctrplan.robot.named_numbers import MAGNITUDE, value_of
@@ -105,7 +105,9 @@ class RobotEntry(Struct, forbid_unknown_fields=True):
     contact: list[ContactEntry] = []
     home: HomeEntry | None = None
     joint: Annotated[list[JointEntry], Meta(min_length=1)] | None = None
+    execution: ExecutionEntry | None = None
     model_error_mm: Annotated[float, Meta(ge=0, le=1000)] = 0.0
+    friction_memory: Annotated[float, Meta(ge=0, le=1)] = 0.0
     measurement: MeasurementEntry | None = None
     marker: Annotated[list[MarkerEntry], Meta(max_length=MOST_MARKERS)] = []
     uncertainty: UncertaintyEntry | None = None
@@ -324,8 +326,9 @@ def _build(document: Document) -> Robot:
         name=entry.name or (Path(document.file).stem if document.file else "robot"),
         tubes=tubes,
         contacts=build_contacts(entry, document),
-        drive=build_drive(entry.home or HomeEntry(), entry.joint, tubes, document),
+        drive=build_drive(entry.home or HomeEntry(), entry.joint, entry.execution or ExecutionEntry(), tubes, document),
         model_error_m=entry.model_error_mm * 1e-3,
+        friction_memory=entry.friction_memory,
         measurement=_measurement(entry.measurement),
         markers=build_markers(entry, document),
         effects=entry.effects,

@@ -20,8 +20,16 @@ from ctrplan.drive.drive import Joint
 from ctrplan.files.robot_file import load_robot, robot_from_dict
 from ctrplan.files.scenario_anatomy import anatomy_notes, anatomy_part, fixture, refuse_targets_outside_images
 from ctrplan.robot.robot import Robot, nesting_violation
-from ctrplan.scenario.bare_scenario import bare_scenario
-from ctrplan.scenario.scenario import Cost, Goal, Margins, PlannerSettings, Registration, Scenario, StartFriction
+from ctrplan.scenario.joint_space import bare_scenario
+from ctrplan.scenario.scenario import (
+    Cost,
+    Goal,
+    Margins,
+    PlannerSettings,
+    Registration,
+    Scenario,
+    StartFriction,
+)
 from ctrplan.storage.toml_document import (
     Angle,
     Document,

@@ -73,7 +73,7 @@ from ctrplan.planning.planner import plan
 from ctrplan.planning.search.stage_search import Progress
 from ctrplan.plans.plan import Plan
 from ctrplan.reports.plan_words import worst_miss
-from ctrplan.scenario.bare_scenario import retracted
+from ctrplan.scenario.joint_space import retracted
 from ctrplan.scenario.scenario import Scenario
 from ctrplan.storage.csv_table import CsvTable
 from ctrplan.storage.output_folder import output_folder, write_atomically, write_results

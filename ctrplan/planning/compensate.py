@@ -1,8 +1,14 @@
-"""Compensation: the last joint values are changed so that the predicted tip, not the frictionless one, arrives."""
+"""Compensation: the last joint values are changed so that the tip with friction arrives, not the frictionless one.
+
+The middle of where the motion ends, from any friction state before it, is brought to the target by the simulated
+motion itself: the error that it leaves moves the joints, and it is simulated again until nothing is left. What is
+certified is the corrected motion. A line is followed likewise, place by place.
+"""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,49 +16,135 @@ from numpy.typing import NDArray
 from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.base.long_work import Progress, part_of
 from ctrplan.certificate.certificate import Certificate, CertificateSamples
-from ctrplan.certificate.certify import certify
+from ctrplan.certificate.certify import certify, frictionless_arrives
+from ctrplan.certificate.problems import line_error_m
 from ctrplan.motion.checker import MotionChecker
-from ctrplan.planning.oscillate import settled_again
+from ctrplan.planning.endings import settled_again
 from ctrplan.plans.planned_motion import Compensation
 from ctrplan.robot.robot import Robot
-from ctrplan.scenario.prediction import PathPrediction, predict_end, predict_from, start_states
+from ctrplan.scenario.prediction import (
+    FrictionStart,
+    PathPrediction,
+    predict_end,
+    predict_from,
+    start_states,
+)
 from ctrplan.scenario.scenario import Scenario
-from ctrplan.scenario.tip_solver import target_in_robot_frame
+from ctrplan.scenario.tip_solver import angle_to, target_in_robot_frame
+from ctrplan.uncertainty.target import TargetPose
 
-ITERATIONS = 6
+ITERATIONS = 8
 CLOSE_M = 0.02e-3  # of the predicted tip to the target; better than histories are simulated
 DAMPING = 1e-4  # of the least-squares step, in units of (mm per mm) squared
 LONGEST_STEP_MM = 10.0  # of joint length
-SHARES = (1.0, 0.5, 0.25)  # of a correction, tried until one is certified
+SHARES = (0.5, 0.25)  # of a correction, tried where no whole one is certified
+MOST_WAYS = 3 + len(SHARES)
+
+
+@dataclass(frozen=True, eq=False)
+class Compensated:
+    """A path that was corrected and certified; or the path as it was, and why."""
+
+    corners: Array  # (K, m)
+    certificate: Certificate
+    compensation: Compensation
+
+
+@dataclass(frozen=True, eq=False)
+class _Corrected:
+    """A path that is to be certified."""
+
+    corners: Array  # (K, m)
+    delta: Array  # (m,) change of its end
+    is_whole: bool  # else part of the way
 
 
 def compensate(
-    checker: MotionChecker, corners: Array, certificate: Certificate, *, progress: Progress | None = None
-) -> tuple[Array, Certificate, Compensation]:
-    """The path (K, m) with its last legs changed so that the mean of the predicted tips meets the goal's tip.
+    checker: MotionChecker,
+    corners: Array,
+    certificate: Certificate,
+    *,
+    starts: Sequence[FrictionStart] | None = None,
+    progress: Progress | None = None,
+) -> Compensated:
+    """The path (K, m) with its last legs changed so that the middle of its arrival meets the goal's tip.
 
     The change stays within limits and margins, and the target within the worst-case envelope of the commanded
-    configuration; the path is certified again. A path that can't be improved so is returned as it was.
+    configuration; the path is certified again. Where correcting with all joints is not certified, rotations or
+    translations alone are tried, and then part of the way. A path that can't be improved so is returned as it was.
     """
-    scenario, is_rotation = checker.scenario, checker.space.drive.is_rotation
-    target = target_in_robot_frame(scenario)
-    legs = certificate.settling.first_leg if certificate.settling else len(corners) - 1
-    without = _arrival_error(certificate, target)
-    full = _correction(checker, corners, legs, target)
-    for k, share in enumerate(SHARES):
-        delta = share * full
-        moved = corrected(corners, legs, is_rotation, delta)
-        if not delta.any() or not checker.space.allowed(moved):
+    scenario, begun = checker.scenario, start_states(checker.scenario) if starts is None else list(starts)
+    without = arrival_error(certificate)
+    best = Compensated(corners, certificate, Compensation(np.zeros(corners.shape[1]), without, without, ""))
+    if is_on_target(certificate) or len(corners) < 2:
+        return best
+    is_beyond_limits = False
+    for k, way in enumerate(_corrected_ways(checker, corners, certificate, begun)):
+        moved, delta = way.corners, way.delta
+        if not way.is_whole and best.certificate is not certificate:
+            break
+        if not checker.space.allowed(moved):
+            is_beyond_limits = True
             continue
-        checked = certify(scenario, moved, arrival=predicted_arrives, progress=part_of(progress, k, len(SHARES)))
-        error = _arrival_error(checked, target)
-        if checked.valid and error < without:
-            settling = certificate.settling
-            if settling:
+        told = part_of(progress, k, MOST_WAYS)
+        checked = certify(scenario, moved, goal_test=predicted_arrives, starts=starts, restart=False, progress=told)
+        error = arrival_error(checked)
+        if checked.valid and error < best.compensation.error_with_m:
+            if settling := certificate.settling:
                 checked = replace(checked, settling=settled_again(settling, checked, len(moved) - len(corners)))
-            return moved, checked, Compensation(delta, without, error, "")
-    why = "no correction within limits, margins and the worst-case envelope brings the predicted tip nearer"
-    return corners, certificate, Compensation(np.zeros_like(full), without, without, why)
+            best = Compensated(moved, checked, Compensation(delta, without, error, ""))
+            if is_on_target(checked):
+                break
+    if best.certificate is certificate:
+        within = "the joints' limits" if is_beyond_limits else "limits, margins and the worst-case envelope"
+        why = f"no correction within {within} brings the predicted tip nearer"
+        return replace(best, compensation=replace(best.compensation, note=why))
+    return best
+
+
+def arrival_error(certificate: Certificate) -> float:
+    """[m] of the arrival; inf where a history found no equilibrium."""
+    return certificate.arrival.error_m if certificate.arrival else np.inf
+
+
+def is_on_target(certificate: Certificate) -> bool:
+    """Whether the middle of the arrival is at the target."""
+    return certificate.arrival is not None and certificate.arrival.by_cause.offset_m <= CLOSE_M
+
+
+def predicted_arrives(scenario: Scenario, samples: CertificateSamples, prediction: PathPrediction) -> list[str]:
+    """Sentences if the middle of the predicted tips misses the goal, or the target is outside the worst-case envelope.
+
+    How far they are from the middle, and what else is uncertain, is the arrival's to say.
+    """
+    goal, result = scenario.goal, []
+    target, allowed = target_in_robot_frame(scenario), f"{goal.tolerance_m * MM_PER_M:g} mm"
+    middle = prediction.tip_m.mean(axis=0)
+    off = float(np.linalg.norm(prediction.end_middle_m - target))
+    if not off <= goal.tolerance_m:
+        result.append(f"The predicted tip ends {off * MM_PER_M:.2f} mm from the target, tolerance {allowed}.")
+    strayed = line_error_m(scenario, middle)
+    if strayed is not None and not strayed <= goal.tolerance_m:
+        result.append(f"The predicted tip leaves the line by {strayed * MM_PER_M:.2f} mm, tolerance {allowed}.")
+    if goal.direction is not None and goal.direction_tolerance_rad is not None:
+        tangent = prediction.tangent[:, -1].mean(axis=0)
+        angle = float(angle_to(tangent[None], scenario.base_R.T @ goal.direction)[0])
+        if not angle <= goal.direction_tolerance_rad:
+            most = f"{np.degrees(goal.direction_tolerance_rad):g} deg"
+            result.append(f"The predicted tip's direction is {np.degrees(angle):.1f} deg off, tolerance {most}.")
+    shift, bound = float(np.linalg.norm(samples.tip_m[-1] - target)), float(samples.bound_m[-1])
+    if not shift <= bound + goal.tolerance_m:
+        shown = (
+            f"{shift * MM_PER_M:.2f} mm from the frictionless tip, the worst-case error is {bound * MM_PER_M:.2f} mm"
+        )
+        result.append(f"The target lies outside the worst-case envelope: {shown}.")
+    return result
+
+
+def either_arrives(scenario: Scenario, samples: CertificateSamples, prediction: PathPrediction) -> list[str]:
+    """Sentences if the goal is missed both by the frictionless tip and by the middle of the predicted ones."""
+    missed = frictionless_arrives(scenario, samples, prediction)
+    return missed if missed and predicted_arrives(scenario, samples, prediction) else []
 
 
 def corrected(corners: Array, legs: int, is_rotation: NDArray[np.bool_], delta: Array) -> Array:
@@ -74,49 +166,95 @@ def corrected(corners: Array, legs: int, is_rotation: NDArray[np.bool_], delta: 
     return moved
 
 
-def predicted_arrives(scenario: Scenario, samples: CertificateSamples, prediction: PathPrediction) -> list[str]:
-    """Sentences if a predicted tip misses the goal, or the target is outside the worst-case envelope."""
-    target, tolerance, result = target_in_robot_frame(scenario), scenario.goal.tolerance_m, []
-    error = float(np.linalg.norm(prediction.tip_m[:, -1] - target, axis=1).max())
-    if not error <= tolerance:
-        allowed = f"{tolerance * MM_PER_M:g} mm"
-        result.append(f"The predicted tip ends {error * MM_PER_M:.2f} mm from the target, tolerance {allowed}.")
-    shift, bound = float(np.linalg.norm(samples.tip_m[-1] - target)), float(samples.bound_m[-1])
-    if not shift <= bound + tolerance:
-        shown = (
-            f"{shift * MM_PER_M:.2f} mm from the frictionless tip, the worst-case error is {bound * MM_PER_M:.2f} mm"
-        )
-        result.append(f"The target lies outside the worst-case envelope: {shown}.")
-    return result
+def shifted_start(corners: Array, is_rotation: NDArray[np.bool_], delta: Array, *, keeps_end: bool) -> Array:
+    """The path (K, m) of a stage whose start was moved by delta (m,): moved as a whole, or back before its end."""
+    moved = corners + delta
+    return corrected(moved, len(moved) - 1, is_rotation, -delta) if keeps_end and len(moved) > 1 else moved
 
 
-def _arrival_error(certificate: Certificate, target: Array) -> float:
-    """How far [m] predicted tips may end from the target: their mean, plus what the start state may change."""
-    error = float(np.linalg.norm(certificate.goal_predicted_tip_m - target)) + certificate.goal_predicted_spread_m
-    return error if np.isfinite(error) else np.inf
+def _corrected_ways(
+    checker: MotionChecker, corners: Array, certificate: Certificate, starts: Sequence[FrictionStart]
+) -> Iterator[_Corrected]:
+    """Corrected paths: with all joints, one kind of joints alone, and parts of the way."""
+    if checker.scenario.goal.line_m is not None:
+        moved = _corrected_line(checker, corners, certificate, starts)
+        for share in (1.0, *SHARES):
+            yield _Corrected(corners + share * (moved - corners), share * (moved[-1] - corners[-1]), share == 1)
+        return
+    drive = checker.space.drive
+    legs = certificate.settling.first_leg if certificate.settling else len(corners) - 1
+    kinds = [np.ones(len(drive.joints), bool), ~drive.is_rotation, drive.is_rotation]
+    aim, first = _aim(checker.scenario, certificate), None
+    for kind in kinds:
+        delta = _correction(checker, corners, legs, aim, starts, kind)
+        first = delta if first is None else first
+        if delta.any():
+            yield _Corrected(corrected(corners, legs, drive.is_rotation, delta), delta, True)
+    for delta in (share * first for share in SHARES if first is not None and first.any()):
+        yield _Corrected(corrected(corners, legs, drive.is_rotation, delta), delta, False)
 
 
-def _correction(checker: MotionChecker, corners: Array, legs: int, target: Array) -> Array:
-    """(m,) joint change whose simulated path ends nearest to the target: damped Newton steps from the plan's own end.
+def _aim(scenario: Scenario, certificate: Certificate) -> Array:
+    """(3,) where the nominal robot's tips shall end so that the middle over all coefficients is at the target."""
+    target = target_in_robot_frame(scenario)
+    nominal = certificate.goal_predicted_tip_m
+    return target - (certificate.arrival.middle_m - nominal) if certificate.arrival else target
+
+
+def _correction(
+    checker: MotionChecker,
+    corners: Array,
+    legs: int,
+    aim: Array,
+    starts: Sequence[FrictionStart],
+    movable: NDArray[np.bool_],
+) -> Array:
+    """(m,) change of movable joints whose simulated path ends nearest to the aim: damped Newton steps from the end.
 
     Only what follows the first changed corner is simulated again.
     """
     robot, is_rotation = checker.scenario.robot, checker.space.drive.is_rotation
     unchanged = _unchanged(corners, legs, is_rotation)
-    _, states = predict_end(robot, corners[: unchanged + 1], start_states(checker.scenario))
+    _, states = predict_end(robot, corners[: unchanged + 1], starts)
     delta: Array = np.zeros(corners.shape[1])
     best = (np.inf, delta)
-    for _ in range(ITERATIONS):
+    for _ in range(ITERATIONS if states else 0):
         path = corrected(corners, legs, is_rotation, delta)
-        if not checker.space.allowed(path):
-            break
-        miss = target - predict_from(robot, states, path[unchanged:]).end_middle_m
+        prediction = predict_from(robot, states, path[unchanged:])
+        miss = aim - prediction.end_middle_m
         distance = float(np.linalg.norm(miss))
         if distance < best[0]:
             best = (distance, delta)
-        if not CLOSE_M < distance < np.inf:
+        if not CLOSE_M / 2 < distance < np.inf:
             break
-        delta = delta + _newton_step(checker, path[-1], miss)
+        step = _newton_step(checker, path[-1], miss, prediction.tangent[:, -1].mean(axis=0), movable)
+        if not step.any():
+            break
+        delta = delta + step
+    return best[1]
+
+
+def _corrected_line(
+    checker: MotionChecker, corners: Array, certificate: Certificate, starts: Sequence[FrictionStart]
+) -> Array:
+    """The corners (K, m) of a path along a line moved, all but the first, so that predicted tips are on the line."""
+    scenario, robot = checker.scenario, checker.scenario.robot
+    tips = robot.mechanics.tips_with_friction(*robot.drive.collars(corners), np.zeros((len(corners), robot.n - 1)))
+    line = TargetPose.of(scenario, scenario.goal, tips.position_m[-1])
+    wanted = np.array([line.nearest_m(tip, is_end=False) for tip in tips.position_m])
+    wanted[-1] = _aim(scenario, certificate)
+    best, moved = (np.inf, corners), np.array(corners)
+    every = np.ones(corners.shape[1], bool)
+    for _ in range(ITERATIONS):
+        prediction = predict_end(robot, moved, starts)[0]
+        misses = wanted - prediction.tip_m.mean(axis=0)
+        worst = float(np.linalg.norm(misses[1:], axis=1).max())
+        if worst < best[0]:
+            best = (worst, np.array(moved))
+        if not CLOSE_M < worst < np.inf:
+            break
+        for k in range(1, len(moved)):
+            moved[k] += _newton_step(checker, moved[k], misses[k], None, every)
     return best[1]
 
 
@@ -127,24 +265,43 @@ def _unchanged(corners: Array, legs: int, is_rotation: NDArray[np.bool_]) -> int
     return max(int(np.argmin(same)) - 1, 0)
 
 
-def _newton_step(checker: MotionChecker, joints: Array, miss: Array) -> Array:
-    """(m,) damped least-squares step in mm-weighted joints, kept within limits; joints that can't move on stay."""
-    space = checker.space
-    scaled = tip_jacobian(checker.scenario.robot, joints) / space.weights_mm * MM_PER_M  # mm per mm
-    step = scaled.T @ np.linalg.solve(scaled @ scaled.T + DAMPING * np.eye(3), miss * MM_PER_M)
-    step *= min(1.0, LONGEST_STEP_MM / max(float(np.linalg.norm(step)), 1e-12)) / space.weights_mm
-    clipped: Array = np.clip(joints + step, space.drive.lower, space.drive.upper) - joints
+def _newton_step(
+    checker: MotionChecker, joints: Array, miss: Array, tangent: Array | None, movable: NDArray[np.bool_]
+) -> Array:
+    """(m,) damped least-squares step of movable joints in mm-weighted lengths, within limits.
+
+    Joints that can't move on stay where they are, and the others take over. What the position leaves free turns the
+    tip's tangent (3,) to the goal's direction, where there is one.
+    """
+    space, goal, free = checker.space, checker.scenario.goal, movable.copy()
+    slopes = tip_jacobian(checker.scenario.robot, joints)
+    position, direction = (by_joints / space.weights_mm * MM_PER_M for by_joints in slopes)
+    for _ in range(len(joints)):
+        J = np.where(free, position, 0.0)
+        inverse = J.T @ np.linalg.inv(J @ J.T + DAMPING * np.eye(3))
+        step = inverse @ (miss * MM_PER_M)
+        if goal.direction is not None and tangent is not None:
+            turned = checker.scenario.base_R.T @ goal.direction - tangent
+            D = np.where(free, direction, 0.0) @ (np.eye(len(joints)) - inverse @ J)
+            step = step + np.linalg.pinv(D, rcond=1e-3) @ (turned * MM_PER_M - D @ step)
+        step *= min(1.0, LONGEST_STEP_MM / max(float(np.linalg.norm(step)), 1e-12))
+        step = np.where(free, step / space.weights_mm, 0.0)
+        clipped: Array = np.clip(joints + step, space.drive.lower, space.drive.upper) - joints
+        stopped = free & (clipped != step) & (np.abs(clipped) <= 1e-12)
+        if not stopped.any():
+            break
+        free &= ~stopped
     return clipped
 
 
-def tip_jacobian(robot: Robot, joints: Array) -> Array:
-    """(3, m) derivative of the frictionless tip by actuated joints (m,), m per rad and m per m."""
+def tip_jacobian(robot: Robot, joints: Array) -> tuple[Array, Array]:
+    """(3, m), (3, m) derivatives of the frictionless tip and its tangent by actuated joints (m,), per rad and per m."""
     names = [f"{key}.{i + 1}" for key in ("theta_b", "l_b") for i in range(robot.n)]
     collars, moves = robot.drive.collars(joints[None]), robot.drive.collars_by_joints(joints[None])[0]
     moved = np.flatnonzero(moves.any(axis=1))
     tips = robot.mechanics.tips_with_friction(
         *collars, np.zeros((1, robot.n - 1)), parameters=[names[k] for k in moved.tolist()]
     )
-    slopes = np.nan_to_num(tips.position_by[0])  # NaN where a collar or tip would pass another one
-    jacobian: Array = slopes @ moves[moved]
-    return jacobian
+    # NaN where a collar or tip would pass another one.
+    position, tangent = (np.nan_to_num(by[0]) @ moves[moved] for by in (tips.position_by, tips.tangent_by))
+    return position, tangent

@@ -16,7 +16,7 @@ from ctrplan.errors import InputError
 from ctrplan.motion.checker import MotionChecker, path_limits
 from ctrplan.planning.reach import Configuration, Reach, reach
 from ctrplan.robot.robot import Robot
-from ctrplan.scenario.bare_scenario import bare_scenario
+from ctrplan.scenario.joint_space import bare_scenario
 from ctrplan.scenario.scenario import Scenario
 from ctrplan.scenario.tip_solver import TipTarget
 

@@ -15,19 +15,21 @@ import numpy as np
 
 from ctrplan.base.arguments import EVENT, PROGRESS, SEARCH_TIME, SEED, Flag, Made, checked
 from ctrplan.base.arrays import Array
+from ctrplan.base.long_work import Progress as FractionReport
 from ctrplan.base.long_work import SearchClock, SearchEnd, interrupt_event, part_of
-from ctrplan.certificate.certificate import Certificate, joined_certificates
+from ctrplan.certificate.certificate import Certificate, CertificateSamples, joined_certificates
+from ctrplan.certificate.certify import GoalTest, certify, frictionless_arrives, with_restart
 from ctrplan.certificate.closest import failure_with_place
 from ctrplan.certificate.friction_cube import refuse_many_tubes
 from ctrplan.certificate.other_equilibria import other_start
 from ctrplan.certificate.walked_legs import WalkedLegs, walk_legs
 from ctrplan.drive.legs import merge_legs
-from ctrplan.errors import InputError, NoAnswerError
+from ctrplan.errors import NoAnswerError
 from ctrplan.motion.checker import MotionChecker, with_shares
-from ctrplan.planning.compensate import compensate
+from ctrplan.planning.compensate import compensate, shifted_start
+from ctrplan.planning.endings import Settled, erase, settle
 from ctrplan.planning.goal_states import goal_states, is_at_goal, nearest_turn, turn_notes
 from ctrplan.planning.line import follow_line, line_beginnings
-from ctrplan.planning.oscillate import settle
 from ctrplan.planning.reordering import Reordered, as_given, assemble
 from ctrplan.planning.room import refuse_blocked_fixtures, refuse_impossible_margins, start_room, start_trouble
 from ctrplan.planning.search.stage_search import Candidate, Progress, Report, StageSearch
@@ -35,6 +37,7 @@ from ctrplan.plans.plan import ENDED_BY_TIME, Plan
 from ctrplan.plans.planned_motion import Compensation
 from ctrplan.plans.uncertainty import stated_uncertainty
 from ctrplan.robot.friction_calibration import friction_law
+from ctrplan.scenario.prediction import FrictionStart, PathPrediction
 from ctrplan.scenario.tip_solver import GoalState
 
 if TYPE_CHECKING:
@@ -58,24 +61,22 @@ def plan(
     time_s: float | None = None,
     progress: Report | None = None,
     interrupted: threading.Event | None = None,
-    compensated: bool = False,
+    compensated: bool = True,
     start_state: ObserverState | None = None,
 ) -> Plan:
     """A certified plan from the scenario's start to its goal.
 
-    With the scenario's planner.settle = "oscillate" the plan ends with an oscillation that releases friction.
-    `compensated` moves the joints at its end so that the predicted tip arrives, not the frictionless one. With a
-    `start_state` of `Robot.observer` predictions start from what was observed; bounds and clearances stay those of
-    every friction state.
+    With the scenario's planner.settle = "auto" the plan ends so that every pair of tubes slips, where that is worth its
+    price; with "oscillate" it ends with an oscillation that releases friction. `compensated` moves the joints at its
+    end so that the tip with friction arrives, not the frictionless one; a goal in joint values is driven to as it is.
+    With a `start_state` of `Robot.observer` predictions start from what was observed; bounds and clearances stay those
+    of every friction state.
 
     The first path found is certified at once, better ones are sought until `time_s` is up. Without it, the search ends
     after the work that takes about the scenario's planner.time_s, and the same seed gives the same plan anywhere.
     Ctrl-C, or setting `interrupted`, ends the search early and keeps the best. Raises NoAnswerError when start or goal
     are invalid or no path was found in time, KeyboardInterrupt when it was interrupted before there was a path.
     """
-    if compensated and (scenario.goal.tip_m is None or scenario.goal.line_m is not None):
-        rule = "is no single tip position (tip_mm), which compensation needs"
-        raise InputError(rule, file=scenario.path, key=scenario.goal.table)
     if start_state is not None:
         scenario = scenario.observed(start_state)
     began, report = time.monotonic(), progress or (lambda _: None)
@@ -94,7 +95,7 @@ def plan(
         approaches = cache(partial(beside.submit, other_start, scenario, scenario.start))
         asked = _PlanRequest(seed, began, budget, budget, time_s is not None, report, interrupted, approaches)
         first, stages, ended_by = _anytime_stages(scenario, asked)
-        finish = _finish(scenario, stages[-1][1], compensated, report)
+        finish = _finish(scenario, stages, compensated, report)
     notes: tuple[str, ...] = (*scenario.warnings, *((ENDED_BY_TIME,) if ended_by == "time" else ()))
     paths = [best.result for _, best in stages]
     notes += turn_notes(scenario, [path.after[-1] for path in paths])
@@ -105,14 +106,14 @@ def plan(
     finished = assemble(
         scenario,
         paths,
-        joined_certificates([*(best.certificate for _, best in stages[:-1]), finish.certificate]),
+        finish.certificate,
         planner=scenario.planner.name,
         seed=seed,
         time_s=time.monotonic() - began,
         first_found_s=first.found_s,
         first_certified_s=first.certified_s,
         notes=(*notes, *finish.notes),
-        end=finish.corners,
+        ends=finish.ways,
         compensation=finish.compensation,
         ended_by="interruption" if interrupted.is_set() else ended_by,
     )
@@ -256,31 +257,79 @@ def _first_certified(
 
 @dataclass(frozen=True, eq=False)
 class _Finish:
-    """What becomes of the way to the last target after the search."""
+    """What becomes of the ways to the targets after the search."""
 
-    corners: Array  # (K, m)
-    certificate: Certificate
-    compensation: Compensation | None
+    ways: list[Array]  # (K, m) of each stage
+    certificate: Certificate  # of all
+    compensation: Compensation | None  # of the last one
     notes: tuple[str, ...]
 
 
-def _finish(scenario: Scenario, best: Candidate, compensated: bool, report: Report) -> _Finish:
-    """Settles and compensates the way to the last target where that is asked for."""
-    corners, certificate = best.result.after, best.certificate
-    checker = MotionChecker(scenario.stage_from(corners[0]))
-    notes: tuple[str, ...] = ()
-    report(Progress("search", 1.0, certificate.cost_mm))
+def _finish(scenario: Scenario, stages: Stages, compensated: bool, report: Report) -> _Finish:
+    """Ends the way to every target so that friction is forgotten, and compensates what is left, one after the other.
 
-    def progress(fraction: float) -> None:
-        report(Progress("certificate", fraction, certificate.cost_mm))
+    The friction states that one stage ends with are those that the next begins with. Where a corrected stage leaves no
+    valid way on, nothing is corrected.
+    """
+    last, certificates = stages[-1][1], list[Certificate]()
+    cost_mm = sum(best.walk.cost_mm for _, best in stages)
+    report(Progress("search", 1.0, cost_mm))
+    shift = np.zeros_like(last.corners[0])
+    ways, notes, compensation = list[Array](), list[str](), None
+    for k, (_, best) in enumerate(stages):
+        told = part_of(lambda fraction: report(Progress("certificate", fraction, cost_mm)), k, len(stages))
+        stage, corners, is_moved = best.checker.scenario, best.result.after, bool(shift.any())
+        starts: list[FrictionStart] | None = list(certificates[-1].end_states) or None if certificates else None
+        goal_test: GoalTest = any_end if is_moved else frictionless_arrives
+        if is_moved:
+            is_rotation = best.checker.space.drive.is_rotation
+            corners = shifted_start(corners, is_rotation, shift, keeps_end=stage.goal.tip_m is None)
+            stage = replace(stage, start=corners[0])
+        if is_moved or starts:
+            certificate = certify(stage, corners, goal_test=goal_test, starts=starts, restart=False)
+        else:
+            certificate = best.certificate
+        checker = MotionChecker(stage)
+        ended = _ended(checker, corners, certificate, starts, goal_test, told)
+        notes += [ended.note] if ended.note else []
+        corners, certificate, change = ended.corners, ended.certificate, None
+        if compensated and stage.goal.tip_m is not None and stage.goal.joints is None:
+            result = compensate(checker, corners, certificate, starts=starts, progress=told)
+            corners, certificate, change = result.corners, result.certificate, result.compensation
+        if compensated and (not certificate.valid or is_moved and not _arrives(stage, certificate)):
+            return replace(
+                _finish(scenario, stages, False, report),
+                notes=("The motions to the targets are not compensated: no corrected one leads on to the next.",),
+            )
+        ways.append(corners)
+        certificates.append(with_restart(stage, certificate, starts))
+        compensation = change
+        shift = corners[-1] - best.result.after[-1]
+    return _Finish(ways, joined_certificates(certificates), compensation, tuple(notes))
 
-    steps = (scenario.planner.settle == "oscillate") + compensated
-    if scenario.planner.settle == "oscillate":
-        settled = settle(checker, corners, certificate, progress=part_of(progress, 0, steps))
-        corners, certificate, notes = settled.corners, settled.certificate, (settled.note,) if settled.note else ()
-    if not compensated:
-        return _Finish(corners, certificate, None, notes)
-    corners, certificate, compensation = compensate(
-        checker, corners, certificate, progress=part_of(progress, steps - 1, steps)
-    )
-    return _Finish(corners, certificate, compensation, notes)
+
+def any_end(scenario: Scenario, samples: CertificateSamples, prediction: PathPrediction) -> list[str]:
+    """No end of a path is wrong: it is corrected yet."""
+    return []
+
+
+def _arrives(scenario: Scenario, certificate: Certificate) -> bool:
+    """Whether a motion whose start was moved ends at its target, by its middle or without friction."""
+    off_m = certificate.arrival.by_cause.offset_m if certificate.arrival else np.inf
+    return scenario.goal.tip_m is None or min(off_m, certificate.goal_tip_error_m) <= scenario.goal.tolerance_m
+
+
+def _ended(
+    checker: MotionChecker,
+    corners: Array,
+    certificate: Certificate,
+    starts: list[FrictionStart] | None,
+    goal_test: GoalTest,
+    progress: FractionReport,
+) -> Settled:
+    """The path with the ending that the scenario's planner.settle asks for."""
+    kind = checker.scenario.planner.settle
+    if kind == "none":
+        return Settled(corners, certificate)
+    end = settle if kind == "oscillate" else erase
+    return end(checker, corners, certificate, goal_test=goal_test, starts=starts, progress=progress)

@@ -305,17 +305,17 @@ def assemble(
     first_certified_s: float = 0.0,
     period_s: float = 0.01,
     notes: tuple[str, ...] = (),
-    end: Array | None = None,
+    ends: list[Array] | None = None,
     compensation: Compensation | None = None,
     ended_by: SearchEnd = "completion",
 ) -> Plan:
     """The plan of reordered corners, stage by stage; the trajectory rests after each stage.
 
-    `end` (K, m) is what settling and compensation made of the last stage. Where a target is reached already, its stage
-    is one leg of no length, as certificates count it.
+    `ends` are what endings and compensation made of the stages, (K, m) each. Where a target is reached already, its
+    stage is one leg of no length, as certificates count it.
     """
     drive, result = scenario.robot.drive, joined_paths(stages)
-    ways = [*(stage.after for stage in stages[:-1]), stages[-1].after if end is None else end]
+    ways = [stage.after for stage in stages] if ends is None else ends
     ways = [way if len(way) > 1 else np.repeat(way, 2, axis=0) for way in ways]
     driven = np.concatenate([ways[0][:1], *(way[1:] for way in ways)])
     rests = np.cumsum([len(way) - 1 for way in ways])

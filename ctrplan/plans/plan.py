@@ -104,12 +104,14 @@ def _joint_values(q: Array, drive: Drive) -> dict[str, dict[str, float]]:
 def _certificate(plan: PlannedMotion) -> dict[str, Any]:
     """The summary, and the samples as columns of equal length."""
     certificate = plan.certificate
-    names = [entry.name for entry in fields(certificate) if entry.name not in ("samples", "settling", "walk_again")]
+    left_out = ("samples", "settling", "end_states", "walk_again")
+    names = [entry.name for entry in fields(certificate) if entry.name not in left_out]
     columns = {entry.name: getattr(certificate.samples, entry.name) for entry in fields(certificate.samples)}
     summary = {name: getattr(certificate, name) for name in names}
     places = {name: _place(plan, getattr(certificate, name)) for name in ("nominal", "closest", "narrowest")}
     targets = [asdict(target) for target in certificate.targets]
-    return {**summary, **places, "targets": targets, "samples": columns}
+    arrival = certificate.arrival and asdict(certificate.arrival)
+    return {**summary, **places, "arrival": arrival, "targets": targets, "samples": columns}
 
 
 def _place(plan: PlannedMotion, place: Closest | None) -> dict[str, Any] | None:

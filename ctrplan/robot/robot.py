@@ -117,6 +117,7 @@ class Robot:
     contacts: tuple[Contact, ...]
     drive: Drive
     model_error_m: float = 0.0
+    friction_memory: float = 0.0  # share of the friction bound that real contacts keep after slip, beyond the model's
     measurement: SensorNoise | None = None
     markers: tuple[Marker, ...] = ()  # on the body, in the order of the file
     loads: Loads = Loads()  # beyond the paper, set by [effects.*]

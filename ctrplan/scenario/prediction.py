@@ -6,7 +6,7 @@ import itertools
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary
 
@@ -16,14 +16,13 @@ from numpy.typing import NDArray
 from ctrplan.base.arrays import Array
 from ctrplan.base.long_work import cores
 from ctrplan.errors import SolverError
-from ctrplan.mechanics.history import OSCILLATION_DEG, History
+from ctrplan.mechanics.history import OSCILLATION_DEG, History, HistoryState, Start
 from ctrplan.mechanics.shapes import Status
 from ctrplan.robot.friction_calibration import friction_law
 from ctrplan.robot.observer_state import ObservedHistory
 
 if TYPE_CHECKING:
     from ctrplan.mechanics.accuracy import Accuracy
-    from ctrplan.mechanics.history import HistoryState, Start
     from ctrplan.mechanics.shapes import Shape
     from ctrplan.robot.robot import Robot
     from ctrplan.scenario.scenario import Scenario
@@ -31,14 +30,17 @@ if TYPE_CHECKING:
 STEP_RAD, STEP_M = 0.05, 1e-3  # between configurations at which the simulated tips are looked at
 BLOCK = 20  # configurations after which histories are compared
 LOOK_EVERY = 5  # configurations after which a body is looked at
-SAME = 1e-3  # difference of friction, of 0.01 mm and of 1 mrad at the tip, below which they have become one
+# Differences of tips, tangents and friction below which histories have become one: a fiftieth of what they are
+# simulated to, so that what grows in passing stays below that.
+SAME_M, SAME_RAD, SAME_FRICTION = 1e-6, 1e-5, 1e-3
 TIP_TOLERANCE_M = 0.05e-3  # of simulated tips (benchmarks/history.py)
 
 
 Look = Callable[["Shape"], None]
+FrictionStart = Start | ObservedHistory | HistoryState  # the last one is where the first configuration is
 MOST_REMEMBERED = 100  # ends of paths
 MOST_STARTS = 4  # lists of start states whose paths are remembered
-_ENDS: WeakKeyDictionary[Robot, dict[tuple[Start | ObservedHistory, ...], dict[bytes, _End]]] = WeakKeyDictionary()
+_ENDS: WeakKeyDictionary[Robot, dict[tuple[FrictionStart, ...], dict[bytes, _End]]] = WeakKeyDictionary()
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,28 +55,53 @@ class _End:
 class PathPrediction:
     """Simulated tips at K configurations from each of S start states, released and every corner."""
 
-    tip_m: Array  # (S, K, 3); NaN after no equilibrium was found
+    tip_m: Array  # (S, K, 3) robot frame; NaN after no equilibrium was found
     tangent: Array  # (S, K, 3) of the tip, likewise
+    phi: Array  # (S, K, P) circumferential friction of each pair, averaged by normal force, likewise
     snaps: int  # times any of the simulated robots slid to another equilibrium
+    states: tuple[tuple[int, HistoryState], ...] = ()  # of the first start at rows that were to be kept
 
     def errors(self, frictionless_m: Array) -> Array:
         """(K,) [m] largest distance of a simulated tip from the frictionless one (K, 3); NaN where any failed."""
         largest: Array = np.linalg.norm(self.tip_m - frictionless_m, axis=2).max(axis=0)
         return largest
 
-    @property
+    @cached_property
     def end_middle_m(self) -> Array:
-        """(3,) mean of the tips at the last configuration."""
-        middle: Array = self.tip_m[:, -1].mean(axis=0)
-        return middle
+        """(3,) centre of the smallest ball around the tips at the last configuration."""
+        return ball_centre(self.tip_m[:, -1])
 
     @property
     def end_spread_m(self) -> float:
-        """How far [m] the start state may take the last tip from that mean: what no correction can know."""
+        """How far [m] the start state may take the last tip from that centre: what no correction can know."""
         return float(np.linalg.norm(self.tip_m[:, -1] - self.end_middle_m, axis=1).max())
 
+    @property
+    def spread_m(self) -> Array:
+        """(K,) [m] half the largest distance of two tips: the size of the set of friction states, at the tip."""
+        apart = np.linalg.norm(self.tip_m[:, None] - self.tip_m[None], axis=3)
+        return np.asarray(apart.max(axis=(0, 1)) / 2)
 
-def start_states(scenario: Scenario) -> list[Start | ObservedHistory]:
+    @property
+    def friction_spread(self) -> Array:
+        """(K, P) half the largest difference of each pair's friction: 1 where nothing is known, 0 where all is."""
+        return np.asarray((self.phi.max(axis=0) - self.phi.min(axis=0)) / 2)
+
+
+BALL_STEPS = 300  # of the ascent to the centre, which ends within 1/BALL_STEPS of the radius
+
+
+def ball_centre(points: Array) -> Array:
+    """(3,) centre of the smallest ball around points (S, 3): again and again a step to the farthest one."""
+    centre: Array = (points.min(axis=0) + points.max(axis=0)) / 2
+    if np.ptp(points, axis=0).max() == 0 or not np.all(np.isfinite(points)):
+        return centre
+    for step in range(2, BALL_STEPS):
+        centre = centre + (points[np.argmax(np.linalg.norm(points - centre, axis=1))] - centre) / step
+    return centre
+
+
+def start_states(scenario: Scenario) -> list[FrictionStart]:
     """What the robot's friction may be like before a path: released or fully loaded in any corner, if unknown.
 
     Of a robot that was followed, the histories that agree with what was measured.
@@ -84,7 +111,7 @@ def start_states(scenario: Scenario) -> list[Start | ObservedHistory]:
     if scenario.start_friction in ("released", "oscillated"):
         return [scenario.start_friction]
     pairs = scenario.robot.n - 1
-    corners: list[Start | ObservedHistory] = list(itertools.product((1.0, -1.0), repeat=pairs)) if pairs else []
+    corners: list[FrictionStart] = list(itertools.product((1.0, -1.0), repeat=pairs)) if pairs else []
     return ["released", *corners]
 
 
@@ -101,7 +128,7 @@ def start_load(scenario: Scenario) -> Array:
 def predict(
     robot: Robot,
     joints: Array,
-    starts: Sequence[Start | ObservedHistory],
+    starts: Sequence[FrictionStart],
     accuracy: Accuracy = "search",
     look: Look | None = None,
 ) -> PathPrediction:
@@ -109,17 +136,24 @@ def predict(
 
     `look` is shown the shape of each simulated robot every LOOK_EVERY configurations, from several threads.
     """
-    histories = [_begun(robot, start, accuracy) for start in starts]
-    return _follow(robot, histories, joints, look)
+    return predict_end(robot, joints, starts, accuracy, look)[0]
 
 
 def predict_end(
-    robot: Robot, joints: Array, starts: Sequence[Start | ObservedHistory]
+    robot: Robot,
+    joints: Array,
+    starts: Sequence[FrictionStart],
+    accuracy: Accuracy = "search",
+    look: Look | None = None,
+    keep: Sequence[int] = (),
 ) -> tuple[PathPrediction, list[HistoryState]]:
-    """Predicts as `predict`, and returns the states at the end too, to go on from."""
-    histories = [_begun(robot, start) for start in starts]
-    prediction = _follow(robot, histories, joints)
-    return prediction, _saved(histories)
+    """Predicts as `predict`, and returns the states at the end too, to go on from; none where one failed.
+
+    States of the first start after rows `keep` are in the prediction.
+    """
+    histories = begun_histories(robot, starts, accuracy)
+    prediction = _follow(robot, histories, joints, look, keep)
+    return prediction, _saved(histories) if np.all(np.isfinite(prediction.tip_m[:, -1])) else []
 
 
 def predict_from(robot: Robot, states: Sequence[HistoryState], joints: Array) -> PathPrediction:
@@ -127,7 +161,7 @@ def predict_from(robot: Robot, states: Sequence[HistoryState], joints: Array) ->
     return _follow(robot, _restored(robot, states), joints)
 
 
-def goal_error(robot: Robot, joints: Array, starts: Sequence[Start | ObservedHistory]) -> float:
+def goal_error(robot: Robot, joints: Array, starts: Sequence[FrictionStart]) -> float:
     """Largest distance [m] of a simulated tip from the frictionless one after the path (K, m); inf if any failed.
 
     Paths that begin alike share that part of their histories; a robot's last few are remembered.
@@ -148,17 +182,27 @@ def goal_error(robot: Robot, joints: Array, starts: Sequence[Start | ObservedHis
     return error if np.isfinite(error) else np.inf
 
 
-def _begun(robot: Robot, start: Start | ObservedHistory, accuracy: Accuracy = "search") -> History:
+def begun_histories(robot: Robot, starts: Sequence[FrictionStart], accuracy: Accuracy = "search") -> list[History]:
+    """A history for each start; one and the same for several that are one saved state."""
+    known: dict[int, History] = {}
+    return [known.setdefault(id(start), _begun(robot, start, accuracy)) for start in starts]
+
+
+def _begun(robot: Robot, start: FrictionStart, accuracy: Accuracy) -> History:
     if isinstance(start, ObservedHistory):
         return start.history(robot.mechanics, accuracy)
+    if isinstance(start, HistoryState):
+        history = robot.history(accuracy=accuracy)
+        history.restore(start)
+        return history
     return robot.history(start, accuracy=accuracy)
 
 
-def _end_after(robot: Robot, q: Array, before: _End | None, starts: Sequence[Start | ObservedHistory]) -> _End:
+def _end_after(robot: Robot, q: Array, before: _End | None, starts: Sequence[FrictionStart]) -> _End:
     """Where histories are after moving on to q (m,) from where others ended, or at a start there."""
     if before is not None and not before.states:
         return before
-    histories = _restored(robot, before.states) if before else [_begun(robot, start) for start in starts]
+    histories = _restored(robot, before.states) if before else begun_histories(robot, starts)
     tips = _follow(robot, histories, q[None]).tip_m[:, -1]
     return _End(tips, _saved(histories) if np.all(np.isfinite(tips)) else [])
 
@@ -190,43 +234,53 @@ def rows_to_simulate(robot: Robot, joints: Array, leg: NDArray[np.int_]) -> NDAr
     return np.flatnonzero(wanted)
 
 
-def _follow(robot: Robot, histories: list[History], joints: Array, look: Look | None = None) -> PathPrediction:
+def _follow(
+    robot: Robot, histories: list[History], joints: Array, look: Look | None = None, keep: Sequence[int] = ()
+) -> PathPrediction:
     """Tips of the histories along joints (K, m).
 
-    Rotation wipes out where they came from: those that have become the same are followed once from there on, and stand
-    for each other in `histories`.
+    Slip wipes out where they came from: those that have become the same are followed once from there on, and stand for
+    each other in `histories`. States of the first are kept after rows `keep`.
     """
     theta_b, l_b = robot.drive.collars(joints)
-    poses, snaps = np.full((len(histories), len(joints), 6), np.nan), 0
+    count, size = len(joints), 6 + robot.n - 1
+    poses, snaps, states = np.full((len(histories), count, size), np.nan), 0, list[tuple[int, HistoryState]]()
+    ends = sorted({*range(BLOCK, count, BLOCK), *(row + 1 for row in keep), count})
     with ThreadPoolExecutor(cores()) as pool:
-        for begin in range(0, len(joints), BLOCK):
-            rows = slice(begin, begin + BLOCK)
-            apart = list(dict.fromkeys(histories))
-            ends: list[Array] = []
-            for history, (result, count, end) in zip(
-                apart, pool.map(partial(_block, theta_b[rows], l_b[rows], look), apart), strict=True
-            ):
+        for begin, end in itertools.pairwise([0, *ends]):
+            rows, apart = slice(begin, end), list(dict.fromkeys(histories))
+            follow = partial(_block, theta_b[rows], l_b[rows], look, size)
+            different: list[tuple[History, Array]] = []
+            for history, (result, slid) in zip(apart, pool.map(follow, apart), strict=True):
                 alike = [k for k, other in enumerate(histories) if other is history]
-                poses[alike, rows], snaps = result, snaps + count * len(alike)
-                same = [k for k, other in enumerate(ends) if np.all(np.abs(end - other) < SAME)]
-                ends.append(end)
+                poses[alike, rows], snaps = result, snaps + slid * len(alike)
+                same = [other for other, pose in different if _is_same(result[-1], pose)]
+                if not same:
+                    different.append((history, result[-1]))
                 for k in alike if same else ():
-                    histories[k] = apart[same[0]]
-    return PathPrediction(poses[..., :3], poses[..., 3:], snaps)
+                    histories[k] = same[0]
+            if end - 1 in keep and np.isfinite(poses[0, end - 1, 0]):
+                states.append((end - 1, histories[0].save()))
+    return PathPrediction(poses[..., :3], poses[..., 3:6], poses[..., 6:], snaps, tuple(states))
 
 
-def _block(theta_b: Array, l_b: Array, look: Look | None, history: History) -> tuple[Array, int, Array]:
-    """Tips and tangents (K, 6), snaps, and what tells the end state from others: tip [0.01 mm], friction of pairs."""
-    poses, snaps, step = np.full((len(theta_b), 6), np.nan), 0, LOOK_EVERY if look else len(theta_b)
+def _is_same(a: Array, b: Array) -> bool:
+    """Whether two histories are one from there on: tip, tangent and friction of pairs (6 + P,) are alike."""
+    most = np.concatenate([[SAME_M] * 3, [SAME_RAD] * 3, np.full(len(a) - 6, SAME_FRICTION)])
+    return bool(np.all(np.abs(a - b) < most))
+
+
+def _block(theta_b: Array, l_b: Array, look: Look | None, size: int, history: History) -> tuple[Array, int]:
+    """Tips, tangents and friction of pairs (K, 6 + P), and snaps."""
+    poses, snaps, step = np.full((len(theta_b), size), np.nan), 0, LOOK_EVERY if look else len(theta_b)
     for begin in range(0, len(theta_b), step):
         rows = slice(begin, begin + step)
         try:
             path = history.follow(theta_b[rows], l_b[rows])
         except SolverError:
-            return np.full((len(theta_b), 6), np.nan), 0, np.array([np.nan])
-        poses[rows] = np.concatenate([path.position_m, path.tangent], axis=1)
+            return np.full(poses.shape, np.nan), 0
+        poses[rows] = np.concatenate([path.position_m, path.tangent, path.phi], axis=1)
         snaps += int(np.nansum(path.snaps))
         if look and path.status[-1] < Status.FAILED:
             look(history.shape())
-    end = np.concatenate([path.position_m[-1] / 1e-5, path.tangent[-1] / 1e-3, path.phi[-1]])
-    return poses, snaps, end
+    return poses, snaps

@@ -30,14 +30,14 @@ if TYPE_CHECKING:
 
 
 class PlannerSettings(Struct, metaclass=AbstractStruct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """[planner]: which search runs, for how long, and whether the plan ends with an oscillation that releases friction.
+    """[planner]: which search runs, for how long, and whether and how the plan ends by slip that releases friction.
 
     Subclasses give `name` its value, add settings of their own, and make the planner.
     """
 
     name: str
     time_s: Annotated[float, Meta(gt=0, le=3600)] = 5.0
-    settle: Literal["none", "oscillate"] = "none"
+    settle: Literal["auto", "none", "oscillate"] = "auto"
 
     @abstractmethod
     def ompl_planner(self, information: Any) -> Any:

@@ -23,16 +23,15 @@ from numpy.typing import NDArray
 from ctrplan.base.arrays import Array
 from ctrplan.base.long_work import cores
 from ctrplan.errors import SolverError
-from ctrplan.mechanics.history import History
+from ctrplan.mechanics.history import History, HistoryState
 from ctrplan.robot.observer_state import ObservedHistory
-from ctrplan.scenario.prediction import predict, rows_to_simulate, start_states
+from ctrplan.scenario.prediction import FrictionStart, predict, rows_to_simulate, start_states
 from ctrplan.uncertainty.parameters import UncertainParameters
 from ctrplan.uncertainty.target import Misses, TargetPose
 from ctrplan.uncertainty.tip_slopes import TipSlopes, clamped_collars, poses_at, tip_slopes
 from ctrplan.uncertainty.worst_case import SOLVED, Draws
 
 if TYPE_CHECKING:
-    from ctrplan.mechanics.history import Start
     from ctrplan.robot.robot import Robot
     from ctrplan.scenario.scenario import Scenario
 
@@ -151,7 +150,7 @@ def _is_known(beyond: Array) -> bool:
     return bool(error.max() <= MEAN_M)
 
 
-def _starts(scenario: Scenario) -> tuple[list[Start | ObservedHistory], Array]:
+def _starts(scenario: Scenario) -> tuple[list[FrictionStart], Array]:
     """Start states, and their probabilities: those of an observer, else all alike."""
     starts = start_states(scenario)
     if scenario.start_state is None:
@@ -166,9 +165,10 @@ def _simulated_rows(robot: Robot, path: DrivenPath) -> tuple[Array, NDArray[np.i
     return path.joints[rows], np.searchsorted(rows, path.rows)
 
 
-def _driven(robot: Robot, begun: Start | ObservedHistory, theta_b: Array, l_b: Array, rows: NDArray[np.int_]) -> Array:
+def _driven(robot: Robot, begun: FrictionStart, theta_b: Array, l_b: Array, rows: NDArray[np.int_]) -> Array:
     """(W, 6) poses at rows of collars (N, n)."""
     # an observed state is of the file's robot: others begin with its friction, even along each contact
+    assert not isinstance(begun, HistoryState)  # of no scenario
     start = np.clip(begun.phi, -1, 1) if isinstance(begun, ObservedHistory) else begun
     try:
         result = History(robot.mechanics, start).follow(theta_b, l_b)

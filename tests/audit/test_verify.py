@@ -28,7 +28,7 @@ from ctrplan.errors import InputError
 from ctrplan.files.plan_file import WrittenPlan
 from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.plans.plan import Plan
-from ctrplan.scenario.bare_scenario import bare_scenario
+from ctrplan.scenario.joint_space import bare_scenario
 
 LITTLE = 4_000  # units of work
 SHORT_WAYPOINTS = [[0, 0, 0, -80], [0, 8, 12, -80], [0, 8, 12, -77]]

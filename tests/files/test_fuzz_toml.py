@@ -19,7 +19,7 @@ from ctrplan.files.robot_file import load_robot
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.robot.robot import Robot
-from ctrplan.scenario.bare_scenario import bare_scenario
+from ctrplan.scenario.joint_space import bare_scenario
 from ctrplan.scenario.scenario import Scenario
 
 ROBOTS = {path.stem: path.read_text() for path in sorted((SCENARIOS / "robots").glob("*.toml"))}

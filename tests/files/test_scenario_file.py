@@ -136,7 +136,7 @@ time_s = 2.5 -> time_s = 3601
 time_s = 2.5 -> time_ms = 2500
     scenario.toml: planner.time_ms = 2500: unknown key, expected time_s (in s).
 settle = "oscillate" -> settle = true
-    scenario.toml: planner.settle = true: must be one of none, oscillate.
+    scenario.toml: planner.settle = true: must be one of auto, none, oscillate.
 """
 
 

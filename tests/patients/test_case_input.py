@@ -28,7 +28,7 @@ from ctrplan.patients.request import OPTIONS, STEP_NAMES, over, request_of
 from ctrplan.patients.steps import robot_file
 from ctrplan.patients.structures import by_name
 from ctrplan.patients.work import SCENARIO
-from ctrplan.scenario.bare_scenario import retracted
+from ctrplan.scenario.joint_space import retracted
 from ctrplan.scenario.scenario import Scenario
 from ctrplan.storage.toml_document import read_document, toml_text
 

@@ -29,8 +29,7 @@ from ctrplan.pipeline.chain import Chain
 from ctrplan.pipeline.parametric_chain import ParametricChain
 from ctrplan.reports.live_state import LiveState
 from ctrplan.robot.robot import Robot
-from ctrplan.scenario.bare_scenario import bare_scenario
-from ctrplan.scenario.joint_space import JointSpace
+from ctrplan.scenario.joint_space import JointSpace, bare_scenario
 from ctrplan.scenario.tip_solver import TipSolver, TipTarget
 from ctrplan.studies.simulate import simulate
 from ctrplan.studies.sweep import parse_axis, sweep

@@ -230,7 +230,7 @@ def test_a_simulated_robot_beyond_its_bound_is_a_contradiction_wherever_it_is(sa
     case = with_sphere(joints(0, 0, 0, -28.8), (0.0, 60.0, 100.0), 1.0)
     samples = certify(case, np.array([joints(0, 0, 0, -28.8), joints(0, 0, 20, -28.8)])).samples
     still = np.zeros((1, len(samples.leg), 3))
-    calm = PathPrediction(still, still, 0)
+    calm = PathPrediction(still, still, still[..., :2], 0)
     assert _contradictions(calm, samples) == []
     predicted = samples.bound_m.copy()
     predicted[sample] += 5e-3

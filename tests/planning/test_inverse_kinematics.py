@@ -17,8 +17,7 @@ from ctrplan.files.scenario_file import load_robot_or_scenario
 from ctrplan.motion.checker import MotionChecker
 from ctrplan.planning.reach import reach
 from ctrplan.reports.live_state import LiveState
-from ctrplan.scenario.bare_scenario import bare_scenario
-from ctrplan.scenario.joint_space import JointSpace
+from ctrplan.scenario.joint_space import JointSpace, bare_scenario
 from ctrplan.scenario.tip_solver import REACHED_M, TipSolver, TipTarget, angle_to
 from ctrplan.storage.toml_document import read_document
 

@@ -14,7 +14,7 @@ from ctrplan.errors import InputError
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.motion.checker import MotionChecker
 from ctrplan.planning.compensate import compensate, corrected
-from ctrplan.planning.oscillate import SHAPE, Settled, oscillation, settle, turnings
+from ctrplan.planning.endings import SHAPE, Settled, oscillation, settle, turnings
 from ctrplan.planning.reordering import (
     as_given,
     assemble,
@@ -145,7 +145,8 @@ def test_compensation_brings_the_predicted_tip_to_the_target(turned_last: Array)
     case = pair(f"goal={{tip_mm={target.round(3).tolist()}, tolerance_mm=1}}")
     checker = MotionChecker(case)
     before = certify(case, turned_last)
-    corners, after, compensation = compensate(checker, turned_last, before)
+    result = compensate(checker, turned_last, before)
+    corners, after, compensation = result.corners, result.certificate, result.compensation
     assert after.valid and not compensation.note
     assert compensation.error_without_m > 4e-3 and compensation.error_with_m < 0.1e-3
     end = predict(robot, corners, start_states(case)).tip_m[:, -1]
@@ -159,7 +160,7 @@ def test_what_settling_changed_is_what_is_compared(
 ) -> None:
     given = as_given(checker, turned_last)
     plan = assemble(
-        checker.scenario, [given], settled.certificate, planner="given path", seed=0, time_s=0.0, end=settled.corners
+        checker.scenario, [given], settled.certificate, planner="given path", seed=0, time_s=0.0, ends=[settled.corners]
     )
     ways = {other.name: other for other in plan.reorder.alternatives}
     assert ways["as driven"].length_mm == pytest.approx(plan.certificate.length_mm)
@@ -175,9 +176,11 @@ def test_correction_keeps_the_kinds_of_legs() -> None:
     np.testing.assert_allclose(np.diff(alone, axis=0), [[1.0, 3.2, 0], [0, 0, 0.001]], atol=1e-12)
 
 
-def test_compensation_needs_a_tip_to_bring_somewhere() -> None:
-    with pytest.raises(InputError, match="no single tip position"):
-        ctrplan.plan(pair(), compensated=True)
+def test_a_goal_in_joint_values_is_driven_to_as_it_is() -> None:
+    plan = ctrplan.plan(pair())
+    assert plan.compensation is None
+    turned = plan.waypoints[-1] - plan.scenario.goal.joints
+    np.testing.assert_allclose(turned / np.array([2 * np.pi, 2 * np.pi, 1]), np.round(turned / 2 / np.pi), atol=1e-9)
 
 
 def test_what_is_known_of_the_start_lowers_predictions_and_no_bound() -> None:

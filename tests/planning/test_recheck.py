@@ -133,7 +133,7 @@ def test_a_path_that_is_not_valid_is_confirmed_not_to_be(scenario: Scenario) -> 
 def test_stages_are_walked_again_one_by_one(scenario: Scenario) -> None:
     middle, end = scenario.start + TURN_RAD_M / 2, scenario.start + TURN_RAD_M
     first = certify(replace(scenario, goal=Goal(middle, None, 1e-3)), np.array([scenario.start, middle]))
-    second = certify(replace(scenario, start=middle), np.array([middle, end]))
+    second = certify(replace(scenario, start=middle), np.array([middle, end]), starts=first.end_states)
     joined = joined_certificates([first, second])
     assert joined.recheck().is_confirmed
     assert not replace(joined, cost_mm=first.cost_mm).recheck().is_confirmed

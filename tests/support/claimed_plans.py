@@ -16,7 +16,7 @@ from ctrplan.certificate.certify import certify
 from ctrplan.drive.trajectory import time_parameterise
 from ctrplan.plans.plan import Plan
 from ctrplan.plans.planned_motion import Leg, ReorderReport, leg_kind
-from ctrplan.scenario.bare_scenario import bare_scenario
+from ctrplan.scenario.joint_space import bare_scenario
 from ctrplan.scenario.scenario import Scenario
 
 

@@ -12,7 +12,7 @@ from made_up_input import assert_names_the_fault
 from ctrplan.errors import InputError
 from ctrplan.files.robot_file import load_robot, robot_from_dict
 from ctrplan.mechanics.shapes import Status
-from ctrplan.scenario.bare_scenario import bare_scenario
+from ctrplan.scenario.joint_space import bare_scenario
 
 
 def nested_tubes(count: int) -> dict[str, Any]:
