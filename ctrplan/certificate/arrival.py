@@ -48,6 +48,7 @@ FORGETS_TURN_RAD, FORGETS_SLIDE_M = 1.0, 6e-3  # of a pair, which leave nothing 
 ROUNDING = 1e-9  # rad or m by which joints at rest may differ
 MOST_RESTARTS = 3  # waypoints that are tried, a budget
 LAST_LEGS = 2  # whose inexact execution is simulated: those before leave next to nothing, a budget
+MATTERS = 0.05  # share of the largest cause below which another is not worth a word
 MOST_CORNERS = 16  # robots at ends of their friction intervals, a budget
 
 
@@ -60,7 +61,7 @@ def _cause(words: str) -> float:
 class ArrivalCauses:
     """The arrival error [m] by cause; the shares add up to it."""
 
-    offset_m: float = _cause("the known offset of friction, not compensated")
+    offset_m: float = _cause("what is left of the known offset")
     past_m: float = _cause("friction states before the motion")
     coefficients_m: float = _cause("coefficients of friction")
     memory_m: float = _cause("what contacts keep after slip")
@@ -76,6 +77,12 @@ class ArrivalCauses:
         """Words and share of each cause that has one, the largest first."""
         named = [(entry.metadata["words"], float(getattr(self, entry.name))) for entry in fields(self)]
         return sorted(((words, share) for words, share in named if not share <= 0), key=lambda pair: -pair[1])
+
+    @property
+    def told(self) -> list[tuple[str, float]]:
+        """The largest of them: those that matter beside the first."""
+        ranked = self.ranked
+        return [(words, share) for words, share in ranked if share >= MATTERS * ranked[0][1]]
 
     @property
     def total_m(self) -> float:

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from ctrplan.files.trajectory_file import TrajectoryFormat
     from ctrplan.plans.plan import Plan
 
+MAY_MISS = 3  # exit code: a safe plan was written, which may miss its target or is short of a requirement
 FORMATS = ("csv", "ros2")  # of the trajectory, where --formats says nothing
 
 
@@ -34,7 +35,7 @@ DESCRIPTION = (
 EXAMPLES = """examples:
   ctrplan plan scenarios/vessel.toml -o out
   ctrplan plan scenarios/ribs.toml -o out --time 10 --seed 3
-  ctrplan plan scenarios/ribs.toml -o out --compensate --set 'planner.settle="oscillate"'
+  ctrplan plan scenarios/ribs.toml -o out --set 'planner.settle="oscillate"'
   ctrplan plan scenarios/ribs.toml -o out --set cost.error_goal=0 --set robot.contact.1.friction_coefficient=0.3
 """
 
@@ -52,9 +53,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="seconds of search by the clock (default: work that takes about the scenario's planner.time_s)",
     )
     parser.add_argument(
-        "--compensate",
+        "--no-compensation",
         action="store_true",
-        help="command joints so that the tip predicted with friction arrives, not the frictionless one",
+        help="let the frictionless tip arrive, not the one that friction moves",
     )
     parser.add_argument(
         "--formats",
@@ -77,6 +78,7 @@ def run(arguments: argparse.Namespace) -> int:
         from ctrplan.pipeline.installed import plan_range_notes
         from ctrplan.planning import plan
         from ctrplan.reports.plan_page import plan_outputs
+        from ctrplan.reports.plan_words import standing
 
         scenario = load_scenario(arguments.scenario, arguments.overrides, allow_outside=arguments.allow_outside)
         formats = trajectory_formats(arguments.formats)
@@ -91,13 +93,15 @@ def run(arguments: argparse.Namespace) -> int:
                 time_s=arguments.time,
                 progress=bar.update,
                 interrupted=interrupted,
-                compensated=arguments.compensate,
+                compensated=not arguments.no_compensation,
             )
         result.save(folder, arguments.formats)
         warn(plan_range_notes(scenario.robot, result.waypoints))
         print(_summary(folder, result, formats))
         warn(f"{folder / name} is of an earlier plan." for name in left_over(folder, formats))
-        return INTERRUPTED if interrupted.is_set() else 0
+        if interrupted.is_set():
+            return INTERRUPTED
+        return 0 if standing(result) == "good" else MAY_MISS
 
 
 def _summary(folder: Path, plan: Plan, formats: Sequence[TrajectoryFormat]) -> str:
@@ -147,7 +151,7 @@ def _figures(plan: Plan) -> dict[str, str]:
     from ctrplan.certificate.certificate import FIGURES
     from ctrplan.reports.uncertainty_words import uncertainty_rows
 
-    certificate, reordered, lines = plan.certificate, plan.reorder, _misses(plan)
+    certificate, reordered, lines = plan.certificate, plan.reorder, _arrivals(plan)
     for name, figure in FIGURES.items():
         (label, around), value = figure.line, getattr(certificate, name)
         if name == "min_clearance_m":
@@ -170,15 +174,20 @@ def _clearances(plan: Plan) -> dict[str, str]:
     return {**(rows or {"clearance": "free space"}), "friction before the start": start}
 
 
-def _misses(plan: Plan) -> dict[str, str]:
-    """Each target's distance at worst beside its tolerance, amber on a terminal where it is beyond."""
-    from ctrplan.reports.plan_words import worst_misses
+def _arrivals(plan: Plan) -> dict[str, str]:
+    """How near each target the motion brings the tip, amber on a terminal where that is beyond the tolerance."""
+    from ctrplan.reports.plan_words import restart_words, target_arrivals
 
     texts = {}
-    for miss in worst_misses(plan):
-        text = miss.sentence.removeprefix("at worst the tip ends ")
-        label = "tip at worst" if miss.target == "the target" else f"at worst at {miss.target.split(' (')[0]}"
-        texts[label] = amber(text) if miss.exceeds else text
+    for arrival in target_arrivals(plan):
+        label = "arrival" if arrival.target == "the target" else f"at {arrival.target.split(' (')[0]}"
+        before_m = arrival.corrected_from_m
+        corrected = f" ({before_m * 1e3:.2f} mm before the end was corrected)" if before_m is not None else ""
+        texts[label] = (amber if arrival.exceeds else str)(arrival.sentence + corrected)
+    if plan.certificate.arrival:
+        causes = plan.certificate.arrival.by_cause.told
+        texts["arrival error by cause"] = ", ".join(f"{share * 1e3:.3f} mm {words}" for words, share in causes)
+        texts["interrupted"] = f"begin again {restart_words(plan)}"
     return texts
 
 
@@ -194,7 +203,6 @@ def _extras(plan: Plan) -> dict[str, str]:
         before_mm, after_mm = settling.goal_predicted_before_m * 1e3, settling.goal_predicted_after_m * 1e3
         turn = f"{math.degrees(settling.amplitude_rad):.0f} deg in {settling_duration_s(plan):.0f} s"
         lines["settling oscillation"] = f"{turn}, predicted error {before_mm:.2f} to {after_mm:.2f} mm"
-    if compensation:
-        without_mm, with_mm = compensation.error_without_m * 1e3, compensation.error_with_m * 1e3
-        lines["predicted tip to target"] = f"{with_mm:.2f} mm, {without_mm:.2f} mm without compensation"
+    if compensation and compensation.note:
+        lines["not compensated"] = compensation.note
     return lines

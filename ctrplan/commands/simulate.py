@@ -103,10 +103,12 @@ DESCRIPTION = (
     "frictionless tip, deviation, bound, friction states, snaps) and simulate.png."
 )
 EXAMPLES = """PATH.csv has a header and a row per waypoint: theta_1_rad ... and l_1_m ..., base rotations and
-translations of the tubes, outermost first; optionally sequence (runs that are approached afresh) and time_s.
+translations of the tubes, outermost first; optionally sequence (runs that are approached afresh) and time_s. The
+trajectory.csv of a plan is read as it is.
 
 examples:
   ctrplan simulate scenarios/robots/three_tube.toml path.csv -o out
+  ctrplan simulate scenarios/robots/three_tube.toml plan/trajectory.csv -o out
   ctrplan simulate scenarios/robots/three_tube.toml path.csv -o out --start oscillated
   ctrplan simulate scenarios/robots/three_tube.toml path.csv -o out --start +1,-1
   ctrplan simulate scenarios/robots/three_tube.toml path.csv -o out --igtl 18944

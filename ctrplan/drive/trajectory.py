@@ -12,8 +12,8 @@ slowest joint's own optimum, below which no motion can go, so that both agree (b
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -60,6 +60,7 @@ class Trajectory:
     duration_s: float
     stops: int  # rests between start and end: L - 1
     is_rotation: NDArray[np.bool_]  # (m,)
+    marks: Mapping[str, NDArray[np.int_]] = field(default_factory=dict)  # (T,) columns that a table carries besides
 
 
 @checked(drive=Made("Drive"), period_s=PERIOD)

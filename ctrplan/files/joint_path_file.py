@@ -2,7 +2,7 @@
 
 Columns, in any order: theta_1_rad ... theta_n_rad and l_1_m ... l_n_m, outermost tube first; optionally sequence (a run
 that is approached afresh) and time_s. Others serve the effects that need them. Files of measurements are such paths as
-well, read by the same rules.
+well, read by the same rules. So is the trajectory.csv of a plan, whose columns are those of the drive's joints.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
+from ctrplan.drive.drive import Drive
 from ctrplan.files.mapping_file import Source, sources
 from ctrplan.measurement.joint_path import JointPath, joined_paths, jumps, looks_wrapped, unwrapped
 from ctrplan.robot.robot import Robot, nesting_violation
@@ -33,6 +34,12 @@ def joint_columns(n: int) -> tuple[list[str], list[str]]:
     return [f"theta_{i}_rad" for i in tubes], [f"l_{i}_m" for i in tubes]
 
 
+def played_columns(drive: Drive) -> list[str]:
+    """Names of the columns of a plan's trajectory.csv with the positions of the drive's joints."""
+    kinds = zip(drive.names, drive.is_rotation.tolist(), strict=True)
+    return [f"{'_'.join(name.split())}_position_{'rad' if rotates else 'm'}" for name, rotates in kinds]
+
+
 def load_joint_path(path: str | os.PathLike[str], robot: Robot) -> JointPath:
     """The waypoints of a CSV or mapping file that goes with `robot`; InputError for what is malformed."""
     return joined_paths([joint_path(source, robot) for source in sources(path, robot, "joint path")])
@@ -42,9 +49,15 @@ def joint_path(source: Source, robot: Robot, needed: Sequence[str] = (), known: 
     """The waypoints of `robot` in a table, checked; `needed` are columns that must be there besides, `known` may be."""
     table = source.table
     rotations, translations = joint_columns(robot.n)
-    _check_columns(table, robot.n, (*rotations, *translations, *needed))
-    theta = np.column_stack([table.numbers(name) for name in rotations])
-    l = np.column_stack([table.numbers(name) for name in translations])  # noqa: E741 (as in the equations)
+    played = played_columns(robot.drive)
+    if rotations[0] not in table.header and all(name in table.header for name in played):  # trajectory.csv of a plan
+        theta, l = robot.drive.commanded(np.column_stack([table.numbers(name) for name in played]))  # noqa: E741
+        _check_columns(table, robot.n, needed)
+        known = (*known, *table.header)
+    else:
+        _check_columns(table, robot.n, (*rotations, *translations, *needed))
+        theta = np.column_stack([table.numbers(name) for name in rotations])
+        l = np.column_stack([table.numbers(name) for name in translations])  # noqa: E741 (as in the equations)
     sequence = table.numbers("sequence") if "sequence" in table.header else np.zeros(len(theta))
     time_s = table.numbers("time_s") if "time_s" in table.header else None
     _check_order(table, sequence, time_s)

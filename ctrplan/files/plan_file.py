@@ -17,6 +17,7 @@ from ctrplan.base.arrays import Array
 from ctrplan.certificate.certificate import FIGURES, Closest
 from ctrplan.drive.drive import Drive
 from ctrplan.errors import InputError
+from ctrplan.files.joint_path_file import played_columns
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.plans.plan import SCHEMA_VERSION, SI_UNITS, Plan, plan_to_json
 from ctrplan.scenario.scenario import Scenario
@@ -132,8 +133,7 @@ def played_samples(path: str | os.PathLike[str], drive: Drive) -> tuple[Array, A
     Raises InputError, one sentence with row and column, for what is missing, no finite number, or out of order.
     """
     table = CsvTable(file_name(path, "a trajectory.csv"), "trajectory")
-    joints = zip(drive.names, drive.is_rotation.tolist(), strict=True)
-    columns = [f"{'_'.join(name.split())}_position_{'rad' if rotates else 'm'}" for name, rotates in joints]
+    columns = played_columns(drive)
     for name in ("time_s", *columns):
         if name not in table.header:
             raise table.fault("is missing", column=name)

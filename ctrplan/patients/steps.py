@@ -72,7 +72,7 @@ from ctrplan.planning.place import Placement, place
 from ctrplan.planning.planner import plan
 from ctrplan.planning.search.stage_search import Progress
 from ctrplan.plans.plan import Plan
-from ctrplan.reports.plan_words import worst_miss
+from ctrplan.reports.plan_words import worst_arrival
 from ctrplan.scenario.joint_space import retracted
 from ctrplan.scenario.scenario import Scenario
 from ctrplan.storage.csv_table import CsvTable
@@ -377,11 +377,11 @@ def _row(record: Record) -> int:
 
 
 def _sentence(made: Plan) -> str:
-    """Whether it is certified, where the tip ends at worst, and how near the robot comes."""
+    """Whether it is certified, where the tip arrives, and how near the robot comes."""
     certificate = made.certificate
-    miss = worst_miss(made)
+    arrival = worst_arrival(made)
     parts = [f"{'certified' if certificate.valid else 'NOT certified'}, {len(made.legs)} legs"]
-    parts += [miss.sentence.rstrip(".")] if miss else []
+    parts += [arrival.sentence] if arrival else []
     if math.isfinite(certificate.min_clearance_m):
         parts.append(f"clearance {certificate.min_clearance_m * MM_PER_M:.2f} mm beyond the margins")
     return "; ".join(parts)

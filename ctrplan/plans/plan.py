@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from ctrplan.plans.planned_motion import Leg
     from ctrplan.scenario.scenario import Goal, Scenario
 
-SCHEMA_VERSION = 3  # rises when a key changes its meaning or goes
+SCHEMA_VERSION = 4  # rises when a key changes its meaning or goes
 SI_UNITS = {"deg": "rad", "mm": "m"}
 
 

@@ -6,7 +6,7 @@ leader.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Literal, Protocol
 
 import numpy as np
@@ -142,6 +142,22 @@ def leg_end_s(plan: PlannedMotion) -> Array:
     return _time_at(plan, _travelled(plan, plan.waypoints)[1:])
 
 
+def marked_trajectory(plan: PlannedMotion) -> Trajectory:
+    """The trajectory with the leg of each sample, from 1, whether a pair of tubes forgets its friction on that leg, and
+    the sample from which an interrupted run begins again.
+    """
+    trajectory, arrival, ends = plan.trajectory, plan.certificate.arrival, leg_end_s(plan)
+    leg = np.minimum(np.searchsorted(ends, trajectory.time_s - BETWEEN_SAMPLES_S), len(ends) - 1)
+    erasing = [pair.leg for pair in arrival.erased if pair.leg is not None] if arrival else []
+    restart = np.zeros(len(leg), dtype=np.int_)
+    if arrival and arrival.restart is not None:
+        begins_s = ends[arrival.restart - 1] if arrival.restart else 0.0
+        restart[int(np.searchsorted(trajectory.time_s, begins_s - BETWEEN_SAMPLES_S))] = 1
+    return replace(
+        trajectory, marks={"leg": leg + 1, "erases": np.isin(leg, erasing).astype(np.int_), "restart": restart}
+    )
+
+
 def settling_duration_s(plan: PlannedMotion) -> float:
     """How long [s] the oscillation takes that ends the plan; 0 without one."""
     settling = plan.certificate.settling
@@ -167,6 +183,7 @@ def _travelled(plan: PlannedMotion, joints: Array) -> Array:
     return np.concatenate([[0.0], np.cumsum(steps)])
 
 
+BETWEEN_SAMPLES_S = 1e-9  # by which instants may differ that are one
 POSES = 60
 LEAST_SHARE = 0.4  # of the body's length in front of the plate at the end that came out on the way: else no insertion
 

@@ -119,12 +119,13 @@ def timeline(plan: Plan) -> Timeline:
 
 
 def error_panel(plan: Plan) -> Panel:
-    """How far friction takes the tip [mm]: worst case, prediction, the value at the goal and what is allowed there."""
+    """How far friction takes the tip [mm]: worst case, prediction, how much of it the past may change, the value at the goal and what is allowed there."""
     samples, limit_m = plan.certificate.samples, plan.scenario.cost.max_error_goal_m
     time_s, bound_mm = sample_time_s(plan), samples.bound_m * MM_PER_M
     series = (
         Series("worst case", time_s, bound_mm, looks.BOUND),
         Series("predicted by history", time_s, samples.predicted_m * MM_PER_M, looks.BOUND, "dotted"),
+        Series("unknown of its past", time_s, samples.spread_m * MM_PER_M, looks.INK, "dotted"),
     )
     stated_m = plan.certificate.goal_bound_m
     at_goal = Mark(f"at the goal\n{millimetres(stated_m)}", stated_m * MM_PER_M, looks.GOAL, True)

@@ -28,7 +28,6 @@ from ctrplan.planning.reach import reach
 from ctrplan.plans.planned_motion import Played, joints_at
 from ctrplan.reports import looks as looks
 from ctrplan.reports.looks import view_box
-from ctrplan.reports.plan_words import WorstMiss
 from ctrplan.reports.robot_surface import RobotPose, anatomy_surface, pose, stand
 from ctrplan.reports.scene_traces import anatomy_traces, lay_out, mesh_trace, moved_traces, robot_traces, xyz
 from ctrplan.scenario.tip_solver import TipTarget
@@ -224,12 +223,12 @@ class LiveState:
             return None
         free_m, robot = float(np.linalg.norm(tip_m - goal.tip_m)), self.scenario.robot
         play_m = play_shift(robot, *robot.drive.collars(joints))
-        miss = WorstMiss("the target", free_m, bound_m, play_m, goal.tolerance_m)
+        worst_m = free_m + bound_m + play_m
         return {
-            "free_mm": miss.without_friction_m * 1e3,
-            "worst_mm": _finite(miss.total_m * 1e3),
+            "free_mm": free_m * 1e3,
+            "worst_mm": _finite(worst_m * 1e3),
             "tolerance_mm": goal.tolerance_m * 1e3,
-            "exceeds": miss.exceeds,
+            "exceeds": not worst_m <= goal.tolerance_m,
         }
 
     def _refusal(self, reason: str) -> str:

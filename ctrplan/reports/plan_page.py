@@ -13,7 +13,7 @@ import numpy as np
 from ctrplan.certificate.certificate import FIGURES
 from ctrplan.files.trajectory_file import TrajectoryFormat, trajectory_formats, write_trajectory
 from ctrplan.plans.plan import Plan, write_plan_json
-from ctrplan.plans.planned_motion import leg_end_s
+from ctrplan.plans.planned_motion import leg_end_s, marked_trajectory
 from ctrplan.reports.curves import (
     direction_panel,
     error_panel,
@@ -28,15 +28,14 @@ from ctrplan.reports.plan_motion import WAY_NAMES, clearance_section, shown_moti
 from ctrplan.reports.plan_picture import write_plan_png
 from ctrplan.reports.plan_scene import plan_scene
 from ctrplan.reports.plan_words import (
-    MEANING,
     certificate_in_words,
     certificate_rows,
     standing,
     verdict,
-    worst_miss,
+    worst_arrival,
 )
 from ctrplan.reports.uncertainty_words import stated_in_words, uncertainty_rows
-from ctrplan.reports.words import VALUES, Markup, digits, millimetres, term
+from ctrplan.reports.words import MEANING, VALUES, Markup, digits, millimetres, term
 from ctrplan.storage.output_folder import output_folder, write_atomically, written_together
 
 if TYPE_CHECKING:
@@ -47,7 +46,7 @@ if TYPE_CHECKING:
 
 
 WORDS = (
-    "worst-case friction error", "predicted friction error", "worst case at the target", "tolerance",
+    "worst-case friction error", "predicted friction error", "arrival", "restart", "tolerance",
     "envelope of friction", "corner shapes", "friction state", "clearance", "clearance without friction",
     "clearance in the worst friction state", "certified clearance", "stability", "strain", "play", "Coulomb friction",
 )  # fmt: skip
@@ -82,6 +81,7 @@ def plan_report_html(scene: PlanScene) -> str:
         joints=plot(joints_figure(plan), "joints", kind="plot twin"),
         ends_s=leg_end_s(plan),
         moves=partial(_moves, plan),
+        leg_remarks=partial(_leg_remarks, plan),
         reordered=_reordered(plan.reorder),
         counted=_counted,
         MEANING=MEANING,
@@ -105,6 +105,18 @@ def _moves(plan: Plan, leg: Leg) -> Iterator[str]:
         if a != b:
             unit = "°" if joint.unit == "deg" else f" {joint.unit}"
             yield f"{joint.name}: {a / joint.si_per_unit:.2f}{unit} → {b / joint.si_per_unit:.2f}{unit}"
+
+
+def _leg_remarks(plan: Plan, number: int) -> Iterator[str]:
+    """Which pairs forget their friction on a leg, from 1, and whether an interrupted run begins there again."""
+    arrival = plan.certificate.arrival
+    if arrival is None:
+        return
+    if arrival.restart == number - 1:
+        yield "an interrupted run begins here again"
+    for pair, erased in enumerate(arrival.erased, start=1):
+        if erased.leg == number - 1:
+            yield f"tubes {pair} and {pair + 1} forget the friction before"
 
 
 def _reordered(report: ReorderReport) -> list[tuple[str, ...]]:
@@ -135,11 +147,11 @@ def joints_figure(plan: Plan) -> go.Figure:
 
 def _target_tiles(plan: Plan) -> Iterator[tuple[str, str]]:
     """How far from its target the tip may end, beside what the scenario asks for."""
-    if miss := worst_miss(plan):
-        kind = "caution" if miss.exceeds else "good"
-        total = Markup(f'<span class="{kind}">{millimetres(miss.total_m)}</span>')
-        asked = f"from {miss.target} at worst; tolerance {millimetres(miss.tolerance_m)}"
-        yield total, term("worst case at the target", asked)
+    if arrival := worst_arrival(plan):
+        kind = "caution" if arrival.exceeds else "good"
+        distance = Markup(f'<span class="{kind}">{millimetres(arrival.error_m)}</span>')
+        asked = f"from {arrival.target} at the farthest arrival; tolerance {millimetres(arrival.tolerance_m)}"
+        yield distance, term("arrival", asked)
 
 
 def _figure_tiles(plan: Plan) -> Iterator[tuple[str, str]]:
@@ -175,7 +187,7 @@ def save_plan(plan: Plan, folder: str | os.PathLike[str], formats: Sequence[str]
     scene = plan_scene(plan)  # writers solve nothing
     with written_together(place, outputs) as made:
         write_plan_json(made / "plan.json", plan)
-        write_trajectory(made, plan.trajectory, chosen)
+        write_trajectory(made, marked_trajectory(plan), chosen)
         write_plan_png(made / "plan.png", scene)
         write_plan_report(made / "report.html", scene)
     return place

@@ -17,76 +17,114 @@ from ctrplan.reports.words import VALUES, degrees, digits, millimetres
 
 if TYPE_CHECKING:
     from ctrplan.base.arrays import Array
-    from ctrplan.certificate.certificate import Closest, Figure, TargetReached
+    from ctrplan.certificate.arrival import Arrival
+    from ctrplan.certificate.certificate import Closest, Figure
     from ctrplan.plans.plan import Plan
-    from ctrplan.scenario.scenario import Goal
+    from ctrplan.scenario.scenario import StartFriction
+
+
+BEFORE = {
+    "unknown": "from any friction state before it",
+    "oscillated": "from the state that an oscillation leaves, as the scenario says",
+    "observed": "from the friction states that an observer found",
+    "released": "from a start without friction, as the scenario says",
+}
 
 
 @dataclass(frozen=True)
-class WorstMiss:
-    """How far the tip may end from a target in space at worst."""
+class TargetArrival:
+    """How near the motion brings the tip to a target in space, everything stated counted."""
 
     target: str  # "the target", or which of several
-    without_friction_m: float
-    friction_m: float  # the worst-case friction error
-    play_m: float
-    tolerance_m: float  # that the scenario asks of the tip without friction
-    parameters_m: float = 0.0  # what parameters within their stated intervals add
+    arrival: Arrival | None  # None where a history found no equilibrium
+    tolerance_m: float
+    direction_tolerance_rad: float | None
+    bound_m: float  # how far friction may push the tip once the robot moves on from there
+    start: StartFriction
+    by_model: bool  # nothing is stated of what real contacts keep after slip
+    corrected_from_m: float | None = None  # the arrival before the end of the motion was corrected
 
     @property
-    def total_m(self) -> float:
-        """The robot model's own error is not in it, nor how well the base is registered."""
-        return self.without_friction_m + self.friction_m + self.parameters_m + self.play_m
+    def error_m(self) -> float:
+        """Worst distance from the target; inf where nothing is known."""
+        return self.arrival.error_m if self.arrival else math.inf
+
+    @property
+    def is_turned(self) -> bool:
+        """Whether the tip's direction may be off by more than its tolerance."""
+        most = self.direction_tolerance_rad
+        return most is not None and not (self.arrival is not None and self.arrival.error_rad <= most)
 
     @property
     def exceeds(self) -> bool:
-        """Whether the tip may end farther away than the tolerance; also where the distance is not a number."""
-        return not self.total_m <= self.tolerance_m
+        """Whether the target may be missed; also where the distance is not a number."""
+        return not self.error_m <= self.tolerance_m or self.is_turned
 
     @property
-    def beyond_m(self) -> float:
-        """How far beyond the tolerance, inf where the distance is not a number."""
-        return math.inf if math.isnan(self.total_m) else self.total_m - self.tolerance_m
+    def beyond(self) -> float:
+        """How far beyond the tolerances, as a share of them; inf where that is not a number."""
+        shares = [self.error_m / self.tolerance_m]
+        if self.arrival and self.direction_tolerance_rad:
+            shares.append(self.arrival.error_rad / self.direction_tolerance_rad)
+        return math.inf if any(map(math.isnan, shares)) else max(shares)
 
     @property
     def sentence(self) -> str:
-        """Total beside tolerance, and what it is made of."""
-        relation = "above" if self.exceeds else "within"
-        parts = [f"{millimetres(self.without_friction_m)} without friction", f"{millimetres(self.friction_m)} by it"]
-        parts += [f"{millimetres(self.parameters_m)} by uncertain parameters"] if self.parameters_m else []
-        parts += [f"{millimetres(self.play_m)} by play"] if self.play_m else []
-        return (
-            f"at worst the tip ends {millimetres(self.total_m)} from {self.target}, {relation} the tolerance of "
-            f"{millimetres(self.tolerance_m)} ({', '.join(parts)})"
+        """The distance and what it holds for; where it is too large, by what."""
+        distance, tolerance = millimetres(self.error_m), f"tolerance {millimetres(self.tolerance_m)}"
+        before, model = BEFORE[self.start], "by the model, " if self.by_model and self._forgets else ""
+        if not self.error_m <= self.tolerance_m:
+            return f"{model}may end {distance} from {self.target} {before}, {tolerance}{self._causes}"
+        if self.is_turned and self.arrival and self.direction_tolerance_rad:
+            turned, most = degrees(self.arrival.error_rad), degrees(self.direction_tolerance_rad)
+            return f"{model}may be turned by {turned} at {self.target} {before}, tolerance {most}"
+        return f"{model}arrives within {distance} of {self.target} {before}, {tolerance}"
+
+    @property
+    def afterwards(self) -> str:
+        """What friction may do once the robot moves on."""
+        return f"moved on from there, friction can push it by up to {millimetres(self.bound_m)}"
+
+    @property
+    def _causes(self) -> str:
+        causes = self.arrival.by_cause.told if self.arrival else []
+        return f": {', '.join(f'{millimetres(share)} by {words}' for words, share in causes)}" if causes else ""
+
+    @property
+    def _forgets(self) -> bool:
+        return self.arrival is not None and self.start == "unknown" and self.arrival.spread_m < self.tolerance_m
+
+
+def target_arrivals(plan: Plan) -> tuple[TargetArrival, ...]:
+    """Arrivals at every target in space, in the order reached, the goal last; none for goals in joint values."""
+    certificate, scenario, results = plan.certificate, plan.scenario, []
+    targets = scenario.targets[-len(certificate.targets) :]
+    for number, (goal, at) in enumerate(zip(targets, certificate.targets, strict=True), start=1):
+        if goal.tip_m is None:
+            continue
+        is_last = goal is scenario.goal
+        name = "the target" if is_last else f"target {number}{f' ({goal.name})' if goal.name else ''}"
+        compensation = plan.compensation if is_last else None
+        results.append(
+            TargetArrival(
+                target=name,
+                arrival=certificate.arrival if is_last else at.arrival,
+                tolerance_m=goal.tolerance_m,
+                direction_tolerance_rad=goal.direction_tolerance_rad,
+                bound_m=certificate.goal_bound_m if is_last else at.bound_m,
+                start=certificate.start_friction,
+                by_model=not scenario.robot.friction_memory,
+                corrected_from_m=compensation.error_without_m if compensation and not compensation.note else None,
+            )
         )
+    return tuple(results)
 
 
-def worst_misses(plan: Plan) -> tuple[WorstMiss, ...]:
-    """Worst misses of every target in space, in the order reached, the goal last; none for a goal in joint values."""
-    certificate, scenario, result = plan.certificate, plan.scenario, []
-    for number, (goal, at) in enumerate(zip(scenario.via, certificate.targets, strict=False), start=1):
-        if goal.tip_m is not None:
-            name = f"target {number}{f' ({goal.name})' if goal.name else ''}"
-            result.append(_miss(plan, name, goal, at))
-    if scenario.goal.tip_m is not None:
-        off, friction, play = certificate.goal_tip_error_m, certificate.goal_bound_m, certificate.goal_play_m
-        parameters = float(certificate.samples.parameter_bound_m[-1])
-        tolerance = scenario.goal.tolerance_m
-        result.append(WorstMiss("the target", off, friction - parameters, play, tolerance, parameters))
-    return tuple(result)
-
-
-def _miss(plan: Plan, name: str, goal: Goal, at: TargetReached) -> WorstMiss:
-    samples = plan.certificate.samples
-    parameters = float(samples.parameter_bound_m[samples.leg <= at.leg][-1])
-    return WorstMiss(name, at.tip_error_m, at.bound_m - parameters, at.play_m, goal.tolerance_m, parameters)
-
-
-def worst_miss(plan: Plan) -> WorstMiss | None:
+def worst_arrival(plan: Plan) -> TargetArrival | None:
     """The one farthest beyond its tolerance, else that of the goal; None where there is none."""
-    misses = worst_misses(plan)
-    beyond = [miss for miss in misses if miss.exceeds]
-    return max(beyond, key=lambda miss: miss.beyond_m) if beyond else misses[-1] if misses else None
+    arrivals = target_arrivals(plan)
+    beyond = [arrival for arrival in arrivals if arrival.exceeds]
+    return max(beyond, key=lambda arrival: arrival.beyond) if beyond else arrivals[-1] if arrivals else None
 
 
 Kind = Literal["nominal", "closest", "narrowest"]  # as the certificate calls them
@@ -195,27 +233,46 @@ def _limit_words(figure: Figure, limit: float) -> str:
 
 
 def _at_targets(plan: Plan) -> list[CertificateRow]:
-    """Distances from targets in space without friction and at worst, with compensation and settling."""
-    scenario, compensation = plan.scenario, plan.compensation
+    """Arrivals at targets in space with their causes, where an interrupted run begins again, settling."""
+    scenario, compensation, certificate = plan.scenario, plan.compensation, plan.certificate
     rows = []
-    if scenario.goal.tip_m is not None and (compensation is None or compensation.note):
+    if scenario.goal.tip_m is not None and not (compensation and compensation.correction.any()):
         rows.append(_row(plan, "goal_tip_error_m"))
-    rows += [
-        CertificateRow(
-            f"Distance from {miss.target} at worst, with friction{' and play' if miss.play_m else ''}",
-            millimetres(miss.total_m),
-            f"tolerance {millimetres(miss.tolerance_m)}",
-            caution=miss.exceeds,
-        )
-        for miss in worst_misses(plan)
-    ]
-    if compensation:
-        without = f"Predicted distance from the goal (without compensation {millimetres(compensation.error_without_m)})"
-        left_m, most_m = compensation.error_with_m, scenario.goal.tolerance_m
-        rows.append(
-            CertificateRow(without, millimetres(left_m), f"at most {millimetres(most_m)}", bool(left_m <= most_m))
-        )
+    for arrival in target_arrivals(plan):
+        tolerance = f"tolerance {millimetres(arrival.tolerance_m)}"
+        met = None if arrival.exceeds else True
+        quantity = f"Farthest arrival from {arrival.target}"
+        rows.append(CertificateRow(quantity, millimetres(arrival.error_m), tolerance, met, caution=arrival.exceeds))
+    if certificate.arrival:
+        rows += [CertificateRow(f"  by {words}", millimetres(m)) for words, m in certificate.arrival.by_cause.told]
+        rows.append(CertificateRow("Friction before the motion is forgotten", _forgotten(plan)))
+        rows.append(CertificateRow("An interrupted run begins again", restart_words(plan)))
     return rows + _settling(plan)
+
+
+def _forgotten(plan: Plan) -> str:
+    """By which legs each pair of tubes forgets."""
+    arrival = plan.certificate.arrival
+    assert arrival is not None
+    parts = []
+    for pair, erased in enumerate(arrival.erased, start=1):
+        tubes = f"tubes {pair} and {pair + 1}"
+        if erased.leg is not None:
+            slip = f"{degrees(erased.turned_rad)} and {millimetres(erased.slid_m)} of slip"
+            parts.append(f"{tubes} on leg {erased.leg + 1} after {slip}")
+        elif erased.kept:
+            parts.append(f"{tubes} keep {100 * erased.kept:.0f} %")
+        else:
+            parts.append(f"{tubes} know none")
+    return "; ".join(parts) or "there is none"
+
+
+def restart_words(plan: Plan) -> str:
+    """From where, in words."""
+    arrival = plan.certificate.arrival
+    if arrival is None or arrival.restart is None:
+        return "from a start in the friction state that the scenario states"
+    return f"from the end of leg {arrival.restart}" if arrival.restart else "from the start"
 
 
 def _settling(plan: Plan) -> list[CertificateRow]:
@@ -256,7 +313,7 @@ def verdict(plan: Plan) -> str:
         first = first[:1].lower() + first[1:]
         others = len(certificate.problems) - 1
         return f"Not certified: {first}{f' (and {others} more)' if others > 0 else ''}."
-    parts = [*_at_the_goal(plan), f"{millimetres(certificate.goal_predicted_m)} predicted by its history"]
+    parts = [*_at_the_goal(plan)]
     parts.append(f"worst case at most {millimetres(certificate.worst_bound_m)} along the path")
     if math.isfinite(certificate.min_clearance_m):
         parts.append(f"smallest clearance {millimetres(certificate.min_clearance_m)} beyond the margins")
@@ -264,15 +321,15 @@ def verdict(plan: Plan) -> str:
 
 
 def _at_the_goal(plan: Plan) -> Iterator[str]:
-    """The worst case there, of which the friction error is a part where the goal is a point."""
-    bound_m, limit_m, miss = plan.certificate.goal_bound_m, plan.scenario.cost.max_error_goal_m, worst_miss(plan)
-    if miss:
-        yield miss.sentence
+    """The arrival where the goal is a point, else the worst case there; and what is required of that."""
+    bound_m, limit_m, arrival = plan.certificate.goal_bound_m, plan.scenario.cost.max_error_goal_m, worst_arrival(plan)
+    if arrival:
+        yield f"{arrival.sentence}; {arrival.afterwards}"
     if limit_m is not None:
         relation = "within" if bound_m <= limit_m else "above"
         required = f" ({relation} the required {millimetres(limit_m)})"
         yield f"worst-case friction error at the goal {millimetres(bound_m)}{required}"
-    elif not miss:
+    elif not arrival:
         yield f"worst-case friction error at the goal {millimetres(bound_m)}"
 
 
@@ -280,7 +337,7 @@ def standing(plan: Plan) -> Standing:
     """What a plan's colour says: red where something required is not met, amber where a target may be missed."""
     if not is_acceptable(plan):
         return "bad"
-    return "caution" if any(miss.exceeds for miss in worst_misses(plan)) else "good"
+    return "caution" if any(arrival.exceeds for arrival in target_arrivals(plan)) else "good"
 
 
 def is_acceptable(plan: Plan) -> bool:
@@ -335,24 +392,17 @@ def _play(plan: Plan) -> str:
 
 
 def _reached(plan: Plan) -> str:
-    """What adds up at each target in space."""
+    """What the motion leaves at each target in space."""
     sentences = []
-    for number, (goal, target) in enumerate(
-        zip(plan.scenario.targets, plan.certificate.targets, strict=False), start=1
-    ):
-        if goal.tip_m is None:
-            continue
-        name = f"Target {number}{f' ({goal.name})' if goal.name else ''}" if plan.scenario.via else "The target"
-        total, model = target.tip_error_m + target.bound_m + target.play_m, plan.scenario.robot.model_error_m
-        causes = "it and the drive's play" if target.play_m else "it"
-        extra = f", the model's own error of {millimetres(model)} not counted" if model else ""
-        sentence = (
-            f"{name} is missed by {millimetres(target.tip_error_m)} without friction and by at most "
-            f"{millimetres(total)} with {causes}{extra}."
-        )
+    for arrival in target_arrivals(plan):
+        corrected = arrival.corrected_from_m
+        before = f", {millimetres(corrected)} before its end was corrected" if corrected is not None else ""
+        name = arrival.target[:1].upper() + arrival.target[1:]
+        sentences.append(f"{name}: driven as written the tip {arrival.sentence}{before}; {arrival.afterwards}.")
+    for target in plan.certificate.targets:
         if target.line_error_m is not None:
-            sentence += f" On its line the tip without friction strays by at most {millimetres(target.line_error_m)}."
-        sentences.append(sentence)
+            strays = millimetres(target.line_error_m)
+            sentences.append(f"On its line the tip without friction strays by at most {strays}.")
     return " ".join(sentences)
 
 
@@ -398,23 +448,3 @@ def _insertion(plan: Plan) -> str:
     if off is None:
         return ""
     return f"While it inserts itself, the body without friction stays within {millimetres(off)} of the tip's track."
-
-
-MEANING = (
-    "Friction between the tubes makes the robot's shape depend on how it got there: the same joint values can "
-    "give many shapes. At every sampled place of the path the model was solved without friction, and with "
-    "friction at its Coulomb limit in every combination of directions (the corner shapes). The worst-case "
-    "friction error is the largest distance of the tip in a corner shape from the tip without friction. The "
-    "envelope is that distance all along the robot, with the tubes' radius and the model error added.",
-    "Clearance, stability and strain are those of every friction state, not of these shapes alone: of the states "
-    "between them the certificate solves as many as it takes for what lies between solved shapes to be safe.",
-    "The predicted friction error follows the contacts' slip along this very path, from every friction state that the "
-    "robot may start in (released, and every corner); the largest counts. Rotations load friction, translations "
-    "release it, so that it is usually far below the worst case where a plan ends with a translation.",
-    "What the figures do not cover: the model is quasi-static (slow motion, no vibration), friction follows "
-    "Coulomb's law with the coefficients of the robot file, and nothing touches the robot from outside, neither "
-    "anatomy nor tools. They hold for the model as calibrated; what calibration could not explain is in the robot "
-    "file's model error and nowhere else. That no history of motion takes the tip beyond the corner shapes is "
-    "supported by trials, not proved; for bodies, friction that differs along a contact has an allowance that was "
-    "measured.",
-)

@@ -31,9 +31,11 @@ TERMS = {
     "without friction, whatever way it came there.",
     "predicted friction error": "The same distance for this very motion: the slip of every contact is followed along "
     "the path. It is no promise; the worst case is.",
-    "worst case at the target": "Distance of the target from the tip without friction, and the worst-case friction "
-    "error and the drive's play added to it.",
-    "tolerance": "How far from the target the tip may be without friction. The scenario asks for it.",
+    "arrival": "How far from the target the tip may be after this very motion, whatever friction was before it: with "
+    "all that the files state to be uncertain, and the drive's inexact execution.",
+    "restart": "The place of the motion from which a run that was interrupted begins again. From there on every pair "
+    "of tubes slips far enough to forget where it came from.",
+    "tolerance": "How far from the target the tip may arrive. The scenario asks for it.",
     "envelope of friction": "Space in which the robot is, whatever friction does: the tubes, thickened by the "
     "worst-case error at each place along them.",
     "corner shapes": "The robot with friction at its limit, one shape for each combination of directions.",
@@ -94,3 +96,29 @@ VALUES: dict[Unit, Callable[[float], str]] = {
     "number": digits,
     "count": str,
 }
+
+
+MEANING = (
+    "Friction between the tubes makes the robot's shape depend on how it got there: the same joint values can "
+    "give many shapes. At every sampled place of the path the model was solved without friction, and with "
+    "friction at its Coulomb limit in every combination of directions (the corner shapes). The worst-case "
+    "friction error is the largest distance of the tip in a corner shape from the tip without friction. The "
+    "envelope is that distance all along the robot, with the tubes' radius and the model error added.",
+    "Clearance, stability and strain are those of every friction state, not of these shapes alone: of the states "
+    "between them the certificate solves as many as it takes for what lies between solved shapes to be safe.",
+    "The predicted friction error follows the contacts' slip along this very path, from every friction state that the "
+    "robot may start in (released, and every corner); the largest counts. Rotations load friction, translations "
+    "release it, so that it is usually far below the worst case where a plan ends with a translation.",
+    "The arrival is where this motion brings the tip. Each pair of tubes forgets its past by its own slip: the "
+    "friction states that the robot may begin with, carried along the motion, become one where every pair slips far "
+    "enough. What is left is known beforehand, and the end of the motion is corrected by it. Coefficients of friction, "
+    "the drive's exactness, play, parameters and registration count as far as the files state them. It holds for the "
+    "motion driven as written; a run that was interrupted begins again where the table says. It is simulated, not "
+    "proved, and real contacts may keep some of what slip erases in the model.",
+    "What the figures do not cover: the model is quasi-static (slow motion, no vibration), friction follows "
+    "Coulomb's law with the coefficients of the robot file, and nothing touches the robot from outside, neither "
+    "anatomy nor tools. They hold for the model as calibrated; what calibration could not explain is in the robot "
+    "file's model error and nowhere else. That no history of motion takes the tip beyond the corner shapes is "
+    "supported by trials, not proved; for bodies, friction that differs along a contact has an allowance that was "
+    "measured.",
+)

@@ -14,14 +14,18 @@ from ctrplan.files.trajectory_file import register
 
 @register("csv", suffix=".csv")
 def trajectory_as_csv(trajectory: Trajectory) -> str:
-    """time_s and, joint by joint, position, velocity and acceleration (SI), so that reading returns every bit."""
+    """time_s and, joint by joint, position, velocity and acceleration (SI), so that reading returns every bit.
+
+    The trajectory's marks are whole-number columns after these.
+    """
     columns = [trajectory.position, trajectory.velocity, trajectory.acceleration]
     by_joint = np.stack(columns, axis=2).reshape(len(trajectory.time_s), -1)
-    table = np.column_stack([trajectory.time_s, by_joint])
+    table = np.column_stack([trajectory.time_s, by_joint]).tolist()
+    marks = np.array(list(trajectory.marks.values())).T.tolist() or [[]] * len(table)
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(trajectory_columns(trajectory))
-    writer.writerows(table.tolist())
+    writer.writerow([*trajectory_columns(trajectory), *trajectory.marks])
+    writer.writerows([*row, *marked] for row, marked in zip(table, marks, strict=True))
     return text.getvalue()
 
 

@@ -33,7 +33,7 @@ class PlanTask(TaskKind, frozen=True, kw_only=True):
     best: ClassVar[str] = "worst_mm"
 
     time_s: Annotated[float, Meta(gt=0, le=3600)] | None = None  # of search, by the clock
-    compensate: bool = False
+    compensate: bool = True
 
     def expected_s(self, robot: Robot, scenario: Scenario | None) -> float:
         search_s = self.time_s or (scenario.planner.time_s if scenario else 5.0)
@@ -68,7 +68,8 @@ def _numbers(result: Plan) -> Mapping[str, Any]:
         "duration_s": result.trajectory.duration_s,
     }
     if goal.tip_m is not None:
-        numbers["within_tolerance"] = bool(worst_m <= goal.tolerance_m)
+        arrival_m = certificate.arrival.error_m if certificate.arrival else np.inf
+        numbers |= {"arrival_mm": arrival_m * 1e3, "within_tolerance": bool(arrival_m <= goal.tolerance_m)}
     return {name: value.item() if isinstance(value, np.generic) else value for name, value in numbers.items()}
 
 
@@ -76,6 +77,7 @@ def _files(result: Plan, wanted: Sequence[str]) -> dict[str, bytes]:
     """What is asked for of the files of a plan's folder."""
     from ctrplan.files.trajectory_file import trajectory_formats, write_trajectory
     from ctrplan.plans.plan import write_plan_json
+    from ctrplan.plans.planned_motion import marked_trajectory
 
     if not wanted:
         return {}
@@ -83,7 +85,7 @@ def _files(result: Plan, wanted: Sequence[str]) -> dict[str, bytes]:
         made = Path(name)
         if set(wanted) <= {"plan.json", "trajectory.csv"}:
             write_plan_json(made / "plan.json", result)
-            write_trajectory(made, result.trajectory, trajectory_formats(["csv"]))
+            write_trajectory(made, marked_trajectory(result), trajectory_formats(["csv"]))
         else:
             result.save(made)
         return {name: (made / name).read_bytes() for name in wanted}
