@@ -119,7 +119,7 @@ def timeline(plan: Plan) -> Timeline:
 
 
 def error_panel(plan: Plan) -> Panel:
-    """How far friction takes the tip [mm]: worst case, prediction, how much of it the past may change, the value at the goal and what is allowed there."""
+    """Friction error of the tip [mm]: worst case, prediction, how much the past may change, what is allowed."""
     samples, limit_m = plan.certificate.samples, plan.scenario.cost.max_error_goal_m
     time_s, bound_mm = sample_time_s(plan), samples.bound_m * MM_PER_M
     series = (
