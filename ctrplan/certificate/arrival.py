@@ -227,6 +227,14 @@ def _all_end_at(robot: Robot, joints: Array, end_m: Array, starts: Sequence[Fric
     return bool(np.linalg.norm(tips - end_m, axis=1).max() <= TIP_TOLERANCE_M)
 
 
+def beside_nominal(scenario: Scenario, corners: Array, starts: Sequence[FrictionStart]) -> Array:
+    """(3,) [m] from the middle of the nominal robot's tips after a motion through corners (K, m) to that of all."""
+    nominal = predict(scenario.robot, corners, starts)
+    tips = [nominal.tip_m, *(variant.tip_m for variant in _coefficients(scenario, corners, nominal, starts))]
+    shift: Array = ball_centre(np.concatenate(tips)[:, -1]) - nominal.end_middle_m
+    return shift
+
+
 def _coefficients(
     scenario: Scenario, joints: Array, prediction: PathPrediction, starts: Sequence[FrictionStart]
 ) -> Iterator[PathPrediction]:

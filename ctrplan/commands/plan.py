@@ -4,7 +4,13 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Callable, Sequence
+import shlex
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,12 +23,16 @@ from ctrplan.commands.options import (
     add_set_option,
 )
 from ctrplan.commands.terminal import ProgressBar, amber, warn
+from ctrplan.errors import CtrplanError
 from ctrplan.storage.output_folder import output_folder
 
 if TYPE_CHECKING:
+    from ctrplan.certificate.arrival import Arrival
     from ctrplan.certificate.certificate import Unit
     from ctrplan.files.trajectory_file import TrajectoryFormat
     from ctrplan.plans.plan import Plan
+    from ctrplan.reports.plan_words import TargetArrival
+    from ctrplan.robot.robot import Robot
 
 MAY_MISS = 3  # exit code: a safe plan was written, which may miss its target or is short of a requirement
 FORMATS = ("csv", "ros2")  # of the trajectory, where --formats says nothing
@@ -101,7 +111,159 @@ def run(arguments: argparse.Namespace) -> int:
         warn(f"{folder / name} is of an earlier plan." for name in left_over(folder, formats))
         if interrupted.is_set():
             return INTERRUPTED
-        return 0 if standing(result) == "good" else MAY_MISS
+        if standing(result) == "good":
+            return 0
+        _print_levers(arguments, result, interrupted)
+        return MAY_MISS
+
+
+LEVERS_S = 10.0  # after which no other lever is looked for, a budget
+LEVER_SEARCH_S = 2.0  # of another search, a budget
+FINISH_S = 3.0  # that a plan takes after its search: later none is begun
+
+
+@dataclass(frozen=True)
+class Lever:
+    """Something that would bring the arrival nearer to its target: a plan, or an arrival, that was computed."""
+
+    what: str
+    error_m: float  # of the worst target's arrival with it
+    options: tuple[str, ...]  # to add to the command, or another command
+
+
+def levers(plan: Plan, seed: int, until_s: float, interrupted: threading.Event) -> Iterator[Lever]:
+    """What would help a plan that may miss its target, each computed, until a time of `time.monotonic`.
+
+    First what follows from the arrival's causes, then other endings, other plans and other bases, as long as there is
+    time. Setting `interrupted` ends a search.
+    """
+    from ctrplan.reports.plan_words import worst_arrival
+
+    worst = worst_arrival(plan)
+    if worst is None or worst.arrival is None:
+        return
+    yield from _known_better(plan, worst.arrival)
+    timer = threading.Timer(max(until_s - time.monotonic() - FINISH_S, 0.1), interrupted.set)
+    timer.daemon = True
+    timer.start()
+    try:
+        for what, options, made in _replanned(plan, seed, interrupted):
+            if time.monotonic() > until_s - FINISH_S or interrupted.is_set():
+                return
+            with suppress(CtrplanError, KeyboardInterrupt):
+                other = worst_arrival(made())
+                if other is not None:
+                    yield Lever(what, other.error_m, options)
+    finally:
+        timer.cancel()
+
+
+def _print_levers(arguments: argparse.Namespace, plan: Plan, interrupted: threading.Event) -> None:
+    """What would help, ranked, each with the line to type; the plan is written already."""
+    from ctrplan.reports.plan_words import worst_arrival
+
+    worst, results = worst_arrival(plan), list[Lever]()
+    if worst is None:
+        return
+    began = time.monotonic()
+    with ProgressBar(quiet=arguments.quiet, patience_s=0.0) as bar:
+        bar.show("what would help", 0.0)
+        for lever in levers(plan, arguments.seed, began + LEVERS_S, interrupted):
+            results.append(lever)
+            bar.show("what would help", min(1.0, (time.monotonic() - began) / LEVERS_S))
+    was_cut = interrupted.is_set() and time.monotonic() - began < LEVERS_S - FINISH_S
+    given = ["ctrplan", "plan", arguments.scenario, "-o", arguments.output]
+    given += [word for override in arguments.overrides for word in ("--set", override)]
+    helpful = sorted((lever for lever in results if lever.error_m < worst.error_m), key=lambda lever: lever.error_m)
+    table = worst_table(plan, worst)
+    enough_mm = math.ceil(worst.error_m * 1e5) / 100
+    tolerance = Lever("another tolerance", worst.error_m, ("--set", f"{table}={enough_mm:g}"))
+    print(f"  what would bring it below {worst.error_m * 1e3:.2f} mm, computed:")
+    for lever in (*helpful, tolerance):
+        is_command = lever.options[0].startswith("ctrplan ")
+        line = f"{lever.options[0]} ..." if is_command else shlex.join([*given, *lever.options])
+        print(f"    {lever.error_m * 1e3:8.2f} mm  {lever.what}: {line}")
+    if was_cut:
+        print("    interrupted: other levers were not computed")
+
+
+def worst_table(plan: Plan, worst: TargetArrival) -> str:
+    """The key of the scenario's file with the tolerance of a target."""
+    names = {"the target": plan.scenario.goal.table}
+    names |= {f"target {k}": goal.table for k, goal in enumerate(plan.scenario.via, start=1)}
+    return f"{names[worst.target.split(' (')[0]]}.tolerance_mm"
+
+
+def _known_better(plan: Plan, arrival: Arrival) -> Iterator[Lever]:
+    """Uncertainties known to half, which the arrival's own shares tell; contacts' friction is simulated again."""
+    scenario, cause = plan.scenario, arrival.by_cause
+    stated = scenario.registration
+    if cause.registration_m > 0:
+        position, rotation = stated.position_sigma_m * 1e3 / 2, math.degrees(stated.rotation_sigma_rad) / 2
+        better = [f"base.position_sigma_mm={position:.3g}"] if position else []
+        better += [f"base.rotation_sigma_deg={rotation:.3g}"] if rotation else []
+        yield Lever("a registration twice as good", arrival.error_m - cause.registration_m / 2, _set(better))
+    halved = {
+        k: (float(3 * low + high) / 4, float(low + 3 * high) / 4)
+        for k, (low, high) in enumerate(scenario.robot.friction.tolist())
+        if low < high
+    }
+    if halved and cause.coefficients_m > 0:
+        known = list(scenario.robot.contacts)
+        for k, interval in halved.items():
+            known[k] = replace(known[k], friction_coefficient=interval)
+        left_m = _arrival_of(plan, replace(scenario.robot, contacts=tuple(known))).by_cause.coefficients_m
+        error_m = arrival.error_m - (cause.coefficients_m - left_m)
+        intervals = [f"robot.contact.{k + 1}.friction_coefficient=[{a:.4g}, {b:.4g}]" for k, (a, b) in halved.items()]
+        yield Lever("friction coefficients known to half their intervals", error_m, _set(intervals))
+    if cause.parameters_m > 0:
+        what = "parameters calibrated to half their intervals"
+        yield Lever(what, arrival.error_m - cause.parameters_m / 2, ("ctrplan calibrate",))
+
+
+def _set(keys: Sequence[str]) -> tuple[str, ...]:
+    """Options that set keys."""
+    return tuple(word for key in keys for word in ("--set", key))
+
+
+def _arrival_of(plan: Plan, robot: Robot) -> Arrival:
+    """The arrival of the plan's motion at its goal with another robot."""
+    from ctrplan.certificate.arrival import arrival, simulated_rows
+    from ctrplan.scenario.prediction import predict_end, start_states
+
+    samples, scenario = plan.certificate.samples, replace(plan.scenario, robot=robot, via=())
+    rows, keep = simulated_rows(scenario, samples.joints, samples.leg)
+    path, starts = (samples.joints[rows], samples.leg[rows]), start_states(scenario)
+    prediction, _ = predict_end(robot, path[0], starts, keep=keep)
+    bound_m, play_m = plan.certificate.goal_bound_m, plan.certificate.goal_play_m
+    return arrival(scenario, *path, prediction, starts, goal_bound_m=bound_m, play_m=play_m)
+
+
+def _replanned(
+    plan: Plan, seed: int, interrupted: threading.Event
+) -> Iterator[tuple[str, tuple[str, ...], Callable[[], Plan]]]:
+    """Other plans that may arrive better, the likeliest first: what is changed, options, and how to make it."""
+    from msgspec.structs import replace as with_settings
+
+    from ctrplan.planning.place import place
+    from ctrplan.planning.planner import plan as planned
+
+    scenario, arrival = plan.scenario, plan.certificate.arrival
+    make = partial(planned, time_s=LEVER_SEARCH_S, interrupted=interrupted)
+    past_m = arrival.by_cause.past_m if arrival else 0.0
+    for kind, what in (("auto", "an ending by which every pair slips"), ("oscillate", "an oscillation at the end")):
+        if past_m > 0.1 * scenario.goal.tolerance_m and scenario.planner.settle != kind:
+            other = replace(scenario, planner=with_settings(scenario.planner, settle=kind))
+            yield what, _set([f'planner.settle="{kind}"']), partial(make, other, seed=seed)
+    for number in (seed + 1, seed + 2):
+        yield "another path and goal state", ("--seed", str(number)), partial(make, scenario, seed=number)
+    if scenario.goal.joints is None:
+
+        def moved() -> Plan:
+            pose = place(scenario, candidates=64, confirmed=2, interrupted=interrupted).poses[0]
+            return make(pose.scenario, seed=seed)
+
+        yield "another base", ("ctrplan place",), moved
 
 
 def _summary(folder: Path, plan: Plan, formats: Sequence[TrajectoryFormat]) -> str:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.base.long_work import Progress, part_of
+from ctrplan.certificate.arrival import beside_nominal, friction_variants
 from ctrplan.certificate.certificate import Certificate, CertificateSamples
 from ctrplan.certificate.certify import certify, frictionless_arrives
 from ctrplan.certificate.problems import line_error_m
@@ -23,6 +24,7 @@ from ctrplan.planning.endings import settled_again
 from ctrplan.plans.planned_motion import Compensation
 from ctrplan.robot.robot import Robot
 from ctrplan.scenario.prediction import (
+    TIP_TOLERANCE_M,
     FrictionStart,
     PathPrediction,
     predict_end,
@@ -35,6 +37,7 @@ from ctrplan.uncertainty.target import TargetPose
 
 ITERATIONS = 8
 CLOSE_M = 0.02e-3  # of the predicted tip to the target; better than histories are simulated
+REFINED = 2  # times that the middle over all coefficients of friction is looked at again, a budget
 DAMPING = 1e-4  # of the least-squares step, in units of (mm per mm) squared
 LONGEST_STEP_MM = 10.0  # of joint length
 SHARES = (0.5, 0.25)  # of a correction, tried where no whole one is certified
@@ -109,7 +112,7 @@ def arrival_error(certificate: Certificate) -> float:
 
 def is_on_target(certificate: Certificate) -> bool:
     """Whether the middle of the arrival is at the target."""
-    return certificate.arrival is not None and certificate.arrival.by_cause.offset_m <= CLOSE_M
+    return certificate.arrival is not None and certificate.arrival.by_cause.offset_m <= TIP_TOLERANCE_M
 
 
 def predicted_arrives(scenario: Scenario, samples: CertificateSamples, prediction: PathPrediction) -> list[str]:
@@ -184,9 +187,14 @@ def _corrected_ways(
     drive = checker.space.drive
     legs = certificate.settling.first_leg if certificate.settling else len(corners) - 1
     kinds = [np.ones(len(drive.joints), bool), ~drive.is_rotation, drive.is_rotation]
-    aim, first = _aim(checker.scenario, certificate), None
+    scenario, first = checker.scenario, None
+    is_interval = bool(friction_variants(scenario.robot))
     for kind in kinds:
-        delta = _correction(checker, corners, legs, aim, starts, kind)
+        delta = _correction(checker, corners, legs, _aim(scenario, certificate), starts, kind)
+        for _ in range(REFINED if is_interval else 0):
+            moved = corrected(corners, legs, drive.is_rotation, delta)
+            aim = target_in_robot_frame(scenario) - beside_nominal(scenario, moved, starts)
+            delta = _correction(checker, corners, legs, aim, starts, kind, delta)
         first = delta if first is None else first
         if delta.any():
             yield _Corrected(corrected(corners, legs, drive.is_rotation, delta), delta, True)
@@ -208,6 +216,7 @@ def _correction(
     aim: Array,
     starts: Sequence[FrictionStart],
     movable: NDArray[np.bool_],
+    begin: Array | None = None,
 ) -> Array:
     """(m,) change of movable joints whose simulated path ends nearest to the aim: damped Newton steps from the end.
 
@@ -216,7 +225,7 @@ def _correction(
     robot, is_rotation = checker.scenario.robot, checker.space.drive.is_rotation
     unchanged = _unchanged(corners, legs, is_rotation)
     _, states = predict_end(robot, corners[: unchanged + 1], starts)
-    delta: Array = np.zeros(corners.shape[1])
+    delta: Array = np.zeros(corners.shape[1]) if begin is None else begin
     best = (np.inf, delta)
     for _ in range(ITERATIONS if states else 0):
         path = corrected(corners, legs, is_rotation, delta)

@@ -33,6 +33,8 @@ TERMS = {
     "the path. It is no promise; the worst case is.",
     "arrival": "How far from the target the tip may be after this very motion, whatever friction was before it: with "
     "all that the files state to be uncertain, and the drive's inexact execution.",
+    "worst case at the target": "Distance of the target from the tip without friction, and the worst-case friction "
+    "error and the drive's play added to it: what any motion could leave there.",
     "restart": "The place of the motion from which a run that was interrupted begins again. From there on every pair "
     "of tubes slips far enough to forget where it came from.",
     "tolerance": "How far from the target the tip may arrive. The scenario asks for it.",
