@@ -12,6 +12,7 @@ and joints late or too far by up to the drive's tolerance.
 erasure: corners of friction and the released state at one configuration, driven one way until their tips agree.
 """
 
+import copy
 import itertools
 import time
 from dataclasses import replace
@@ -32,6 +33,7 @@ from ctrplan.scenario.scenario import Goal, Scenario
 from ctrplan.storage.toml_document import read_document
 
 BOUND_M = 0.3e-3  # by which a past may leave the bound at the start and still be of its branch
+WOUND = 2.5  # times the precurvature of the pair, so that it has a second stable shape
 SHARE = 0.3  # by which friction coefficients are uncertain in the hunt
 
 
@@ -78,23 +80,30 @@ HEAD = ("scenario", "tolerance", "bound at the target", "arrival before", "arriv
 HEAD += ("longer by", "processor")
 
 
+INNERMOST = {
+    "outer_diameter_mm": 1.5, "inner_diameter_mm": 1.2, "bending_stiffness_Nm2": 0.007, "poisson_ratio": 0.3,
+    "collar_length_mm": 17, "section": [
+        {"length_mm": 240, "curvature_x_per_m": 0, "curvature_y_per_m": 0},
+        {"length_mm": 80, "curvature_x_per_m": 0, "curvature_y_per_m": 20.0},
+    ],
+}  # fmt: skip
+
+
 def robots() -> dict[str, dict[str, Any]]:
-    """Contents of robot files by name; the last one is wound: two tubes with a second stable shape."""
-    three = read_document(ROBOTS / "three_tube.toml").content
-    four, wound = read_document(ROBOTS / "three_tube.toml").content, read_document(ROBOTS / "table_5_pair.toml").content
-    inner = dict(four["tube"][-1])
-    scale = inner["inner_diameter_mm"] / inner["outer_diameter_mm"] * 0.9
-    inner |= {key: inner[key] * scale for key in ("outer_diameter_mm", "inner_diameter_mm")}
-    inner["length_mm"] += 40
-    four = {**four, "tube": [*four["tube"], inner], "contact": [*four["contact"], dict(four["contact"][-1])]}
-    four.pop("joint", None), four.pop("home", None)
-    return {
-        "pair": read_document(ROBOTS / "table_5_pair.toml").content,
-        "three tubes": three,
-        "insertion": read_document(ROBOTS / "three_tube_insertion.toml").content,
-        "four tubes": four,
-        "wound": wound,
-    }
+    """Contents of robot files by name; the last one is wound: its tubes are bent so much that it has two shapes."""
+    files = {"pair": "table_5_pair", "three tubes": "three_tube", "insertion": "three_tube_insertion"}
+    result = {name: dict(read_document(ROBOTS / f"{file}.toml").content) for name, file in files.items()}
+    three, pair = result["three tubes"], result["pair"]
+    joints = [{**joint, "moves": {k: [*v, 0] for k, v in joint["moves"].items()}} for joint in three["joint"]]
+    joints.append({"name": "rotate innermost", "moves": {"theta": [0, 0, 0, 1]}})
+    joints.append({"name": "translate innermost", "moves": {"l": [0, 0, 0, 1]}, "min_mm": -80, "max_mm": 0})
+    four = {**three, "joint": joints, "home": {"l_mm": [0, -17, -34, -51]}, "tube": [*three["tube"], INNERMOST]}
+    four["contact"] = [*three["contact"], {"friction_coefficient": 0.2}]
+    bent = copy.deepcopy(pair)
+    for tube in bent["tube"]:
+        for section in tube["section"]:
+            section["curvature_y_per_m"] *= WOUND
+    return {**result, "four tubes": four, "wound": bent}
 
 
 def uncertain(content: dict[str, Any]) -> Robot:
@@ -110,9 +119,9 @@ def task(robot: Robot, rng: np.random.Generator) -> Scenario:
     """From random joint values to where the tip is at others."""
     bare, space = bare_scenario(robot), JointSpace.of_robot(robot)
     while True:
-        a, b = space.sample(rng, 2)
+        a, b = space.sample(rng, 50)[:2]
         shapes = [robot.bound(*robot.drive.collars(q)) for q in (a, b)]
-        if all(np.isfinite(s.position_m) and s.stability > 0.3 and s.position_m > 1e-3 for s in shapes):
+        if all(np.isfinite(s.position_m) and s.frictionless.stability > 0.3 and s.position_m > 1e-3 for s in shapes):
             return replace(bare, start=a, goal=Goal(None, shapes[1].frictionless.tip_m, 1e-3))
 
 
@@ -187,10 +196,11 @@ def hunted(name: str, content: dict[str, Any], pasts: int, seed: int) -> list[tu
                 other += 1
             else:
                 seen.append(float(np.linalg.norm(end - scenario.goal.tip_m)))
-        largest = max(seen, default=np.nan)
-        outside = sum(error > arrival.error_m for error in seen)
-        rows.append((name, len(seen), other, failed, outside, f"{1e3 * largest:.3f} mm", f"{1e3 * arrival.error_m:.3f} mm",
-                     f"{largest / arrival.error_m:.2f}", f"{1e3 * plan.certificate.goal_bound_m:.2f} mm"))  # fmt: skip
+        largest, claimed = max(seen, default=np.nan), arrival.error_m
+        outside = sum(error > claimed for error in seen)
+        lengths = [f"{1e3 * x:.3f} mm" for x in (largest, claimed)]
+        bound_mm = f"{1e3 * plan.certificate.goal_bound_m:.2f} mm"
+        rows.append((name, len(seen), other, failed, outside, *lengths, f"{largest / claimed:.2f}", bound_mm))
         print(rows[-1], flush=True)
     return rows
 
@@ -228,8 +238,8 @@ def erasure() -> None:
             rows.append((what, "turn", f"{first:.1f} mm", *(f"{180 * x:.0f} deg" for x in left)))
     robot, at = robot_from_dict(three), (np.radians([0, 60, 40]), np.array([0, -17e-3, -80e-3]))
     moves = {
-        "inner slides": ([0, 0, 0], [0, 0, 40e-3]), "middle and inner slide": ([0, 0, 0], [0, -10e-3, 30e-3]),
-        "inner turns": ([0, 0, np.pi], [0, 0, 0]), "middle and inner turn": ([0, -np.pi, np.pi / 2], [0, 0, 0]),
+        "inner slides": ([0, 0, 0], [0, 0, 40e-3]),         "inner turns": ([0, 0, np.pi], [0, 0, 0]),
+        "middle and inner turn": ([0, -np.pi, np.pi / 2], [0, 0, 0]),
         "all turn together": ([np.pi] * 3, [0, 0, 0]),
     }  # fmt: skip
     for what, (turn, slide) in moves.items():

@@ -2,7 +2,8 @@
 
 Nobody knows what the robot did before a plan. Corners of friction are solved from the frictionless shape. Where a
 corner has a second equilibrium, far from it, an approach may end there and break the bound. Approaches are simulated:
-all pairs turned by APPROACH_DEG at once, from either side each, which loads friction fully.
+all pairs turned by APPROACH_DEG at once, from either side each, which loads friction fully, and whole turns of joints
+that have room for them, which leave friction as it is and may leave the robot wound up.
 
 Corners of friction are solved from the frictionless shape. A robot may come to the same corner from another one, or by
 a turn, and stand elsewhere. Along the path each corner is solved from the shapes of all others. At the ends of legs it
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
     from ctrplan.scenario.scenario import Scenario
 
 APPROACH_DEG = 90.0  # of Section V of Ha et al. 2019
+MOST_WINDINGS = 8  # whole turns of joints before the start that are simulated: all of three tubes, a budget
 
 _KNOWN: WeakKeyDictionary[Robot, dict[bytes, str]] = WeakKeyDictionary()
 
@@ -61,24 +63,29 @@ def _other_start(robot: Robot, joints: Array) -> str:
 
     def beyond(turns: Array) -> float:
         from_side = theta_b - np.concatenate([[0.0], np.cumsum(turns)])
+        history = robot.history()
         try:
-            path = robot.history().follow(np.array([from_side, theta_b]), np.array([l_b, l_b]))
+            path = history.follow(np.array([from_side, theta_b]), np.array([l_b, l_b]))
+            let_go = history.tip_beside(np.zeros(robot.n - 1))
         except SolverError:  # there is no equilibrium to come from
             return 0.0
-        away = float(np.linalg.norm(path.position_m[-1] - bound.frictionless.tip_m))
-        return float(np.nan_to_num(away - bound.position_m))
+        away = float(np.linalg.norm(path.position_m[-1] - bound.frictionless.tip_m)) - bound.position_m
+        # Where friction is let go of, another branch shows even if it is nearer than the bound.
+        apart = float(np.linalg.norm(let_go - bound.frictionless.tip_m))
+        return float(np.nan_to_num(max(away, apart if apart > SAME_BRANCH_M else 0.0)))
 
-    approaches = list(_approaches(robot.n - 1))
+    approaches = [*_approaches(robot.n - 1), *_windings(robot, joints)]
     with ThreadPoolExecutor() as pool:
         result = list(pool.map(beyond, approaches))
     worst = int(np.argmax(result))
     if result[worst] <= BEYOND_BOUND_M:
         return ""
     turned = ", ".join(f"{np.degrees(turn):+.0f}" for turn in approaches[worst])
-    away_mm = (result[worst] + bound.position_m) * MM_PER_M
+    away_mm, bound_mm = result[worst] * MM_PER_M, bound.position_m * MM_PER_M
     return (
         f"The start has another equilibrium: approached by relative turns of ({turned}) deg the tip stands "
-        f"{away_mm:.1f} mm from the frictionless one, beyond the bound of {bound.position_m * MM_PER_M:.2f} mm"
+        f"{away_mm:.1f} mm beyond what friction does there ({bound_mm:.2f} mm); turn the tubes back by whole turns, or "
+        "give the joints limits"
     )
 
 
@@ -86,6 +93,24 @@ def _approaches(pairs: int) -> Iterator[Array]:
     """(P,) relative turns [rad] that end at the configuration, of all pairs."""
     for signs in itertools.product((1.0, -1.0), repeat=pairs):
         yield np.radians(APPROACH_DEG) * np.array(signs)
+
+
+def _windings(robot: Robot, joints: Array) -> list[Array]:
+    """(P,) relative turns [rad] by whole turns of joints within their limits, at most MOST_WINDINGS of them."""
+    drive, results = robot.drive, list[Array]()
+    turning = np.flatnonzero(drive.is_rotation)
+    patterns = sorted(itertools.product((0, 1, -1), repeat=len(turning)), key=lambda pattern: np.count_nonzero(pattern))
+    for pattern in patterns:
+        turned = np.zeros(len(joints))
+        turned[turning] = 2 * np.pi * np.array(pattern)
+        before = joints - turned
+        relative = np.diff(drive.matrix_theta @ turned)
+        is_new = relative.any() and not any(np.allclose(relative, other) for other in results)
+        if is_new and np.all((before >= drive.lower) & (before <= drive.upper)):
+            results.append(relative)
+        if len(results) == MOST_WINDINGS:
+            break
+    return results
 
 
 EVERY_MM = 5.0  # of joint length
