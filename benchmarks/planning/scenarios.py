@@ -34,7 +34,7 @@ def cost_mm(plan: Plan, weights: Cost) -> float:
         length_mm=c.length_mm,
         legs=len(plan.trajectory.leg_end_s),
         integral_mm=c.released_integral_mm,
-        left_m=sum(target.bound_m + target.released_m for target in c.targets),
+        left_m=sum(target.bound_m + target.unknown_m for target in c.targets),
     )
 
 

@@ -208,6 +208,7 @@ class TargetReached:
     bound_m: float
     bound_rad: float
     released_m: float  # the bound less what the friction law says translations released
+    unknown_m: float  # what friction leaves there that no compensation knows, by the friction law; in the cost
     predicted_m: float  # by simulated history
     tip_error_m: float  # frictionless tip to the target; 0 for joint goals
     play_m: float = 0.0  # how far play of the drive may move the tip
@@ -305,7 +306,7 @@ class Certificate:
         title="Largest motion of the body between samples",
     ))
     cost_mm: float = field(metadata=figure(
-        "sum", "mm", "with released errors along the path, bound and released error at the goal, see the samples",
+        "sum", "mm", "with released errors along the path, bound and unknown friction at the goal, see the targets",
         title="Cost", line=("cost", "{}"),
     ))
     stops: int = field(metadata=figure(

@@ -208,6 +208,7 @@ def _target(walk: WalkedLegs, samples: CertificateSamples, arrival: Arrival | No
         bound_m=walk.bounds.goal_m,
         bound_rad=float(samples.bound_rad[-1]),
         released_m=float(samples.released_m[-1]),
+        unknown_m=walk.unknown_m,
         predicted_m=float(samples.predicted_m[-1]),
         tip_error_m=goal_miss_m(scenario, samples.tip_m[-1]),
         play_m=float(samples.play_m[-1]),

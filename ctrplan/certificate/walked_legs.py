@@ -28,8 +28,9 @@ from ctrplan.certificate.uneven_friction import with_uneven_friction
 from ctrplan.certificate.walked_piece import Piece, checked_samples, closely_solved, joined_samples, walk_pieces
 from ctrplan.drive.legs import merge_legs
 from ctrplan.mechanics.accuracy import Accuracy
-from ctrplan.motion.checker import path_limits
+from ctrplan.motion.checker import left_at_end, path_limits
 from ctrplan.scenario.joint_space import JointSpace
+from ctrplan.scenario.prediction import start_load
 from ctrplan.scenario.scenario import path_cost_mm
 from ctrplan.uncertainty.body_clearance import is_uncertain, parameter_allowance
 
@@ -109,6 +110,12 @@ class WalkedLegs:
         return len(merge_legs(self.corners)) - 1
 
     @property
+    def unknown_m(self) -> float:
+        """What friction leaves of the tip's error at the end that no compensation knows [m], by the friction law."""
+        robot, loaded_m = self.scenario.robot, float(self.samples.released_m[-1])
+        return left_at_end(robot, self.corners, self.pieces[-1].samples, loaded_m, start_load(self.scenario))
+
+    @property
     def cost_mm(self) -> float:
         """By the scenario's weights."""
         samples = self.samples
@@ -117,7 +124,7 @@ class WalkedLegs:
             length_mm=self.length_mm,
             legs=self.legs,
             integral_mm=self.integral_mm(samples.released_m),
-            left_m=float(self.bounds.goal_m + samples.released_m[-1]),
+            left_m=self.bounds.goal_m + self.unknown_m,
         )
 
     def integral_mm(self, error_m: Array) -> float:

@@ -79,6 +79,24 @@ class FrictionLaw:
         left: Array = np.minimum(1.0, np.where(travel > 0, released, loaded))
         return left
 
+    def unknown_after(self, load: Array, theta_b: Array, l_b: Array) -> Array:
+        """(P,) half the interval of each pair's state after waypoints (K, n) [rad], (K, n) [m].
+
+        Before them it is anywhere in [-load, load], load (P,). The law keeps the order of states, so that both ends of
+        the interval say what is unknown: nothing, once they are the same.
+        """
+        ends = np.array([-load, load])
+        for turn, slide in zip(np.diff(np.diff(theta_b), axis=0), np.diff(np.diff(l_b), axis=0), strict=True):
+            travel = np.where(np.abs(slide) <= LOCKED_M, 0.0, np.abs(slide) / self.release_m)
+            if np.any((travel > 0) & (turn != 0)):  # both at once: step by step
+                for _ in range(SUBSTEPS):
+                    ends = _step(ends + turn / self.loading_rad / SUBSTEPS, travel / SUBSTEPS)
+                continue
+            turned = np.clip(ends + turn / self.loading_rad, -1.0, 1.0)
+            slid = np.sign(ends) * np.minimum(np.abs(ends), released_share(np.abs(ends), travel))
+            ends = np.where(travel > 0, slid, turned)
+        return np.asarray((ends[1] - ends[0]) / 2)
+
 
 def released_share(load: Array, travel: Array) -> Array:
     """What translation by `travel` (in units of release_m) leaves of a load in [0, 1]."""

@@ -22,6 +22,7 @@ from ctrplan.scenario.scenario import anatomy_grid, path_cost_mm
 from ctrplan.uncertainty.body_clearance import usual_allowance_m
 
 if TYPE_CHECKING:
+    from ctrplan.robot.robot import Robot
     from ctrplan.scenario.scenario import Scenario
 
 # What a certificate on the fine mesh takes off a clearance, half the motion between samples and the discretisation
@@ -34,6 +35,7 @@ DOUBTFUL_M = 3e-3  # less room than that, and a motion is looked at where it has
 JUMP, JUMP_M = 3.0, 5e-3  # times the steps of the tip beside, and more than that and the translation by
 SAMPLES, SEED = 8, 6  # configurations that say what a search has to allow for uncertain parameters
 FEW = 100  # shapes, which are not worth a thread
+COEFFICIENTS = 0.3  # share by which a friction coefficient is mostly uncertain, a prior of the search
 DEFINITE_COLLISION = "a corner shape comes too close to the anatomy: so does the zero-clearance shape"
 
 
@@ -46,7 +48,7 @@ class Motion:
     length_mm: float
     error_integral_mm: float  # integral of the error over the joint length, per mm_per_rad of length
     end_bound_m: float  # whatever the history
-    end_error_m: float  # less what the friction law says the motion released; fully loaded at its start
+    end_error_m: float  # what friction leaves at its end that no compensation knows, by the friction law
     legs: int = 0  # the drive stops after each
 
 
@@ -175,7 +177,11 @@ class MotionChecker:
             return invalid(reason)
         error = self.errors(corners, samples)
         length, integral = self.price(corners, samples, error)
-        return Motion(True, "", length, integral, float(samples.position_m[-1]), float(error[-1]), count_legs(corners))
+        left, bound = (
+            left_at_end(self.scenario.robot, corners, samples, float(error[-1])),
+            float(samples.position_m[-1]),
+        )
+        return Motion(True, "", length, integral, bound, left, count_legs(corners))
 
     def walk(self, corners: Array, density: PathDensity, limits: PathLimits) -> PathSamples:
         """The core's samples along a polyline."""
@@ -255,7 +261,7 @@ class MotionChecker:
         return float(lengths.sum()), float(integral)
 
     def cost_mm(self, motion: Motion, *, ends_at_goal: bool) -> float:
-        """Weighted cost of a motion; at the goal it pays for the worst case there and for what it left loaded."""
+        """Weighted cost of a motion; at the goal it pays for the worst case there and for what is unknown of it."""
         return path_cost_mm(
             self.scenario.cost,
             length_mm=motion.length_mm,
@@ -273,6 +279,21 @@ def count_legs(corners: Array) -> int:
 def invalid(reason: str) -> Motion:
     """A motion that must not be made."""
     return Motion(False, reason, np.inf, np.inf, np.inf, np.inf)
+
+
+def left_at_end(
+    robot: Robot, corners: Array, samples: PathSamples, loaded_m: float, load: Array | None = None
+) -> float:
+    """[m] that friction may leave of the tip's error at the end of a walked polyline (K, m), by the friction law.
+
+    That is what friction before it leaves unknown, the load (P,) then full unless it is given; and of the error that
+    the load at its end makes, `loaded_m`, the share by which coefficients are uncertain. The rest is compensated.
+    """
+    before = np.ones(robot.n - 1) if load is None else load
+    left = friction_law(robot).unknown_after(before, *robot.drive.collars(corners))
+    last = replace(samples, **{name: getattr(samples, name)[-1:] for name in ("corner_tip_m", "tip_m", "position_m")})
+    unknown = float(released_error(last, left[None])[0])
+    return min(unknown + COEFFICIENTS * loaded_m, float(last.position_m[0]))
 
 
 def released_error(samples: PathSamples, load: Array) -> Array:

@@ -12,7 +12,7 @@ from ctrplan.certificate.certificate import Certificate
 from ctrplan.certificate.certify import certify
 from ctrplan.errors import InputError
 from ctrplan.files.scenario_file import load_scenario
-from ctrplan.motion.checker import MotionChecker
+from ctrplan.motion.checker import COEFFICIENTS, MotionChecker
 from ctrplan.planning.compensate import compensate, corrected
 from ctrplan.planning.endings import SHAPE, Settled, oscillation, settle, turnings
 from ctrplan.planning.reordering import (
@@ -79,15 +79,18 @@ def test_prediction_is_the_history_of_every_start() -> None:
     np.testing.assert_allclose(predict_from(robot, states, TURN_FIRST[1:]).tip_m[:, -1], whole.tip_m[:, -1], atol=5e-5)
 
 
-def test_search_pays_the_bound_until_a_translation_releases_it(checker: MotionChecker, turned_last: Array) -> None:
-    loaded, released = checker.along(turned_last), checker.along(TURN_FIRST)
-    assert loaded.end_error_m == pytest.approx(loaded.end_bound_m)
-    assert released.end_error_m < 1e-3 * released.end_bound_m
-    assert checker.cost_mm(released, ends_at_goal=True) < checker.cost_mm(loaded, ends_at_goal=True)
+def test_search_pays_for_what_no_slip_erases(checker: MotionChecker, turned_last: Array) -> None:
+    """A short turn leaves most of what friction was before, a long one or a slide next to nothing."""
+    short = checker.along(np.array([GOAL - [0.0, 0.02, 0.0], GOAL]))
+    assert 0.9 * short.end_bound_m < short.end_error_m <= short.end_bound_m
+    turned, slid = (checker.along(erasing) for erasing in (turned_last, TURN_FIRST))
+    assert turned.end_error_m == pytest.approx(COEFFICIENTS * turned.end_bound_m, rel=0.01)  # loaded, by so much
+    assert slid.end_error_m < 1e-3 * slid.end_bound_m
+    assert checker.cost_mm(slid, ends_at_goal=True) < checker.cost_mm(turned, ends_at_goal=True)
 
 
 def test_rotation_alone_is_driven_from_a_retreat(checker: MotionChecker) -> None:
-    path = np.array([GOAL - [0, 2.0, 0], GOAL])
+    path = np.array([GOAL - [0, 0.2, 0], GOAL])
     ways = with_translation_last(checker, path)
     assert ways and all(np.array_equal(way[0], path[0]) and np.array_equal(way[-1], path[-1]) for way in ways)
     assert with_translation_last(checker, TURN_FIRST) == []  # ends with a long translation anyway
@@ -148,7 +151,8 @@ def test_compensation_brings_the_predicted_tip_to_the_target(turned_last: Array)
     result = compensate(checker, turned_last, before)
     corners, after, compensation = result.corners, result.certificate, result.compensation
     assert after.valid and not compensation.note
-    assert compensation.error_without_m > 4e-3 and compensation.error_with_m < 0.1e-3
+    assert after.arrival is not None and after.arrival.by_cause.offset_m < 0.02e-3
+    assert compensation.error_without_m > 4e-3 and compensation.error_with_m < 0.25e-3  # execution and mesh count
     end = predict(robot, corners, start_states(case)).tip_m[:, -1]
     np.testing.assert_allclose(end, np.broadcast_to(target * 1e-3, end.shape), atol=0.15e-3)
     assert after.goal_tip_error_m <= after.goal_bound_m  # the target stays inside the worst-case envelope

@@ -85,7 +85,7 @@ def test_figures_of_a_tour_add_up(tour: ctrplan.Plan) -> None:
     samples = certificate.samples
     assert np.all(np.diff(samples.path_mm) >= 0) and samples.path_mm[-1] == pytest.approx(certificate.length_mm)
     assert np.all(np.diff(samples.leg) >= 0) and samples.leg[-1] == len(tour.legs) - 1
-    left = sum(t.bound_m + t.released_m for t in certificate.targets) * 1e3
+    left = sum(t.bound_m + t.unknown_m for t in certificate.targets) * 1e3
     cost = weights.path * certificate.length_mm + weights.error_along * certificate.released_integral_mm
     cost += weights.stop * (certificate.stops + 1)
     assert certificate.cost_mm == pytest.approx(cost + weights.error_goal * left)
