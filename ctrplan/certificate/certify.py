@@ -61,12 +61,20 @@ class SimulatedBodies:
 class GoalTest(Protocol):
     """Says in sentences why the end of a certified path does not meet the goal; none if it does."""
 
-    def __call__(self, scenario: Scenario, samples: CertificateSamples, prediction: PathPrediction) -> list[str]:
-        """samples: of the whole path; prediction: tips from several friction states."""
+    def __call__(
+        self,
+        scenario: Scenario,
+        samples: CertificateSamples,
+        prediction: PathPrediction,
+        arrival: Arrival | None,
+    ) -> list[str]:
+        """samples: of the whole path; prediction: tips from several friction states; arrival: None where one failed."""
         ...
 
 
-def frictionless_arrives(scenario: Scenario, samples: CertificateSamples, prediction: PathPrediction) -> list[str]:
+def frictionless_arrives(
+    scenario: Scenario, samples: CertificateSamples, prediction: PathPrediction, arrival: Arrival | None
+) -> list[str]:
     """Sentences if the frictionless tip misses the goal."""
     return frictionless_miss(scenario, samples.tip_m)
 
@@ -116,7 +124,9 @@ def finished(
         history = _simulated(walk, begun, bodies)
         closest = places.result()
     prediction, samples = history.prediction, history.samples
-    problems = walk.problems + goal_test(scenario, samples, prediction) + _contradictions(prediction, samples)
+    problems = (
+        walk.problems + goal_test(scenario, samples, prediction, history.arrival) + _contradictions(prediction, samples)
+    )
     problems += [bodies.sentence] if bodies and bodies.sentence else []
     return Certificate(
         samples=samples,

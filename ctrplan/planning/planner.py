@@ -17,7 +17,7 @@ from ctrplan.base.arguments import EVENT, PROGRESS, SEARCH_TIME, SEED, Flag, Mad
 from ctrplan.base.arrays import Array
 from ctrplan.base.long_work import Progress as FractionReport
 from ctrplan.base.long_work import SearchClock, SearchEnd, interrupt_event, part_of
-from ctrplan.certificate.certificate import Certificate, CertificateSamples, joined_certificates
+from ctrplan.certificate.certificate import Certificate, joined_certificates
 from ctrplan.certificate.certify import GoalTest, certify, frictionless_arrives, with_restart
 from ctrplan.certificate.closest import failure_with_place
 from ctrplan.certificate.friction_cube import refuse_many_tubes
@@ -37,11 +37,14 @@ from ctrplan.plans.plan import ENDED_BY_TIME, Plan
 from ctrplan.plans.planned_motion import Compensation
 from ctrplan.plans.uncertainty import stated_uncertainty
 from ctrplan.robot.friction_calibration import friction_law
-from ctrplan.scenario.prediction import FrictionStart, PathPrediction
+from ctrplan.scenario.prediction import FrictionStart
 from ctrplan.scenario.tip_solver import GoalState
 
 if TYPE_CHECKING:
+    from ctrplan.certificate.arrival import Arrival
+    from ctrplan.certificate.certificate import CertificateSamples
     from ctrplan.robot.observer_state import ObserverState
+    from ctrplan.scenario.prediction import PathPrediction
     from ctrplan.scenario.scenario import Scenario
 
 
@@ -308,7 +311,9 @@ def _finish(scenario: Scenario, stages: Stages, compensated: bool, report: Repor
     return _Finish(ways, joined_certificates(certificates), compensation, tuple(notes))
 
 
-def any_end(scenario: Scenario, samples: CertificateSamples, prediction: PathPrediction) -> list[str]:
+def any_end(
+    scenario: Scenario, samples: CertificateSamples, prediction: PathPrediction, arrival: Arrival | None
+) -> list[str]:
     """No end of a path is wrong: it is corrected yet."""
     return []
 

@@ -1,0 +1,252 @@
+"""Arrival: the set of friction states along a motion, what it adds up to, how plans end and what they claim."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from places import SCENARIOS
+
+import ctrplan
+from ctrplan.certificate.arrival import Arrival, friction_variants
+from ctrplan.certificate.certificate import joined_certificates
+from ctrplan.certificate.certify import certify
+from ctrplan.certificate.other_equilibria import _windings, other_start
+from ctrplan.cli import main
+from ctrplan.drive.drive import ExecutionTolerance
+from ctrplan.files.scenario_file import load_scenario
+from ctrplan.mechanics.friction import FrictionLaw
+from ctrplan.motion.checker import MotionChecker
+from ctrplan.planning.compensate import compensate
+from ctrplan.planning.endings import erase
+from ctrplan.scenario.prediction import TIP_TOLERANCE_M, ball_centre, predict, start_states
+from ctrplan.scenario.scenario import Registration, Scenario
+
+START = np.array([0.0, 0.0, -0.03])
+GOAL = np.array([1.0, 3.2, 0.02])  # of the pair: friction moves its tip by 5 mm
+PATH = np.array([START, [*GOAL[:2], START[2]], GOAL])
+SHORT = np.array([GOAL - [0.0, 0.1, 0.0], GOAL])  # too short a turn to erase anything
+
+
+def pair(*overrides: str) -> Scenario:
+    """To the tip of GOAL."""
+    bare = load_scenario(SCENARIOS / "pair_free.toml")
+    tip = bare.robot.solve(*bare.robot.drive.collars(GOAL)).tip_m * 1e3
+    return load_scenario(
+        SCENARIOS / "pair_free.toml", [f"goal={{tip_mm={tip.round(3).tolist()}, tolerance_mm=1}}", *overrides]
+    )
+
+
+def arrival(scenario: Scenario, path: np.ndarray[Any, Any] = PATH) -> Arrival:
+    found = certify(scenario, path).arrival
+    assert found is not None
+    return found
+
+
+def test_shares_add_up_and_states_are_erased_by_slip() -> None:
+    long, short = arrival(pair()), arrival(pair(), SHORT)
+    for found in (long, short):
+        assert found.error_m == pytest.approx(found.by_cause.total_m)
+        assert sum(share for _, share in found.by_cause.ranked) == pytest.approx(found.error_m)
+    assert long.spread_m < 1e-6 and long.erased[0].leg == 0 and long.erased[0].kept < 0.01
+    assert short.spread_m > 1e-3 and short.erased[0].leg is None and short.erased[0].kept > 0.5
+    assert long.by_cause.past_m < 1e-6 < short.by_cause.past_m
+
+
+def test_the_set_along_the_motion_is_in_the_samples() -> None:
+    samples = certify(pair(), PATH).samples
+    assert samples.friction_spread.shape == (len(samples.leg), 1)
+    assert samples.friction_spread[0, 0] == pytest.approx(1.0) and samples.friction_spread[-1, 0] < 1e-3
+    assert np.all(samples.spread_m <= samples.bound_m + TIP_TOLERANCE_M)
+    assert np.all(samples.spread_m[samples.leg == 1] < 1e-5)
+
+
+def test_fewer_states_before_never_arrive_worse() -> None:
+    unknown, released = arrival(pair(), SHORT), arrival(pair('start.friction="released"'), SHORT)
+    assert released.spread_m == 0 and released.error_m <= unknown.error_m
+    assert unknown.restart == 0 and released.restart is None  # an interrupted run needs the start as stated
+
+
+def test_stages_go_on_with_the_states_that_the_one_before_left() -> None:
+    case = pair()
+    first = certify(replace(case, goal=replace(case.goal, tip_m=None, joints=PATH[1])), PATH[:2])
+    second = certify(replace(case, start=PATH[1]), PATH[1:], starts=first.end_states)
+    whole, tour = certify(case, PATH), joined_certificates([first, second])
+    assert tour.arrival is not None and whole.arrival is not None
+    np.testing.assert_allclose(tour.arrival.middle_m, whole.arrival.middle_m, atol=TIP_TOLERANCE_M)
+    assert tour.arrival.erased[0].leg == whole.arrival.erased[0].leg == 0
+    apart = certify(replace(case, start=PATH[1]), PATH[1:])  # nothing is known of the leg before
+    assert apart.arrival is not None and apart.samples.friction_spread[0, 0] == pytest.approx(1.0)
+
+
+def test_a_run_begun_again_at_the_restart_arrives_as_well() -> None:
+    case = pair()
+    certificate = certify(case, PATH)
+    found = certificate.arrival
+    assert found is not None and found.restart == 1  # the last translation is long
+    tips = predict(case.robot, PATH[found.restart :], start_states(case)).tip_m[:, -1]
+    assert np.linalg.norm(tips - found.middle_m, axis=1).max() <= TIP_TOLERANCE_M
+
+
+def test_what_is_stated_counts() -> None:
+    case, plain = pair(), arrival(pair())
+    located = replace(case, registration=Registration(position_sigma_m=1e-3))
+    assert arrival(located).by_cause.registration_m == pytest.approx(2.795483e-3)
+    remembered = replace(case, robot=replace(case.robot, friction_memory=0.2))
+    kept = arrival(remembered)
+    assert kept.error_m - plain.error_m == pytest.approx(kept.by_cause.memory_m) and kept.by_cause.memory_m > 0.5e-3
+    unexplained = replace(case, robot=replace(case.robot, model_error_m=0.3e-3))
+    assert arrival(unexplained).by_cause.unexplained_m == 0.3e-3
+
+
+def test_execution_counts_by_the_drives_tolerance() -> None:
+    case, shares = pair(), []
+    for factor in (0.0, 1.0, 5.0):
+        tolerance = ExecutionTolerance(np.radians(0.2) * factor, 0.05e-3 * factor)
+        drive = replace(case.robot.drive, execution=tolerance)
+        turned_last = np.array([START, [*START[:2], GOAL[2]], GOAL])
+        shares.append(arrival(replace(case, robot=replace(case.robot, drive=drive)), turned_last).by_cause.execution_m)
+    assert shares[0] == 0 < shares[1] < shares[2]
+    exact = pair("robot.execution.rotation_deg=0", "robot.execution.translation_mm=0")
+    assert exact.robot.drive.execution == ExecutionTolerance(0.0, 0.0)
+
+
+def test_coefficients_anywhere_in_their_interval_arrive_inside() -> None:
+    case = pair("robot.contact.1.friction_coefficient=[0.1, 0.3]")
+    turned_last = np.array([START, [*START[:2], GOAL[2]], GOAL])
+    found, exact = arrival(case, turned_last), arrival(pair(), turned_last)
+    assert len(friction_variants(case.robot)) == 3 and not friction_variants(pair().robot)
+    assert found.by_cause.coefficients_m > 1e-3 and exact.by_cause.coefficients_m == 0
+    rng = np.random.default_rng(3)
+    for mu in rng.uniform(0.1, 0.3, 6):
+        contact = replace(case.robot.contacts[0], friction_coefficient=(mu, mu))
+        tip = predict(replace(case.robot, contacts=(contact,)), turned_last, ["released"]).tip_m[0, -1]
+        away = np.linalg.norm(case.base_R @ tip + case.base_position_m - case.goal.tip_m)
+        assert away <= found.error_m
+    middle = compensate(MotionChecker(case), turned_last, certify(case, turned_last)).certificate.arrival
+    assert middle is not None and middle.by_cause.offset_m < 0.1e-3 and middle.error_m < 0.75 * found.error_m
+
+
+def test_an_ending_erases_what_the_path_does_not() -> None:
+    case = replace(pair(), start=SHORT[0])
+    before = certify(case, SHORT)
+    ended = erase(MotionChecker(case), SHORT, before)
+    assert before.arrival is not None and ended.certificate.arrival is not None
+    assert ended.certificate.valid and ended.certificate.arrival.spread_m < 1e-5 < before.arrival.spread_m
+    np.testing.assert_allclose(ended.corners[-1], SHORT[-1], atol=1e-12)
+    assert "mm of cost" in ended.note and len(ended.corners) > len(SHORT)
+    already = certify(pair(), PATH)
+    assert erase(MotionChecker(pair()), PATH, already).corners is PATH
+
+
+def test_where_no_ending_is_allowed_the_larger_set_is_said() -> None:
+    """A drive that can neither turn far enough nor slide."""
+    case = replace(pair(), start=SHORT[0])
+    low, high = np.minimum(*SHORT) - 0.01, np.maximum(*SHORT) + 0.01
+    joints = [replace(j, lower=a, upper=b) for j, a, b in zip(case.robot.drive.joints, low, high, strict=True)]
+    joints[2] = replace(joints[2], lower=GOAL[2] - 1e-4, upper=GOAL[2] + 1e-4)
+    drive = replace(case.robot.drive, joints=tuple(joints))
+    locked = replace(case, robot=replace(case.robot, drive=drive))
+    ended = erase(MotionChecker(locked), SHORT, certify(locked, SHORT))
+    assert ended.corners is SHORT and "No ending within limits and margins makes tubes 1-2 slip" in ended.note
+
+
+def test_the_friction_law_carries_the_ends_of_the_interval() -> None:
+    law, rng = FrictionLaw(np.array([0.5, 0.8]), np.array([1e-3, np.inf])), np.random.default_rng(0)
+    for _ in range(20):
+        theta, slide = np.zeros((6, 3)), np.zeros((6, 3))
+        turns = rng.uniform(-1, 1, (5, 3)) * rng.integers(0, 2, (5, 1))
+        theta[1:], slide[1:, 2] = np.cumsum(turns, axis=0), np.cumsum(rng.uniform(0, 1e-3, 5) * ~turns.any(axis=1))
+        fine = np.linspace(0, 5, 400)
+        rows = [np.stack([np.interp(fine, range(6), c) for c in part.T], axis=1) for part in (theta, slide)]
+        ends = law.follow(*rows, np.array([[-1.0, -1.0], [1.0, 1.0]]))[-1]
+        np.testing.assert_allclose(law.unknown_after(np.ones(2), theta, slide), (ends[1] - ends[0]) / 2, atol=0.01)
+    assert np.all(law.unknown_after(np.zeros(2), theta, slide) == 0)
+
+
+def test_the_smallest_ball_holds_all_points() -> None:
+    rng = np.random.default_rng(1)
+    for count in (1, 2, 5, 40):
+        points = rng.normal(size=(count, 3))
+        centre = ball_centre(points)
+        radius = np.linalg.norm(points - centre, axis=1).max()
+        for _ in range(30):
+            other = np.linalg.norm(points - centre - rng.normal(scale=0.1, size=3), axis=1).max()
+            assert radius <= other + 0.01 * max(radius, 1e-9)
+
+
+@pytest.fixture(scope="module")
+def planned() -> ctrplan.Plan:
+    return ctrplan.plan(pair(), time_s=0.5)
+
+
+def test_plans_are_compensated_and_say_where_they_arrive(planned: ctrplan.Plan) -> None:
+    found, compensation = planned.certificate.arrival, planned.compensation
+    assert found is not None and compensation is not None and found.by_cause.offset_m < TIP_TOLERANCE_M
+    assert compensation.error_with_m == pytest.approx(found.error_m)
+    bare = ctrplan.plan(pair(), time_s=0.5, compensated=False)
+    assert bare.compensation is None and bare.certificate.arrival is not None
+    assert planned.certificate.recheck().is_confirmed
+
+
+def test_random_pasts_arrive_inside_the_claim(planned: ctrplan.Plan) -> None:
+    """A small sample of benchmarks/run.py arrival hunt."""
+    robot, found = planned.scenario.robot, planned.certificate.arrival
+    assert found is not None and planned.scenario.goal.tip_m is not None
+    rng, start = np.random.default_rng(5), planned.waypoints[0]
+    for _ in range(8):
+        before = start + np.array([*rng.uniform(-3, 3, 2), 0.0]) * rng.choice([0.1, 1.0])
+        rows = np.array([before, start, *planned.waypoints[1:]])
+        tip = robot.history().follow(*robot.drive.collars(rows)).position_m[-1]
+        located = planned.scenario.base_R @ tip + planned.scenario.base_position_m
+        assert np.linalg.norm(located - planned.scenario.goal.tip_m) <= found.error_m
+
+
+def test_windings_are_those_that_joints_have_room_for() -> None:
+    robot = pair().robot
+    unlimited = int(robot.drive.is_unlimited.sum())
+    turns = _windings(robot, START)
+    assert unlimited and turns and all(np.allclose(turn / (2 * np.pi), np.round(turn / (2 * np.pi))) for turn in turns)
+    inside = load_scenario(SCENARIOS / "vessel.toml").robot
+    outer = inside.drive.names.index("rotate outer")
+    assert not inside.drive.is_unlimited[outer] and len(_windings(inside, np.zeros(len(inside.drive.names)))) == 8
+
+
+def test_a_robot_that_may_be_wound_up_is_refused_at_its_start() -> None:
+    """Friction and joints the same, and another shape: bound 9 mm, where a past with a whole turn is elsewhere."""
+    bent = [
+        f"robot.tube.{i}.section.{k}.curvature_y_per_m={curvature}" for i, k, curvature in ((1, 2, 3.471), (2, 2, 60.0))
+    ]
+    case = load_scenario(SCENARIOS / "pair_free.toml", bent)
+    wound = [q for q in np.radians(np.arange(90, 180, 15)) if other_start(case, np.array([0.0, q, -0.02]))]
+    assert wound
+    with pytest.raises(ctrplan.NoAnswerError, match="another equilibrium"):
+        ctrplan.plan(replace(case, start=np.array([0.0, wound[0], -0.02])), time_s=0.3)
+
+
+def test_the_command_says_what_would_help(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    tip = (pair().goal.tip_m * 1e3).round(3).tolist()
+    goal = f"goal={{tip_mm={tip}, tolerance_mm=0.06}}"
+    given = ["plan", str(SCENARIOS / "pair_free.toml"), "-o", str(tmp_path / "out"), "--time", "0.5", "--quiet"]
+    given += ["--set", goal, "--set", "base.position_sigma_mm=0.5"]
+    assert main(given) == 3  # a safe plan was written, which may miss its target
+    text = capsys.readouterr().out
+    assert "may end" in text and "registration" in text
+    assert "a registration twice as good" in text and "--set base.position_sigma_mm=0.25" in text
+    assert "another tolerance" in text and (tmp_path / "out" / "plan.json").exists()
+
+
+def test_simulate_reads_the_trajectory_as_it_is(planned: ctrplan.Plan, tmp_path: Path) -> None:
+    planned.save(tmp_path / "plan", ["csv"])
+    header = (tmp_path / "plan" / "trajectory.csv").read_text().splitlines()[0].split(",")
+    assert header[-3:] == ["leg", "erases", "restart"]
+    robot = str(SCENARIOS / "robots" / "table_5_pair.toml")
+    assert main(["simulate", robot, str(tmp_path / "plan" / "trajectory.csv"), "-o", str(tmp_path / "sim")]) == 0
+    table = np.genfromtxt(tmp_path / "plan" / "trajectory.csv", delimiter=",", names=True)
+    assert table["restart"].sum() == 1 and set(table["leg"]) == set(range(1, len(planned.legs) + 1))
+    assert planned.certificate.arrival is not None
+    erasing = planned.certificate.arrival.erased[0].leg
+    assert erasing is not None and set(table["leg"][table["erases"] == 1]) == {erasing + 1}
