@@ -239,7 +239,7 @@ class LiveState:
     def _reach(self, surfaces: list[Surface]) -> Array:
         """(K, 3) what to look at, anatomy's frame: the plate and random tips, near the lumens where there are any."""
         q = self.checker.space.sample(np.random.default_rng(0), REACH_SAMPLES)
-        tips, _, status = self.checker.mechanics.tips(*self.checker.space.drive.collars(q))
+        tips, _, status = self.checker.mechanics.tips(*self.checker.space.drive.collars(q), loads=False)
         points = self.scenario.located(np.concatenate([tips[status == Status.CONVERGED], np.zeros((1, 3))]))
         parts = zip(self.scenario.anatomy, surfaces, strict=True)
         lumens = [surface.vertices_m for part, surface in parts if part.role == "inside"]

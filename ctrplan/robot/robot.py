@@ -165,7 +165,7 @@ class Robot:
         return self.drive.reached(theta_commanded, l_commanded)
 
     def zero_clearance(self, theta_b: ArrayLike, l_b: ArrayLike) -> Shape:
-        """Zero-clearance, frictionless shape with collars at theta_b (n,) [rad] and l_b (n,) [m], (2)-(3)."""
+        """Zero-clearance, frictionless shape at collars (n,) [rad], (n,) [m], (2)-(3), with the loads of the robot."""
         return self.mechanics.zero_clearance(theta_b, l_b)
 
     def solve(
