@@ -11,7 +11,7 @@ import gzip
 import re
 import tempfile
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -69,11 +69,8 @@ def opened(path: Path) -> Iterator[IO[bytes]]:
             kind = packed_by(plain.read(8))
         if kind in ("zip", "xz", "zstd"):
             raise ImageRefusal(f"is packed by {kind}: unpack it first")
-        openers: dict[str | None, Callable[[], Any]] = {
-            "gzip": lambda: gzip.open(path),
-            "bzip2": lambda: bz2.open(path),
-        }
-        with openers.get(kind, lambda: path.open("rb"))() as stream:
+        opener: Any = {"gzip": gzip.open, "bzip2": bz2.open}.get(kind or "", open)
+        with opener(path, "rb") as stream:
             yield stream
     except (EOFError, OSError, ValueError, zlib.error) as error:
         raise ImageRefusal(f"is damaged or cut short ({' '.join(str(error).split())})") from error

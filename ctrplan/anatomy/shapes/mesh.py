@@ -10,6 +10,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ctrplan.anatomy.mesh_file import Unit, Up
 from ctrplan.anatomy.parts import TriangleTree
 from ctrplan.anatomy.patient_frame import Frame
 from ctrplan.anatomy.shape import PartEntry, PartShape, register
@@ -67,16 +68,17 @@ class MeshEntry(PartEntry):
     """kind = "mesh"."""
 
     file: str
-    unit: Literal["mm", "cm", "m"]
+    unit: Unit | None = None  # of glTF m, of other files to be said
+    up: Up | None = None  # the axis that is turned up to z: y of glTF, else z
     frame: Frame | None = None
     group: str | None = None
     repair: Literal["off", "holes", "caps"] = "holes"
 
     def shape(self, table: TomlTable) -> Mesh:
-        from ctrplan.anatomy.surface_file import read_body  # slow to import; many scenarios need no meshes
+        from ctrplan.anatomy.surface_file import MeshChoice, read_body  # slow to import; many scenarios need no meshes
 
         file = table.file(self.file, "file")
-        body = read_body(table, file, self.unit, self.frame, self.group, self.repair)
+        body = read_body(table, file, MeshChoice(self.unit, self.up, self.frame, self.group), self.repair)
         return Mesh(body.vertices_m, body.faces, str(file), body.notes, body.error_m)
 
 
