@@ -341,9 +341,7 @@ def test_other_files_are_turned_where_it_is_said_and_need_a_unit(tmp_path: Path)
     path = written(tmp_path, trimesh.creation.box((10, 30, 20)).apply_translation((0, 15, 0)), ".obj")
     turned = part_of(tmp_path, None, kind="mesh", file=path.name, unit="mm", up="y")
     np.testing.assert_allclose(np.array(turned.box) * 1e3, [[-5, -10, 0], [5, 10, 30]], atol=1e-6)
-    with pytest.raises(
-        InputError, match="anatomy.1.unit: is missing: the file does not say whether"
-    ):
+    with pytest.raises(InputError, match="anatomy.1.unit: is missing: the file does not say whether"):
         part_of(tmp_path, None, kind="mesh", file=path.name)
     with pytest.raises(InputError, match="anatomy.1.up = 'x': must be one of y, z"):
         part_of(tmp_path, None, kind="mesh", file=path.name, unit="mm", up="x")
