@@ -41,10 +41,10 @@ if TYPE_CHECKING:
     from ctrplan.robot.robot import Robot
     from ctrplan.scenario.scenario import Scenario
     from ctrplan.studies.design.tube_design import TubeDesign, TubeDesigns
-    from ctrplan.studies.plan_many import plan_many as plan_many
     from ctrplan.studies.study.study import Study
     from ctrplan.studies.study.table import StudyTable
     from ctrplan.studies.study.table import load_study as load_study
+    from ctrplan.studies.sweep import plan_many as plan_many
     from ctrplan.uncertainty.tip_slopes import bound_with_parameters as bound_with_parameters
 
 _HOMES = {
@@ -83,7 +83,7 @@ _HOMES = {
     "BasePose": "planning.base_pose",
     "Placement": "planning.place",
     "place": "planning.place",
-    "plan_many": "studies.plan_many",
+    "plan_many": "studies.sweep",
     "Study": "studies.study.study",
     "TubeDesign": "studies.design.tube_design",
     "TubeDesigns": "studies.design.tube_design",

@@ -11,6 +11,7 @@ from typing import BinaryIO, Literal, TypeVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from ctrplan.anatomy.image_header import packed_by
 from ctrplan.anatomy.mesh_repair import Indices, MeshRefusal, turned_outward, welded
 from ctrplan.anatomy.patient_frame import Frame
 from ctrplan.base.arrays import Array
@@ -113,11 +114,13 @@ def _read(path: Path, group: str | None) -> tuple[Array, Indices]:
             raise MeshRefusal("is not a file")
         if size > MAX_BYTES:
             raise MeshRefusal(f"is {size / 1e6:.0f} MB large: must be at most {MAX_BYTES / 1e6:.0f} MB")
-        with path.open("rb"):
-            pass
+        with path.open("rb") as stream:
+            packed = packed_by(stream.read(8))
     except (OSError, ValueError) as error:  # ValueError: a name that no file can have
         reason = getattr(error, "strerror", None) or str(error)
         raise MeshRefusal(f"can't be read: {reason.lower()}") from error
+    if packed is not None:
+        raise MeshRefusal(f"is packed by {packed}: unpack it first")
     if group is not None and path.suffix.lower() not in WITH_GROUPS:
         raise MeshRefusal(f"has no groups: leave the key group out, {' and '.join(WITH_GROUPS)} may have them")
     vertices, faces = _parsed(path, group)

@@ -152,7 +152,8 @@ def _task(work: Work) -> _CaseTask:
         "--target", request.get("targets"), [*result.markups, *points], frame, request.get("file_frame")
     )
     entries = places_of("--entry", request.get("entries"), result.markups, frame, request.get("file_frame"))
-    for sentence in dict.fromkeys(note for one in (*result.markups, *targets, *entries) for note in one.notes):
+    told_of = [*(one.notes for one in result.markups), *(one.notes for one in (*targets, *entries))]
+    for sentence in dict.fromkeys(note for notes in told_of for note in notes):
         work.note(sentence)
     return _CaseTask(frame, structures, targets, entries)
 

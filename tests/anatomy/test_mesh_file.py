@@ -1,5 +1,6 @@
 """Meshes are read alike from every format, repaired where the meaning is plain, else refused in one sentence."""
 
+import gzip
 import json
 from pathlib import Path
 from typing import Any
@@ -317,6 +318,13 @@ def test_damaged_files_never_raise_anything_else(suffix: str, tmp_path: Path) ->
         assert np.isfinite(vertices).all() and faces.max() < len(vertices)
 
     check()
+
+
+def test_a_packed_mesh_is_named_so(tmp_path: Path) -> None:
+    path = written(tmp_path, ball())
+    path.write_bytes(gzip.compress(path.read_bytes()))
+    with pytest.raises(InputError, match="is packed by gzip: unpack it first"):
+        load_mesh(path)
 
 
 def test_gltf_is_in_metres_with_y_up_by_its_specification_and_may_be_said_otherwise(tmp_path: Path) -> None:

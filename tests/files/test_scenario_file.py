@@ -114,7 +114,7 @@ file = "meshes/wedge.stl" -> file = "../wedge.stl"
 file = "meshes/wedge.stl" -> file = "meshes/none.stl"
     scenario.toml: anatomy.3.file = 'meshes/none.stl': is not a file that exists.
 unit = "cm" -> unit = "inch"
-    scenario.toml: anatomy.3.unit = 'inch': must be one of mm, cm, m.
+    scenario.toml: anatomy.3.unit = 'inch': must be one of mm, cm, m, in.
 max_strain = 0.05 -> max_strain = 5
     scenario.toml: margins.max_strain = 5: must be above 0 and at most 1.
 mm_per_rad = 10 -> mm_per_rad = 0
