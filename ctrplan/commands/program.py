@@ -102,7 +102,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
     except CtrplanError as error:
         print(f"ctrplan: {error}", file=sys.stderr)
         if (defect := getattr(error, "defect", None)) is not None:  # a mesh is refused because of a place in it
-            from ctrplan.reports.mesh_defect_picture import tell_picture
+            from ctrplan.reports.plan_picture import tell_picture
 
             tell_picture(defect)
         return error.exit_code

@@ -38,7 +38,7 @@ from ctrplan.robot.friction_calibration import friction_law
 from ctrplan.scenario.tip_solver import GoalState
 
 if TYPE_CHECKING:
-    from ctrplan.robot.observer_state import ObserverState
+    from ctrplan.robot.observer import ObserverState
     from ctrplan.scenario.scenario import Scenario
 
 

@@ -28,9 +28,9 @@ from ctrplan.planning.reach import reach
 from ctrplan.plans.planned_motion import Played, joints_at
 from ctrplan.reports import looks as looks
 from ctrplan.reports.looks import view_box
+from ctrplan.reports.plan_scene import anatomy_traces, lay_out, mesh_trace, moved_traces, robot_traces, xyz
 from ctrplan.reports.plan_words import WorstMiss
 from ctrplan.reports.robot_surface import RobotPose, anatomy_surface, pose, stand
-from ctrplan.reports.scene_traces import anatomy_traces, lay_out, mesh_trace, moved_traces, robot_traces, xyz
 from ctrplan.scenario.tip_solver import TipTarget
 
 if TYPE_CHECKING:

@@ -32,9 +32,8 @@ from ctrplan.reports.study_tables import (
 )
 from ctrplan.reports.words import digits, explained
 from ctrplan.storage.output_folder import write_atomically
-from ctrplan.studies.study.analysis import judged_by
 from ctrplan.studies.study.study_definition import StudyDefinition
-from ctrplan.studies.study.table import StudyTable
+from ctrplan.studies.study.table import StudyTable, judged_by
 
 COLUMNS = (*(f"base_{axis}_mm" for axis in "xyz"), *(f"base_q{axis}" for axis in "wxyz"))
 MOST_ROWS = 20

@@ -26,7 +26,7 @@ from ctrplan.robot.robot import Robot
 if TYPE_CHECKING:
     from ctrplan.anatomy.fixture import Fixture
     from ctrplan.anatomy.parts import AnatomyPart
-    from ctrplan.robot.observer_state import ObserverState
+    from ctrplan.robot.observer import ObserverState
 
 
 class PlannerSettings(Struct, metaclass=AbstractStruct, frozen=True, forbid_unknown_fields=True, kw_only=True):

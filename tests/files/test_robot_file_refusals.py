@@ -29,8 +29,8 @@ name = "pair" -> name = "a\tb"
 name = "pair" -> nmae = "pair"
     nmae = 'pair': unknown key, did you mean name?
 name = "pair" -> "" = "pair"
-    "" = 'pair': unknown key, known ones are tube, name, order, contact, home, joint, model_error_mm, measurement, marker,
-    uncertainty, effects, provenance.
+    "" = 'pair': unknown key, known ones are tube, name, order, contact, home, joint, model_error_mm, measurement,
+    marker, uncertainty, effects, provenance.
 name = "pair" -> [effects]\ntip_load = 1
     effects.tip_load = 1: must be a table.
 name = "pair" -> model_error_mm = -1

@@ -18,7 +18,7 @@ from ctrplan.files.robot_file import load_robot
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.files.trajectory_file import trajectory_formats, write_trajectory
 from ctrplan.plans.plan import write_plan_json
-from ctrplan.robot.observer_state import ObserverState
+from ctrplan.robot.observer import ObserverState
 from ctrplan.robot.robot import Robot
 from ctrplan.scenario.prediction import predict
 from ctrplan.scenario.scenario import Scenario
