@@ -9,17 +9,17 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import numpy as np
 from msgspec import Meta, Struct, to_builtins
 
-from ctrplan.base.arrays import Array, read_only
-from ctrplan.errors import InputError
 from ctrplan.files.drive_file import HomeEntry, JointEntry, build_drive
+from ctrplan.files.robot_intervals import UncertaintyEntry, build_intervals
 from ctrplan.measurement.sensor import Marker, SensorNoise
 from ctrplan.mechanics.tube import RANGES, SOFTEST_NM2, STIFFEST_NM2, Contact, Tube, TubeSection
-from ctrplan.robot.named_numbers import MAGNITUDE, value_of
-from ctrplan.robot.robot import KEYS, Robot, StatedIntervals, diametral_gap_m, never_nests
+from ctrplan.robot.magnitudes import one_sentence, robot_doubts
+from ctrplan.robot.robot import Robot, diametral_gap_m, never_nests
 from ctrplan.robot.tube_keys import (
+    BENDING,
+    CURVATURES,
     MOST_RATIO,
     POISSON,
     SHEAR,
@@ -38,8 +38,6 @@ from ctrplan.storage.toml_document import (
     Document,
     Length,
     Name,
-    Step,
-    interval_fault,
     read_document,
 )
 
@@ -107,14 +105,6 @@ class MarkerEntry(Struct, forbid_unknown_fields=True):
     from_tip_mm: Distance | None = None
     from_base_mm: Distance | None = None
     position_sigma_mm: Annotated[float, Meta(ge=1e-6, le=1000)] | None = None
-
-
-class UncertaintyEntry(Struct, forbid_unknown_fields=True):
-    """[uncertainty]: 95 % intervals of the file's own numbers, and how errors go together."""
-
-    ci95: dict[str, Any] = {}
-    correlated: list[str] = []
-    correlation: list[list[Annotated[float, Meta(ge=-1.001, le=1.001)]]] = []  # rounded ones too
 
 
 class RobotEntry(Struct, forbid_unknown_fields=True):
@@ -272,80 +262,6 @@ def _contact(entry: ContactEntry, i: int, document: Document) -> Contact:
     return Contact((interval[0], interval[1]), clearance_m)
 
 
-ROUNDING = 1e-3  # of correlations
-PLACE = ("uncertainty", "ci95")
-
-
-def build_intervals(entry: UncertaintyEntry | None, robot: Robot, document: Document) -> StatedIntervals:
-    """The table in SI. Raises InputError for what is no number of the file, no interval, or no correlation."""
-    if entry is None:
-        return StatedIntervals()
-    results: dict[str, tuple[float, float]] = {}
-    for path, ends in _flat(entry.ci95):
-        name, si = _named(path, robot, document)
-        value = value_of(robot, name)
-        if fault := interval_fault(ends, value / si):
-            raise document.fault(fault, *PLACE, *path)
-        if name.endswith(MAGNITUDE) and value == 0:
-            raise document.fault("has no direction, the section is straight", *PLACE, *path)
-        results[name] = float(ends[0]) * si, float(ends[1]) * si
-    names = tuple(_correlated(name, robot, results, document) for name in entry.correlated)
-    return StatedIntervals(results, names, _correlation(entry, document))
-
-
-def _flat(table: Mapping[str, Any], path: tuple[Step, ...] = ()) -> Iterator[tuple[tuple[Step, ...], Any]]:
-    """Keys as `tube.2.poisson_ratio`, written in quotes or as tables in tables."""
-    for key, value in table.items():
-        if isinstance(value, dict):
-            yield from _flat(value, (*path, key))
-        else:
-            yield (*path, key), value
-
-
-def _named(path: tuple[Step, ...], robot: Robot, document: Document) -> tuple[str, float]:
-    """The number's name and the SI value of its unit in the file."""
-    stem, _, key = ".".join(map(str, path)).rpartition(".")
-    try:
-        name, si = KEYS[key]
-        value_of(robot, f"{stem}.{name}")
-    except (KeyError, InputError):
-        known = ", ".join(KEYS)
-        rule = (
-            f"is no number of this file that may have an interval, such as tube.1.poisson_ratio; those end in {known}"
-        )
-        raise document.fault(rule, *PLACE, *path) from None
-    return f"{stem}.{name}", si
-
-
-def _correlated(name: str, robot: Robot, results: Mapping[str, Any], document: Document) -> str:
-    """The name, SI, if it has an interval."""
-    kind, *rest = name.split(".")
-    if kind == "effects" and len(rest) == 2:
-        table = robot.effects.get(rest[0], {})
-        if isinstance(table, dict) and rest[1] in table.get("ci95", {}):
-            return name
-    stem, _, key = name.rpartition(".")
-    if key in KEYS and f"{stem}.{KEYS[key][0]}" in results:
-        return f"{stem}.{KEYS[key][0]}"
-    raise document.fault(f'"{name}" has no 95 % interval in this file', "uncertainty", "correlated")
-
-
-def _correlation(entry: UncertaintyEntry, document: Document) -> Array | None:
-    count = len(entry.correlated)
-    if any(len(row) != count for row in entry.correlation) or len(entry.correlation) != count:
-        raise document.fault(f"must be {count} rows of {count} numbers, as `correlated`", "uncertainty", "correlation")
-    if len(set(entry.correlated)) != count:
-        raise document.fault("names a parameter twice", "uncertainty", "correlated")
-    if not count:
-        return None
-    result = np.array(entry.correlation)
-    symmetric = np.allclose(result, result.T, rtol=0, atol=ROUNDING) and np.allclose(np.diag(result), 1, rtol=0)
-    if not symmetric or np.linalg.eigvalsh((result + result.T) / 2).min() < -count * ROUNDING:
-        rule = "must be a correlation: symmetric, 1 on its diagonal, no negative eigenvalue"
-        raise document.fault(rule, "uncertainty", "correlation")
-    return read_only((result + result.T) / 2)
-
-
 LARGEST_CLEARANCE_RATIO = 0.02  # of the smallest radius of curvature (Ha et al. 2019, section I)
 SMALLEST_CLEARANCE_M = 5e-6  # the meshes do not resolve the contact forces of smaller ones (docs/model.md)
 ROUNDING_M = 0.05e-3  # of diameters in drawings and tables
@@ -395,9 +311,10 @@ def _build(document: Document) -> Robot:
     if violation := never_nests(robot):
         raise document.fault(f"no joint values within limits nest the tubes, at home {violation}", "home", "l_mm")
     intervals = build_intervals(entry.uncertainty, robot, document)
-    robot = replace(
-        robot, intervals=intervals, warnings=(*_ratio_warnings(entry, document), *_clearance_warnings(robot, document))
-    )
+    doubts = doubtful_numbers(robot, document)
+    in_doubt = one_sentence(doubts, f"ctrplan check {document.file or 'ROBOT.toml'}")
+    warnings = (*in_doubt, *_ratio_warnings(entry, document), *_clearance_warnings(robot, document))
+    robot = replace(robot, intervals=intervals, warnings=warnings)
     if not robot.effects:
         return robot
     from ctrplan.pipeline.installed import (
@@ -414,6 +331,24 @@ def _measurement(entry: MeasurementEntry | None) -> SensorNoise | None:
         return None
     degrees = entry.tangent_sigma_deg
     return SensorNoise(entry.position_sigma_mm * 1e-3, None if degrees is None else math.radians(degrees))
+
+
+def doubtful_numbers(robot: Robot, document: Document) -> list[str]:
+    """A sentence for each number of a robot's file that is most likely in another unit."""
+    return [str(document.fault(doubt.rule, *_key_in_file(doubt.key, document))) for doubt in robot_doubts(robot)]
+
+
+def _key_in_file(key: tuple[str | int, ...], document: Document) -> tuple[str | int, ...]:
+    """The key of a doubt as the file has it, which may say a stiffness or a bend in another way."""
+    table: Any = document.content
+    for step in key if isinstance(key[-1], int) else key[:-1]:
+        table = table[step]
+    if key[-1] == BENDING and BENDING not in table:
+        return (*key[:-1], YOUNG)
+    if len(key) == 4 and key[2] == "section":
+        bent = max(CURVATURES, key=lambda name: abs(table.get(name) or 0.0))
+        return (*key, "radius_mm" if "radius_mm" in table else bent)
+    return key
 
 
 def _ratio_warnings(entry: RobotEntry, document: Document) -> Iterator[str]:

@@ -109,10 +109,10 @@ class Mechanics:
         equilibrium without them, from which the loads grow; FAILED where no equilibrium is reached on the way.
         """
         with input_errors():
-            shape = solved_shape(self._model.zero_clearance(self._row(theta_b), self._row(l_b)))
+            shape = solved_shape(self._model.zero_clearance(*self._collars(theta_b, l_b)))
         if self._loaded is None or not loads or shape.status == Status.FAILED:
             return shape
-        return self._loaded.shape(self._row(theta_b), self._row(l_b), shape)
+        return self._loaded.shape(*self._collars(theta_b, l_b), shape)
 
     @checked(accuracy=ACCURACY, refinement=Number(0.25, 16))
     def solve(
@@ -137,7 +137,7 @@ class Mechanics:
             raise InputError("must lie in [-1, 1]", key="phi", value=worst(state))
         with input_errors():
             return solved_shape(
-                self._model.solve(self._row(theta_b), self._row(l_b), np.ascontiguousarray(state), accuracy, refinement)
+                self._model.solve(*self._collars(theta_b, l_b), np.ascontiguousarray(state), accuracy, refinement)
             )
 
     @checked(accuracy=ACCURACY, corners=Choice("all", "extreme"), progress=PROGRESS)
@@ -159,7 +159,7 @@ class Mechanics:
         """
         which = corners or ("all" if self.n <= MOST_TUBES_OF_ALL_CORNERS else "extreme")
         with input_errors():
-            raw = self._model.bound(self._row(theta_b), self._row(l_b), accuracy, which == "extreme", progress)
+            raw = self._model.bound(*self._collars(theta_b, l_b), accuracy, which == "extreme", progress)
         return solved_bound(raw)
 
     @checked(accuracy=ACCURACY, threads=THREADS, progress=PROGRESS, executor=EXECUTOR)
@@ -321,13 +321,13 @@ class Mechanics:
     def body(self, theta_b: ArrayLike, l_b: ArrayLike, *, accuracy: Accuracy = "search") -> tuple[Array, Array]:
         """Outermost centreline in front of the plate: points (1 + corners, N, 3) [m], outer radii (N,) [m]."""
         with input_errors():
-            return self._model.body(self._row(theta_b), self._row(l_b), accuracy)
+            return self._model.body(*self._collars(theta_b, l_b), accuracy)
 
     @checked(accuracy=ACCURACY)
     def friction_states(self, theta_b: ArrayLike, l_b: ArrayLike, *, accuracy: Accuracy = "search") -> FrictionStates:
         """A configuration solved without friction: where its friction states part, to ask for them again."""
         with input_errors():
-            core = _model.FrictionStates(self._model, self._row(theta_b), self._row(l_b), accuracy)
+            core = _model.FrictionStates(self._model, *self._collars(theta_b, l_b), accuracy)
         return FrictionStates(core, self.n)
 
     def friction_bodies(
@@ -350,7 +350,17 @@ class Mechanics:
         corner has none. Order of corners as `Bound.corners`.
         """
         with input_errors():
-            return np.asarray(self._model.corners_apart(self._row(theta_b), self._row(l_b), accuracy))
+            return np.asarray(self._model.corners_apart(*self._collars(theta_b, l_b), accuracy))
+
+    def _collars(self, theta_b: ArrayLike, l_b: ArrayLike) -> tuple[Array, Array]:
+        """Base rotations and translations (n,) in the layout of the core. Raises InputError."""
+        rows = joint_row(theta_b, self.n), joint_row(l_b, self.n)
+        longest = max(tube.length_m for tube in self._given[0])
+        if 20 * longest < np.abs(rows[1]).max() < 5000 * longest:  # where no tube can be, and in mm each of them
+            raise InputError(
+                "is many lengths of the robot: are these millimetres?", key="l_b", value=worst(rows[1]), unit="m"
+            )
+        return rows
 
     def _configurations(self, theta_b: ArrayLike, l_b: ArrayLike) -> tuple[Array, Array]:
         return joint_rows(theta_b, l_b, self.n)
@@ -364,9 +374,6 @@ class Mechanics:
         if pairs.shape != (self.n - 1,):
             raise InputError(f"must have shape ({self.n - 1},), one value per pair, not {pairs.shape}", key=key)
         return pairs
-
-    def _row(self, values: ArrayLike) -> Array:
-        return joint_row(values, self.n)
 
     def _rows(self, values: ArrayLike) -> Array:
         return joint_table(values, self.n)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -10,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ctrplan.base.arrays import Array, numbers, read_only
+from ctrplan.base.arrays import Array, are_degrees, numbers, read_only
 from ctrplan.drive.drive import Drive
 from ctrplan.errors import InputError
 from ctrplan.measurement.sensor import Marker, SensorNoise
@@ -166,6 +167,7 @@ class Robot:
 
     def zero_clearance(self, theta_b: ArrayLike, l_b: ArrayLike) -> Shape:
         """Zero-clearance, frictionless shape at collars (n,) [rad], (n,) [m], (2)-(3), with the loads of the robot."""
+        _warn_of_degrees(theta_b)
         return self.mechanics.zero_clearance(theta_b, l_b)
 
     def solve(
@@ -175,6 +177,7 @@ class Robot:
 
         See `Mechanics.solve`.
         """
+        _warn_of_degrees(theta_b)
         return self.mechanics.solve(theta_b, l_b, phi, accuracy=accuracy)
 
     def bound(
@@ -187,6 +190,7 @@ class Robot:
         progress: Progress | None = None,
     ) -> Bound:
         """Largest friction-induced deviations with collars at (n,) [rad], (n,) [m]. See `Mechanics.bound`."""
+        _warn_of_degrees(theta_b)
         return self.mechanics.bound(theta_b, l_b, accuracy=accuracy, corners=corners, progress=progress)
 
     def bound_many(
@@ -203,6 +207,7 @@ class Robot:
 
         `progress` is told the finished share, 0 to 1. See `Mechanics.bound_many`.
         """
+        _warn_of_degrees(theta_b)
         return self.mechanics.bound_many(
             theta_b, l_b, accuracy=accuracy, threads=threads, progress=progress, executor=executor
         )
@@ -260,6 +265,13 @@ class Robot:
     def _clearance(self, i: int) -> float:
         given = self.contacts[i].clearance_m
         return diametral_gap_m(self.tubes, i) if given is None else given
+
+
+def _warn_of_degrees(theta_b: ArrayLike) -> None:
+    """Warns the caller's caller of angles that are most likely degrees."""
+    if are_degrees(theta_b):
+        shown = np.array2string(np.asarray(theta_b, dtype=np.float64), threshold=6)
+        warnings.warn(f"theta_b = {shown} rad: are these degrees? numpy.radians turns them.", stacklevel=3)
 
 
 def diametral_gap_m(tubes: Sequence[Tube], i: int) -> float:
