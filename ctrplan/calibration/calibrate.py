@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from ctrplan.base.arguments import SEED, Choice, Interval, Made, Number, Table, Texts, Whole, checked
 from ctrplan.base.arrays import Array
+from ctrplan.calibration.estimates import Combination, Errors, Estimate, combinations, distances, estimates, summary
 from ctrplan.calibration.fit_warnings import (
     excused,
     gross_outliers,
@@ -25,17 +26,7 @@ from ctrplan.calibration.fit_warnings import (
     too_many,
     unsolved_sentence,
 )
-from ctrplan.calibration.least_squares import (
-    Combination,
-    Errors,
-    Estimate,
-    Fit,
-    combinations,
-    distances,
-    estimates,
-    fit,
-    summary,
-)
+from ctrplan.calibration.least_squares import Fit, fit
 from ctrplan.calibration.parameters import chosen_terms, spelled_out
 from ctrplan.calibration.residuals import Noise, Weighting, weighed_by
 from ctrplan.calibration.robot_content import calibrated_content, model_error_m, within_file

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
-from ctrplan.calibration.least_squares import Fit, distances
+from ctrplan.calibration.estimates import distances
+from ctrplan.calibration.least_squares import Fit
 from ctrplan.calibration.parameters import BaseParameters
 from ctrplan.calibration.residuals import residuals
 from ctrplan.measurement.measurements import Measurements

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from ctrplan.base.package import __version__
-from ctrplan.calibration.least_squares import CI95, Fit, estimates, fit
+from ctrplan.calibration.estimates import CI95, estimates
+from ctrplan.calibration.least_squares import Fit, fit
 from ctrplan.effects.effect import Effect, Parameter
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.pipeline.chain import taken_along

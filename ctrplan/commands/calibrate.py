@@ -15,7 +15,7 @@ from ctrplan.storage.output_folder import output_folder, written_together
 
 if TYPE_CHECKING:
     from ctrplan.calibration.calibrate import Calibration
-    from ctrplan.calibration.least_squares import Errors
+    from ctrplan.calibration.estimates import Errors
 
 OUTPUTS = ("robot.toml", "calibration.json", "report.html")
 DESCRIPTION = (

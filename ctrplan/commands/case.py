@@ -13,7 +13,7 @@ from ctrplan.base.long_work import INTERRUPTED, interrupt_event
 from ctrplan.commands.options import add_options_of
 from ctrplan.commands.terminal import PATIENCE_S, ProgressBar
 from ctrplan.errors import InputError
-from ctrplan.patients.points import OPTIONS, STEP_NAMES
+from ctrplan.patients.request import OPTIONS, STEP_NAMES
 
 if TYPE_CHECKING:
     from ctrplan.patients.case import Case, StepTold

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
+from ctrplan.calibration.estimates import estimates
 from ctrplan.calibration.fit_warnings import strained
-from ctrplan.calibration.least_squares import estimates
 from ctrplan.diagnosis.block_evidence import SAYS_SOMETHING, mean_square, summed
 from ctrplan.diagnosis.correlated_bench import FRAME_MOVES, CorrelatedBench
 from ctrplan.diagnosis.partial_diagnosis import PartialDiagnosis, concluded, most_probable_alone, remainder_beside

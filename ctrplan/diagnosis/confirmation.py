@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 
 from ctrplan.base.arguments import Made, checked
 from ctrplan.base.arrays import Array
+from ctrplan.calibration.estimates import Errors, distances, summary
 from ctrplan.calibration.fit_warnings import excused, gross_outliers, too_many
-from ctrplan.calibration.least_squares import Errors, Fit, distances, fit, summary
+from ctrplan.calibration.least_squares import Fit, fit
 from ctrplan.calibration.residuals import Noise, residuals, robust_square
 from ctrplan.diagnosis.block_evidence import summed
 from ctrplan.diagnosis.correlated_bench import FRAMES, fixed, frames

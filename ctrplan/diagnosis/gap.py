@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
+from ctrplan.calibration.estimates import Errors, distances, summary
 from ctrplan.calibration.fit_warnings import excused
-from ctrplan.calibration.least_squares import Errors, Fit, distances, summary
+from ctrplan.calibration.least_squares import Fit
 from ctrplan.calibration.residuals import MODEL_POSITION_M, Noise, Residuals, residuals
 from ctrplan.diagnosis.adequacy import HEAVY, ChiSquare, outliers, tail_weight
 from ctrplan.diagnosis.localise import Place

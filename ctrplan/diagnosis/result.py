@@ -9,7 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from ctrplan.base.package import __version__
-from ctrplan.calibration.least_squares import Errors, estimates
+from ctrplan.calibration.estimates import Errors, estimates
 from ctrplan.calibration.residuals import Noise
 from ctrplan.calibration.robot_content import calibrated_content, model_error_m
 from ctrplan.diagnosis.adequacy import ChiSquare

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from ctrplan.calibration.least_squares import estimates
+from ctrplan.calibration.estimates import estimates
 from ctrplan.diagnosis.correlated_bench import FRAME
 from ctrplan.diagnosis.gap import LARGEST_REST, times_noise
 from ctrplan.diagnosis.result import Diagnosis

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ctrplan.calibration.estimates import distances
 from ctrplan.calibration.fit_warnings import excused, symptoms
-from ctrplan.calibration.least_squares import distances
 from ctrplan.calibration.residuals import Residuals
 from ctrplan.calibration.robot_content import within_file
 from ctrplan.diagnosis.adequacy import Adequacy, ignored, left_out_probability, remains

@@ -17,7 +17,7 @@ from ctrplan.base.arguments import EVENT, PROGRESS, Choice, checked
 from ctrplan.base.arrays import numbers
 from ctrplan.base.long_work import StageProgress, interrupt_event
 from ctrplan.errors import InputError
-from ctrplan.patients.points import STEP_NAMES, Options, Place, over, request_of
+from ctrplan.patients.request import STEP_NAMES, Options, Place, over, request_of
 from ctrplan.patients.steps import BasesStep, PlacedStep, PlanStep, ScenarioStep, SlicerStep
 from ctrplan.patients.work import FILE, CaseStep, MadeFile, Record, Work, key_of
 from ctrplan.storage.output_folder import output_folder
@@ -80,7 +80,7 @@ def case(
     `frame`, or names of markups, of files of them, or of their points' labels; a target also the name of a structure,
     whose middle is meant. `lumens` and `avoids` name structures, `phases` the files of each that moves, with
     `motion_margin_mm` for places between its phases. Base poses lie within `radius_mm` and `cone_deg` of an entry, and
-    the first `bases` of them are planned from until one has a plan. `ctrplan.patients.points` says what each of the
+    the first `bases` of them are planned from until one has a plan. `ctrplan.patients.request` says what each of the
     options is. What is None or not given is as the run before had it, or as ctrplan chooses.
 
     Every step writes files into `output`. A step whose files and sources are as they were is not done again; files

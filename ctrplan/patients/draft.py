@@ -25,7 +25,8 @@ from ctrplan.errors import InputError
 from ctrplan.files.scenario_anatomy import MOTION, anatomy_notes, anatomy_part
 from ctrplan.files.scenario_file import scenario_from_dict
 from ctrplan.files.slicer_markups import PlacedMarkup
-from ctrplan.patients.points import MARGIN_MM, TOLERANCE_MM, WORDS, Named, Place, Request, is_point, says
+from ctrplan.patients.points import WORDS, Named, is_point, says
+from ctrplan.patients.request import MARGIN_MM, TOLERANCE_MM, Place, Request
 from ctrplan.patients.structures import CaseContent, Structure, between_phases_mm, matching, with_margin
 from ctrplan.patients.work import SCENARIO, Work
 from ctrplan.planning.room import blocked

@@ -38,18 +38,16 @@ from ctrplan.patients.draft import (
     start_values,
     with_motion_margins,
 )
-from ctrplan.patients.points import (
+from ctrplan.patients.points import Named, case_frame, places_of
+from ctrplan.patients.request import (
     CANDIDATES,
     CONE_DEG,
     TRIES,
     BasesOptions,
     Inputs,
-    Named,
     PlanOptions,
     ScenarioOptions,
-    case_frame,
     part,
-    places_of,
 )
 from ctrplan.patients.structures import Structure, chosen, content_of
 from ctrplan.patients.work import (

@@ -21,7 +21,7 @@ from ctrplan.base.arrays import LONGEST_MM, MM_PER_M
 from ctrplan.base.long_work import StageProgress
 from ctrplan.errors import InputError
 from ctrplan.files.scenario_file import load_scenario
-from ctrplan.patients.points import RADIUS_MM, Request, request_of
+from ctrplan.patients.request import RADIUS_MM, Request, request_of
 from ctrplan.planning.base_pose import DIGITS, MM_DIGITS, BaseFrame, BasePose, as_written
 from ctrplan.plans.plan import Plan
 from ctrplan.scenario.scenario import Scenario

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import plotly.graph_objects as go
 
 from ctrplan.calibration.calibrate import Calibration
-from ctrplan.calibration.least_squares import Errors
+from ctrplan.calibration.estimates import Errors
 from ctrplan.reports import looks
 from ctrplan.reports.html_page import FIGURE_TEXT, plot, rendered
 from ctrplan.reports.words import term

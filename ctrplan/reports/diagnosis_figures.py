@@ -11,8 +11,8 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from ctrplan.base.arrays import MM_PER_M, Array
+from ctrplan.calibration.estimates import distances
 from ctrplan.calibration.fit_warnings import excused
-from ctrplan.calibration.least_squares import distances
 from ctrplan.diagnosis.localise import quantities
 from ctrplan.diagnosis.result import Diagnosis
 from ctrplan.pipeline.term import Term

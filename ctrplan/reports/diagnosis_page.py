@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from ctrplan.calibration.least_squares import estimates
+from ctrplan.calibration.estimates import estimates
 from ctrplan.diagnosis.correlated_bench import FRAMES
 from ctrplan.diagnosis.next_experiment import Proposal
 from ctrplan.diagnosis.partial_diagnosis import PartialDiagnosis

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ctrplan.calibration.least_squares import Estimate
+from ctrplan.calibration.estimates import Estimate
 
 
 @pytest.mark.parametrize(

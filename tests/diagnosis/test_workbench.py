@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from measured_data import measured, pair_robot, waypoints
 
-from ctrplan.calibration.least_squares import distances
+from ctrplan.calibration.estimates import distances
 from ctrplan.diagnosis import CATALOGUE
 from ctrplan.diagnosis.adequacy import noise_floor
 from ctrplan.diagnosis.workbench import Workbench

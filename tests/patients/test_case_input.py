@@ -24,7 +24,7 @@ from ctrplan.commands.program import parser
 from ctrplan.errors import CtrplanError, InputError
 from ctrplan.files.slicer_markups import read_markups
 from ctrplan.patients.case import STEPS, case
-from ctrplan.patients.points import OPTIONS, STEP_NAMES, over, request_of
+from ctrplan.patients.request import OPTIONS, STEP_NAMES, over, request_of
 from ctrplan.patients.steps import robot_file
 from ctrplan.patients.structures import by_name
 from ctrplan.patients.work import SCENARIO

@@ -38,7 +38,7 @@ from hidden_effects.leftovers import Leftover, add_leftover
 from hidden_effects.noise import add_noise
 from hidden_effects.score import wilson
 
-from ctrplan.calibration.least_squares import distances
+from ctrplan.calibration.estimates import distances
 from ctrplan.diagnosis import built_term as limits
 from ctrplan.diagnosis.adequacy import noise_floor
 from ctrplan.diagnosis.built_term import refusals, tried
