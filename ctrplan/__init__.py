@@ -37,6 +37,8 @@ if TYPE_CHECKING:
     from ctrplan.planning.reordering import reorder as reorder
     from ctrplan.plans.plan import Plan
     from ctrplan.plans.uncertainty import plan_uncertainty as plan_uncertainty
+    from ctrplan.reports.check import Check
+    from ctrplan.reports.check import check as check
     from ctrplan.reports.plan_page import save_plan as save_plan
     from ctrplan.robot.robot import Robot
     from ctrplan.scenario.scenario import Scenario
@@ -89,6 +91,8 @@ _HOMES = {
     "TubeDesigns": "studies.design.tube_design",
     "StudyTable": "studies.study.table",
     "load_study": "studies.study.table",
+    "Check": "reports.check",
+    "check": "reports.check",
     "bound_with_parameters": "uncertainty.tip_slopes",
     "plan_uncertainty": "plans.uncertainty",
 }
@@ -98,6 +102,7 @@ __all__ = [
     "Bounds",
     "Calibration",
     "Case",
+    "Check",
     "CtrplanError",
     "Diagnosis",
     "History",
@@ -121,6 +126,7 @@ __all__ = [
     "bound_with_parameters",
     "calibrate",
     "case",
+    "check",
     "diagnose",
     "inverse_kinematics",
     "load_measurements",

@@ -19,9 +19,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrplan.anatomy.image import Image, ImageRefusal
+from ctrplan.anatomy.image import Header, Image, ImageRefusal
 from ctrplan.anatomy.image_file import check_bytes, kept_locale, placed, quiet, reason, simpleitk
-from ctrplan.anatomy.image_header import Header
 from ctrplan.base.arrays import Array
 
 UNEVEN_MM = 0.02  # by which gaps between slices may differ

@@ -14,8 +14,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrplan.anatomy.image import Image, ImageRefusal, UnfitImageRefusal, segments_of
-from ctrplan.anatomy.image_header import Header, check_packed, first_bytes, other_kind, readable, text_header
+from ctrplan.anatomy.image import (
+    Header,
+    Image,
+    ImageRefusal,
+    UnfitImageRefusal,
+    check_packed,
+    first_bytes,
+    other_kind,
+    readable,
+    segments_of,
+    text_header,
+)
 from ctrplan.anatomy.nifti import is_nifti, nifti_header, nifti_voxels, scaled
 from ctrplan.anatomy.patient_frame import TURNED, Frame
 from ctrplan.base.arrays import Array

@@ -11,7 +11,7 @@ from typing import BinaryIO, Literal, TypeVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrplan.anatomy.image_header import packed_by
+from ctrplan.anatomy.image import packed_by
 from ctrplan.anatomy.mesh_repair import Indices, MeshRefusal, turned_outward, welded
 from ctrplan.anatomy.patient_frame import Frame
 from ctrplan.base.arrays import Array

@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrplan.anatomy.image import ImageRefusal, UnfitImageRefusal
-from ctrplan.anatomy.image_header import APART_MM, Header, first_bytes, unpacked_bytes
+from ctrplan.anatomy.image import APART_MM, Header, ImageRefusal, UnfitImageRefusal, first_bytes, unpacked_bytes
 from ctrplan.base.arrays import Array
 
 UNITS_MM = {0: 1.0, 1: 1e3, 2: 1.0, 3: 1e-3}  # xyzt_units: unknown, metre, millimetre, micrometre

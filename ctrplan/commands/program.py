@@ -25,6 +25,8 @@ COMMANDS = {
     "verify": "judge a written plan: hunt for what breaks its certificate",
     "render": "a plan's motion as MP4 or GIF",
     "export": "write a plan for 3D Slicer: curves, models, a sequence over time, a scene",
+    "init": "write a robot, scenario or mapping file to begin with, commented and ready to run",
+    "check": "what a file says, in numbers that a person knows; names what is in another unit",
     "bound": "bound the friction error at one configuration, or over a sweep",
     "ik": "every way to bring the tip to a point, with the friction bound of each",
     "place": "where the robot could stand: base poses for a scenario's targets, ranked",

@@ -166,6 +166,11 @@ def read_document(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -
         raise InputError("is nested too deeply", file=file) from None
 
 
+def parsed_toml(text: str, file: str) -> dict[str, Any]:
+    """The content of a text in TOML; `file` is what errors call it. Raises InputError."""
+    return _parse(text.encode(), file)
+
+
 def _parse(data: bytes, file: str) -> dict[str, Any]:
     try:
         content: dict[str, Any] = tomllib.loads(data.decode("utf-8-sig"))

@@ -10,7 +10,7 @@ import pytest
 from places import ROBOTS, SCENARIOS
 
 import ctrplan
-from ctrplan.audit.recomputed import recomputed_differences
+from ctrplan.audit.verify import recomputed_differences
 from ctrplan.certificate.certify import certify
 from ctrplan.errors import CtrplanError, InputError
 from ctrplan.files.plan_file import load_plan

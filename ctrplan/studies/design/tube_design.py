@@ -15,8 +15,8 @@ from ctrplan.files.design_file import DesignEntry, checked_design, read_design
 from ctrplan.files.robot_file import load_robot, write_robot
 from ctrplan.storage.output_folder import write_atomically
 from ctrplan.storage.toml_document import Document
-from ctrplan.studies.design.design_definition import Archive, DesignDefinition, EvaluatedDesign, defined
 from ctrplan.studies.design.search import PLANS, search
+from ctrplan.studies.design.space import Archive, DesignDefinition, EvaluatedDesign, defined
 from ctrplan.studies.study.axes import goal_overrides
 from ctrplan.studies.study.sources import ROBOT_PREFIX
 from ctrplan.studies.study.study import Report, Where, refuse_longer_than_a_week
