@@ -1,8 +1,8 @@
 """A volume, kept while several structures need it, and what the header of its file says where readers do not.
 
-That is frame, units, spacing, place and scaling. A reader fills in what a file leaves open (a spacing of 1 mm, an origin
-of 0, axes along the patient's) and passes over what it does not know (centimetres, a scaling of the values). Here the
-first is refused and the second is applied.
+That is frame, units, spacing, place and scaling. A reader fills in what a file leaves open (a spacing of 1 mm, an
+origin of 0, axes along the patient's) and passes over what it does not know (centimetres, a scaling of the values).
+Here the first is refused and the second is applied.
 """
 
 from __future__ import annotations

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import difflib
 import errno
 import io
 import os
@@ -63,6 +64,9 @@ class CommandLine(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """Raises InputError, with where to look for help."""
         message = message.removeprefix("argument ").replace("-o/--output", "--output")
+        if (wrong := re.match(r"COMMAND: invalid choice: '(.*?)'", message)) is not None:
+            meant = difflib.get_close_matches(wrong[1], COMMANDS, n=1)
+            message = message.replace(" (choose", f"{f', did you mean {meant[0]}?' if meant else ''} (choose", 1)
         raise InputError(f"{message} (see {self.prog} --help)")
 
 

@@ -259,7 +259,8 @@ def _json_object(file: str) -> dict[str, Any]:
     except UnicodeDecodeError as error:
         raise InputError(f"is not UTF-8 text (byte {error.start})", file=file) from None
     except json.JSONDecodeError as error:
-        raise InputError(f"is no JSON (line {error.lineno}: {error.msg})", file=file) from None
+        what = "" if file.lower().endswith(".json") else ": a plan.json is meant, which ctrplan plan -o DIR writes"
+        raise InputError(f"is no JSON (line {error.lineno}: {error.msg}){what}", file=file) from None
     except (RecursionError, ValueError):  # thousands of brackets, or of digits
         raise InputError("is no JSON that could be read", file=file) from None
     if not isinstance(content, dict) or "schema_version" not in content:

@@ -274,7 +274,7 @@ def _refuse_wrong_units(
             steps = [int(step) - 1 if step.isdecimal() else step for step in f"{goal.table}.{goal.tip_key}".split(".")]
             found.append((doubt, document.fault(doubt.rule, *steps)))
     for k, doubt in part_doubts(robot, anatomy, tips):
-        found.append((doubt, document.fault(doubt.rule, "anatomy", k, "unit")))
+        found.append((doubt, document.fault(doubt.rule, "anatomy", k, doubt.key)))
     for doubt, fault in found:
         if doubt.is_sure:
             raise fault

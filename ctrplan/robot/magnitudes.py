@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 UNITS_M = {"m": 1.0, "mm": 1e-3, "in": 25.4e-3, "cm": 1e-2, "um": 1e-6}  # the likeliest mistake first
 IN_WORDS = {"m": "metres", "mm": "millimetres", "in": "inches", "cm": "centimetres", "um": "micrometres"}
-YOUNG_PA = 5e7, 1.3e12  # of a soft polymer, and beyond diamond
+YOUNG_PA = 5e7, 1e13  # a soft polymer, and ten diamonds: wrong units are off by a thousand and more
 LEAST_ARC_RAD, MOST_ARC_RAD = math.radians(0.3), 4 * math.pi  # of a section that is meant to be bent
 WIDE_ARC_RAD = math.radians(225)  # that is doubted where the number makes a radius
 OUTER_M = 1e-4, 0.04  # outer diameters

@@ -28,6 +28,7 @@ class SizeDoubt(NamedTuple):
     unit: str
     rule: str
     is_sure: bool = True
+    key: str = "unit"
 
 
 def place_doubt(
@@ -74,6 +75,14 @@ def part_doubts(robot: Robot, parts: Sequence[AnatomyPart], tips_m: Sequence[Arr
     lumens = [part for part in parts if part.role == "inside"]
     lost = bool(lumens) and not any(_in_one(lumens, tip) for tip in tips_m)
     for k, part in enumerate(parts):
+        if (
+            part.role == "avoid"
+            and tips_m
+            and part.shape.kind != "surface"
+            and all(_holds(part, t, 1.0) for t in tips_m)
+        ):
+            rule = 'holds every goal, which nothing may enter: is it a lumen (role = "inside"), or the target itself?'
+            yield k, SizeDoubt("", rule, False, "role")
         if part.shape.kind not in ("mesh", "surface"):
             continue
         size = float(np.ptp(np.array(part.shape.box()), axis=0).max())

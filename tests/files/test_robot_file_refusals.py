@@ -29,8 +29,8 @@ name = "pair" -> name = "a\tb"
 name = "pair" -> nmae = "pair"
     nmae = 'pair': unknown key, did you mean name?
 name = "pair" -> "" = "pair"
-    "" = 'pair': unknown key, known ones are tube, name, order, contact, home, joint, model_error_mm, measurement,
-    marker, uncertainty, effects, provenance.
+    "" = 'pair': unknown key, known ones are tube, and optional name, order, contact, home, joint,
+    model_error_mm, measurement, marker, uncertainty, effects, provenance.
 name = "pair" -> [effects]\ntip_load = 1
     effects.tip_load = 1: must be a table.
 name = "pair" -> model_error_mm = -1
@@ -151,7 +151,7 @@ moves = { l = [0, 1] } -> moves = { l = [1] }
 moves = { l = [0, 1] } -> moves = { l = [0, 0] }
     joint.2.moves.l = [0, 0]: must have one value per tube, 2, not all zero.
 moves = { l = [0, 1] } -> moves = { x = [0, 1] }
-    joint.2.moves.x = [0, 1]: unknown key, known ones are theta, l.
+    joint.2.moves.x = [0, 1]: unknown key, known ones, all optional, are theta, l.
 moves = { theta = [0, 1] } -> moves = { theta = [0, 0.5] }
     joint.1.moves.theta = [0, 0.5]: must be whole numbers for an unlimited rotation, else give min_deg and
     max_deg.
