@@ -39,6 +39,9 @@ if TYPE_CHECKING:
     from ctrplan.plans.uncertainty import plan_uncertainty as plan_uncertainty
     from ctrplan.reports.check import Check
     from ctrplan.reports.check import check as check
+    from ctrplan.reports.object_figures import Page
+    from ctrplan.reports.object_figures import plot as plot
+    from ctrplan.reports.object_figures import show as show
     from ctrplan.reports.plan_page import save_plan as save_plan
     from ctrplan.robot.robot import Robot
     from ctrplan.scenario.scenario import Scenario
@@ -91,6 +94,9 @@ _HOMES = {
     "TubeDesigns": "studies.design.tube_design",
     "StudyTable": "studies.study.table",
     "load_study": "studies.study.table",
+    "Page": "reports.object_figures",
+    "plot": "reports.object_figures",
+    "show": "reports.object_figures",
     "Check": "reports.check",
     "check": "reports.check",
     "bound_with_parameters": "uncertainty.tip_slopes",
@@ -111,6 +117,7 @@ __all__ = [
     "InverseKinematics",
     "Measurements",
     "NoAnswerError",
+    "Page",
     "Placement",
     "Plan",
     "Robot",
@@ -140,8 +147,10 @@ __all__ = [
     "plan_many",
     "plan_uncertainty",
     "planning",
+    "plot",
     "reorder",
     "save_plan",
+    "show",
     "verify",
 ]
 

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from ctrplan.anatomy.patient_frame import Frame
 from ctrplan.base.arrays import MM_PER_M, Array
+from ctrplan.base.package import shown
 
 
 class ImageRefusal(Exception):
@@ -43,6 +44,7 @@ class Segment:
     layer: int = 0
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class Image:
     """Voxels (nz, ny, nx), or (nz, ny, nx, layers); voxel (i, j, k) along (x, y, z) has its centre at `place_m`.

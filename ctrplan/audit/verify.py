@@ -18,6 +18,7 @@ from ctrplan.audit.counterexamples import HistoryHunt, StateHunt
 from ctrplan.base.arguments import EVENT, PROGRESS, SEED, Choice, Number, Whole, checked
 from ctrplan.base.arrays import Array
 from ctrplan.base.long_work import Progress, StageProgress, interrupt_event, part_of
+from ctrplan.base.package import shown
 from ctrplan.certificate.certificate import SAME, SHARE, Certificate, Difference, Settling, joined_certificates
 from ctrplan.certificate.certify import certify, frictionless_arrives
 from ctrplan.drive.trajectory import PERIOD_S, time_parameterise
@@ -185,6 +186,7 @@ WORK = 100_000  # units of the hunt, about as many tenths of a millisecond on a 
 TIME, BUDGET = Number(0, 1e6, "s", above=True), Whole(1, 10**10)
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class Verification:
     """What the judge found."""

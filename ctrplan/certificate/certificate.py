@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
+from ctrplan.base.package import shown
 from ctrplan.drive.legs import distance_from_polyline, merge_legs
 from ctrplan.errors import InputError
 
@@ -144,6 +145,7 @@ def _numbers_compared(figure: str, stated: Any, result: Any) -> Iterator[Differe
         yield Difference(figure, float(a[k]), float(b[k]))
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class CertificateSamples:
     """The finished legs with the full model, K samples in the order driven."""
@@ -219,6 +221,7 @@ def _limits(scenario: Scenario) -> PathLimits:
     return path_limits(scenario)
 
 
+@shown
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Certificate:
     """Dense recheck of the legs, independent of anything the search approximated. Its fields are the table of figures.

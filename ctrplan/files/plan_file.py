@@ -14,6 +14,7 @@ from msgspec import Meta, Struct, defstruct
 from msgspec.structs import asdict
 
 from ctrplan.base.arrays import Array
+from ctrplan.base.package import shown
 from ctrplan.certificate.certificate import FIGURES, Closest
 from ctrplan.drive.drive import Drive
 from ctrplan.errors import InputError
@@ -187,6 +188,7 @@ LARGEST_FILE_BYTES = 200_000_000
 SAME = 1e-9  # of a number of a leg in its two units, and of where legs meet, rad or m
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class WrittenPlan:
     """A plan as it stands in plan.json and trajectory.csv: nothing of it is believed.

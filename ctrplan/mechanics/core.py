@@ -18,6 +18,7 @@ from ctrplan import _model
 from ctrplan.base.arguments import EXECUTOR, PROGRESS, Choice, Flag, Made, Number, Texts, Whole, checked, require
 from ctrplan.base.arrays import Array, numbers
 from ctrplan.base.long_work import Progress, core_threads, part_of
+from ctrplan.base.package import shown
 from ctrplan.errors import InputError
 from ctrplan.mechanics.accuracy import Accuracy
 from ctrplan.mechanics.core_arrays import (
@@ -389,6 +390,7 @@ def _require_ranges(place: str, of: object, ranges: Mapping[str, Number]) -> Non
         require(f"{place}.{name}", getattr(of, name), kind)
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class BoundStep:
     """The bound where a walker stands. NaN where a solve FAILED."""

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from ctrplan.base.arguments import SEED, Number, Whole, checked, require
 from ctrplan.base.arrays import LONGEST_MM, numbers
+from ctrplan.base.package import shown
 from ctrplan.errors import InputError
 from ctrplan.motion.checker import MotionChecker, path_limits
 from ctrplan.planning.reach import Configuration, Reach, reach
@@ -32,6 +33,7 @@ STARTS = 400
 FARTHEST_M = LONGEST_MM * 1e-3
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class InverseKinematics:
     """Ways to a point; positions in the robot's frame, as those of `Configuration` are."""

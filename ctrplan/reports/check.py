@@ -70,7 +70,8 @@ class Check:
 
     def __repr__(self) -> str:
         """The text, at most 30 lines of it."""
-        return self.text if len(self.text.splitlines()) <= 30 else "\n".join([*self.text.splitlines()[:29], "..."])
+        lines = [line if len(line) <= 120 else f"{line[:117]}..." for line in self.text.splitlines()]
+        return "\n".join(lines if len(lines) <= 30 else [*lines[:29], "..."])
 
 
 def check(

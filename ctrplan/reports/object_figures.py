@@ -1,28 +1,115 @@
-"""Figures of one object each, by one call: a robot's tubes to scale, a shape or a bound, made without a screen.
+"""Figures of one object each, by one call: a robot's tubes to scale, a shape, a bound, a plan; pages within notebooks.
 
-They are matplotlib figures of their own, which a notebook shows and `savefig` writes.
+`plot` makes a matplotlib figure of its own, without a screen, which a notebook shows and `savefig` writes. `show` makes
+what turns and answers: a plan's scene by plotly, or the report of a diagnosis or study as a page within the notebook.
+`robot.plot()`, `plan.show()` and so on call them.
 """
 
 from __future__ import annotations
 
+import html
+import os
 from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ctrplan.base.arrays import MM_PER_M, Array
+from ctrplan.errors import InputError
 from ctrplan.mechanics.tube import Tube
 from ctrplan.reports import looks
+from ctrplan.storage.output_folder import write_atomically
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from ctrplan.diagnosis.result import Diagnosis
     from ctrplan.mechanics.shapes import Bound, Shape
+    from ctrplan.plans.plan import Plan
     from ctrplan.robot.robot import Robot
+    from ctrplan.studies.study.study import Study
+    from ctrplan.studies.study.table import StudyTable
 
 ARC_STEP_M = 0.5e-3
 WIDE = 10.0  # inches
+
+
+def plot(subject: Robot | Bound | Shape | Plan, **keys: Any) -> Figure:
+    """A picture of a robot, a bound, a shape or a plan. Raises InputError for anything else."""
+    from ctrplan.mechanics.shapes import Bound, Shape
+    from ctrplan.plans.plan import Plan
+    from ctrplan.robot.robot import Robot
+
+    if isinstance(subject, Robot):
+        return robot_figure(subject, **keys)
+    if isinstance(subject, Bound):
+        return bound_figure(subject, **keys)
+    if isinstance(subject, Shape):
+        return shape_figure(subject, **keys)
+    if isinstance(subject, Plan):
+        from ctrplan.reports.plan_picture import plan_figure
+        from ctrplan.reports.plan_scene import plan_scene
+
+        return plan_figure(plan_scene(subject, **keys))
+    raise InputError("must be a Robot, a Bound, a Shape or a Plan", key="subject", value=subject)
+
+
+@dataclass(frozen=True)
+class Page:
+    """A page that loads nothing, within a notebook; `save` writes it as a file."""
+
+    html: str
+    height: int = 700  # pixels in the notebook
+
+    def _repr_html_(self) -> str:
+        """The page in a frame of its own, whose styles leave the notebook alone."""
+        style = f"width:100%;height:{self.height}px;border:0"
+        return f'<iframe srcdoc="{html.escape(self.html, quote=True)}" style="{style}"></iframe>'
+
+    def __repr__(self) -> str:
+        """How large it is: a notebook shows it, `save` writes it."""
+        return f"Page of {len(self.html) / 1e6:.2g} MB, shown by a notebook, written by save(path)"
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Writes the page, whole or not at all. Raises CtrplanError where the system refuses."""
+        write_atomically(path, self.html)
+
+
+def show(subject: Plan | Diagnosis | Study | StudyTable, **keys: Any) -> Any:
+    """What turns and answers: a plan's moving scene (a plotly figure), a diagnosis's or a study's report (a `Page`).
+
+    frames: of a plan, poses that are solved for the scene. table: of a study, what its tasks came to. Raises InputError
+    for anything else.
+    """
+    from ctrplan.diagnosis.result import Diagnosis
+    from ctrplan.plans.plan import Plan
+    from ctrplan.studies.study.study import Study
+    from ctrplan.studies.study.table import StudyTable
+
+    if isinstance(subject, Plan):
+        from ctrplan.reports.plan_motion import scene_figure
+        from ctrplan.reports.plan_scene import plan_scene
+
+        return scene_figure(plan_scene(subject, **keys))
+    if isinstance(subject, Diagnosis):
+        from ctrplan.reports.diagnosis_figures import selection_errors
+        from ctrplan.reports.diagnosis_page import diagnosis_report_html
+
+        return Page(str(diagnosis_report_html(subject, selection_errors(subject))), **keys)
+    if isinstance(subject, Study):
+        from ctrplan.reports.study_page import study_report_html
+
+        return Page(str(study_report_html(subject, keys.pop("table"))), **keys)
+    if isinstance(subject, StudyTable):
+        report = (subject.folder or Path()) / "report.html"
+        if not report.is_file():
+            rule = "has no report beside it: ask its study, study.show(table)"
+            raise InputError(rule, key="table", value=str(subject.folder or ""))
+        return Page(report.read_text(encoding="utf-8"), **keys)
+    raise InputError("must be a Plan, a Diagnosis, a Study or a StudyTable", key="subject", value=subject)
 
 
 def robot_figure(robot: Robot) -> Figure:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ctrplan.base.arrays import Array, are_degrees, numbers, read_only
+from ctrplan.base.package import shown
 from ctrplan.drive.drive import Drive
 from ctrplan.errors import InputError
 from ctrplan.measurement.sensor import Marker, SensorNoise
@@ -19,6 +20,8 @@ from ctrplan.mechanics.tube import TOLERANCE_M, Contact, Loads, Tube, least_dist
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
+
+    from matplotlib.figure import Figure
 
     from ctrplan.base.long_work import Progress
     from ctrplan.mechanics.accuracy import Accuracy, HistoryOptions
@@ -109,6 +112,7 @@ def _base(robot: Robot, i: int, l_b: Array) -> str:
     return f"the base of tube {i + 1}{moved_by} at l_{i + 1}b = {l_b[i] * 1e3:.6g} mm"
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class Robot:
     """n concentric tubes, outermost first, their n - 1 contacts and the drive; SI units."""
@@ -157,6 +161,17 @@ class Robot:
         from ctrplan.mechanics.core import Mechanics
 
         return Mechanics(self.tubes, self.clearance_m, self.friction[:, 1], self.loads)
+
+    def headline(self) -> str:
+        """Its name and size, as it shows itself."""
+        longest = max(tube.length_m for tube in self.tubes) * 1e3
+        return f"{self.name}, {self.n} tube{'s' if self.n > 1 else ''} up to {longest:.4g} mm long"
+
+    def plot(self) -> Figure:
+        """The tubes to scale, as they are bent when nothing holds them, and the travel of the drive."""
+        import ctrplan  # pictures are of a package above, and stand in the public names
+
+        return ctrplan.plot(self)
 
     def collars(self, theta_commanded: ArrayLike, l_commanded: ArrayLike) -> tuple[Array, Array]:
         """Where the drive holds the bases: theta_b [rad], l_b [m], each (n,) or (K, n), of commanded values alike.

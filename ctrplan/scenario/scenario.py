@@ -20,6 +20,7 @@ from ctrplan.anatomy.anatomy_field import anatomy_field, shared_spacing_m
 from ctrplan.anatomy.clearance_grid import SignedDistanceField, field_bounds
 from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.base.catalogue import AbstractStruct, Catalogue
+from ctrplan.base.package import shown
 from ctrplan.errors import InputError
 from ctrplan.robot.robot import Robot
 
@@ -140,6 +141,7 @@ class Registration:
         return self.position_sigma_m == 0 and self.rotation_sigma_rad == 0
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class Scenario:
     """A planning problem; SI units, positions in the anatomy's frame."""

@@ -30,6 +30,7 @@ from ctrplan.base.arguments import (
 )
 from ctrplan.base.arrays import Array, numbers
 from ctrplan.base.long_work import StageProgress, cores, one_core
+from ctrplan.base.package import shown
 from ctrplan.drive.drive import UNITS, Kind
 from ctrplan.errors import CtrplanError, InputError, NoAnswerError
 from ctrplan.files.robot_file import robot_from_dict
@@ -122,6 +123,7 @@ def _values(parts: list[str], text: str) -> Array:
 FEWEST_TASKS = 32  # while there are as many configurations
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class Sweep:
     """Bounds at every combination of the axes' values, the last axis running fastest."""

@@ -15,6 +15,7 @@ from ctrplan.anatomy.parts import TriangleTree
 from ctrplan.anatomy.patient_frame import Frame
 from ctrplan.anatomy.shape import PartEntry, PartShape, register
 from ctrplan.base.arrays import Array, lengths, numbers, read_only
+from ctrplan.base.package import shown
 from ctrplan.base.surface import Surface
 from ctrplan.errors import InputError
 from ctrplan.storage.toml_table import TomlTable
@@ -23,6 +24,7 @@ SURELY = 1 + 1e-6  # beyond rounding
 Indices = NDArray[np.int64]
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class Mesh(PartShape):
     """vertices_m (V, 3), faces (F, 3), closed and turned outward, as `load_mesh` returns them, in the anatomy's frame.

@@ -11,9 +11,11 @@ from ctrplan.anatomy.patient_frame import Frame
 from ctrplan.anatomy.shape import PartEntry, register
 from ctrplan.anatomy.shapes.mesh import Mesh
 from ctrplan.base.arrays import Array
+from ctrplan.base.package import shown
 from ctrplan.storage.toml_table import TomlTable
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class Sheet(Mesh):
     """vertices_m (V, 3), faces (F, 3) of an open surface; distances to it are never negative."""

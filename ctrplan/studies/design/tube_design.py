@@ -11,6 +11,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
+from ctrplan.base.package import shown
 from ctrplan.files.design_file import DesignEntry, checked_design, read_design
 from ctrplan.files.robot_file import load_robot, write_robot
 from ctrplan.storage.output_folder import write_atomically
@@ -76,6 +77,7 @@ class TubeDesign(DesignDefinition):
         return cls(*(getattr(made, field.name) for field in fields(made)))
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class TubeDesigns:
     """What a search found."""

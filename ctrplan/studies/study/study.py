@@ -335,6 +335,12 @@ class Study(StudyDefinition):
         where = Where(executor, workers, scheduler, scheduler_file)
         return run_study(self, folder, where, add=add, yes=yes, progress=progress).table
 
+    def show(self, table: StudyTable, height: int = 700) -> Any:
+        """The report of a table of this study as a page within a notebook; its `save` writes it."""
+        import ctrplan  # pages are of a package above, and stand in the public names
+
+        return ctrplan.show(self, table=table, height=height)
+
     @classmethod
     def _of(cls, entry: StudyEntry, document: Document, allow_outside: bool) -> Study:
         made = defined(entry, document, allow_outside)

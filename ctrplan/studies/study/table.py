@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
+from ctrplan.base.package import shown
 from ctrplan.errors import InputError
 from ctrplan.studies.study.axes import LEVELS, DrawAxis, check_salib, distributed, problem
 from ctrplan.studies.study.store import ROWS, Store
@@ -33,6 +34,7 @@ TIMING = ("seconds", "elapsed_s", "worker")  # where and how fast: no results, t
 Columns = dict[str, type]
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class StudyTable:
     """Rows of a study as columns, in the order of its tasks. None stands where a task has no such value."""
@@ -52,6 +54,16 @@ class StudyTable:
         if all(value is None or isinstance(value, (int, float)) for value in values):
             return np.array([np.nan if value is None else value for value in values], dtype=np.float64)
         return np.array(values, dtype=object)
+
+    def headline(self) -> str:
+        """How many rows and answers, as it shows itself."""
+        return f"{len(self)} tasks, {int(self.done.sum())} with an answer"
+
+    def show(self, height: int = 700) -> Any:
+        """The report beside the table as a page within a notebook. Raises InputError where there is none."""
+        import ctrplan  # pages are of a package above, and stand in the public names
+
+        return ctrplan.show(self, height=height)
 
     @property
     def done(self) -> NDArray[np.bool_]:
