@@ -37,14 +37,19 @@ if TYPE_CHECKING:
     from ctrplan.planning.reordering import reorder as reorder
     from ctrplan.plans.plan import Plan
     from ctrplan.plans.uncertainty import plan_uncertainty as plan_uncertainty
+    from ctrplan.reports.check import Check
+    from ctrplan.reports.check import check as check
+    from ctrplan.reports.object_figures import Page
+    from ctrplan.reports.object_figures import plot as plot
+    from ctrplan.reports.object_figures import show as show
     from ctrplan.reports.plan_page import save_plan as save_plan
     from ctrplan.robot.robot import Robot
     from ctrplan.scenario.scenario import Scenario
     from ctrplan.studies.design.tube_design import TubeDesign, TubeDesigns
-    from ctrplan.studies.plan_many import plan_many as plan_many
     from ctrplan.studies.study.study import Study
     from ctrplan.studies.study.table import StudyTable
     from ctrplan.studies.study.table import load_study as load_study
+    from ctrplan.studies.sweep import plan_many as plan_many
     from ctrplan.uncertainty.tip_slopes import bound_with_parameters as bound_with_parameters
 
 _HOMES = {
@@ -83,12 +88,17 @@ _HOMES = {
     "BasePose": "planning.base_pose",
     "Placement": "planning.place",
     "place": "planning.place",
-    "plan_many": "studies.plan_many",
+    "plan_many": "studies.sweep",
     "Study": "studies.study.study",
     "TubeDesign": "studies.design.tube_design",
     "TubeDesigns": "studies.design.tube_design",
     "StudyTable": "studies.study.table",
     "load_study": "studies.study.table",
+    "Page": "reports.object_figures",
+    "plot": "reports.object_figures",
+    "show": "reports.object_figures",
+    "Check": "reports.check",
+    "check": "reports.check",
     "bound_with_parameters": "uncertainty.tip_slopes",
     "plan_uncertainty": "plans.uncertainty",
 }
@@ -98,6 +108,7 @@ __all__ = [
     "Bounds",
     "Calibration",
     "Case",
+    "Check",
     "CtrplanError",
     "Diagnosis",
     "History",
@@ -106,6 +117,7 @@ __all__ = [
     "InverseKinematics",
     "Measurements",
     "NoAnswerError",
+    "Page",
     "Placement",
     "Plan",
     "Robot",
@@ -121,6 +133,7 @@ __all__ = [
     "bound_with_parameters",
     "calibrate",
     "case",
+    "check",
     "diagnose",
     "inverse_kinematics",
     "load_measurements",
@@ -134,8 +147,10 @@ __all__ = [
     "plan_many",
     "plan_uncertainty",
     "planning",
+    "plot",
     "reorder",
     "save_plan",
+    "show",
     "verify",
 ]
 

@@ -12,7 +12,7 @@ from common import ROBOTS, STUDIES, save
 
 import ctrplan
 from ctrplan.reports import looks
-from ctrplan.studies.study.analysis import Sensitivity, sensitivity
+from ctrplan.studies.study.table import Sensitivity, sensitivity
 
 STUDY = STUDIES / "friction_ventricle.toml"
 FRICTION = ("contact.1.friction_coefficient", "contact.2.friction_coefficient")

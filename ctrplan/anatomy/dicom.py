@@ -1,119 +1,195 @@
-"""A DICOM series as a volume: its slices put in order by where they lie, all of one orientation, equally spaced."""
+"""A DICOM series as a volume: its slices put in order by where they lie, all of one orientation, equally spaced.
+
+Tags are read by pydicom, which gives them as they stand. GDCM, with which SimpleITK reads, chooses by the kind of
+object which spacing it believes and whether it scales values; here PixelSpacing, the places of the slices and the
+scaling of each slice are applied as stated, whatever the object calls itself. GDCM unpacks compressed pixels.
+"""
 
 from __future__ import annotations
 
+import copy
+import importlib
 import math
-from dataclasses import dataclass, replace
+import tempfile
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ctrplan.anatomy.image import Image, ImageRefusal
-from ctrplan.anatomy.image_file import check_bytes, checked, kept_locale, quiet, reason, simpleitk
-from ctrplan.anatomy.image_header import Header
+from ctrplan.anatomy.image import Header, Image, ImageRefusal
+from ctrplan.anatomy.image_file import check_bytes, kept_locale, placed, quiet, reason, simpleitk
 from ctrplan.base.arrays import Array
 
-POSITION, ORIENTATION, SPACING = "0020|0032", "0020|0037", "0028|0030"
-DESCRIPTION, MODALITY, SAMPLES, SYNTAX = "0008|103e", "0008|0060", "0028|0002", "0002|0010"
 UNEVEN_MM = 0.02  # by which gaps between slices may differ
+SAME_SPACING = 1e-2  # by which SpacingBetweenSlices may differ from the places before it is said
+TURNED = 1e-4  # of direction cosines: the same orientation
 SHOWN = 6
+CT_IMAGE = "1.2.840.10008.5.1.4.1.1.2"  # what an image is called while its pixels are unpacked
+SCALING = ("RescaleSlope", "RescaleIntercept", "ModalityLUTSequence", "VOILUTSequence")
 
 
 @dataclass(frozen=True, eq=False)
 class Slice:
     """A file of a series: where its first pixel is, and the directions of its rows and columns, in LPS and mm."""
 
-    file: str
+    file: Path
+    tags: Any  # pydicom's
     position: Array
     axes: Array  # (2, 3)
+    spacing: tuple[float, float]  # along a row, along a column
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        return int(self.tags.Rows), int(self.tags.Columns)
+
+    @property
+    def is_localiser(self) -> bool:
+        """Whether the file calls itself a scout."""
+        return "LOCALIZER" in map(str, self.tags.get("ImageType", ()))
+
+
+def pydicom() -> Any:
+    """The package. Raises ImageRefusal where it is not installed."""
+    try:
+        return importlib.import_module("pydicom")
+    except ImportError as error:
+        raise ImageRefusal("needs pydicom: pip install ctrplan[images]") from error
 
 
 @kept_locale()
 def read_series(folder: Path, series: str | None) -> Image:
     """The series of a folder by its UID, which may be left out where there is one. Raises ImageRefusal."""
-    sitk = simpleitk()
-    result = sitk.ImageSeriesReader.GetGDCMSeriesIDs(str(folder))
+    simpleitk()
+    result = _series(folder)
     if not result:
         raise ImageRefusal("holds no DICOM images")
     if series is None and len(result) > 1:
         raise ImageRefusal(
-            f"holds {len(result)} series: say which by its UID (key series, or --series), "
-            f"{_listed(sitk, folder, result)}"
+            f"holds {len(result)} series: say which by its UID (key series, or --series), {_listed(result)}"
         )
     if series is not None and series not in result:
-        raise ImageRefusal(f"has no series of that series UID, but {_listed(sitk, folder, result)}")
-    files = sitk.ImageSeriesReader.GetGDCMSeriesFileNames(str(folder), series or result[0])
-    order = _in_order(sitk, files)
-    reader = sitk.ImageSeriesReader()
-    reader.SetFileNames([one.file for one in order])
-    try:
-        with quiet():
-            image = reader.Execute()
-    except RuntimeError as error:
-        syntax = _tags(sitk, order[0].file).get(SYNTAX, "unknown")
-        raise ImageRefusal(f"can't be read (transfer syntax {syntax}): {reason(error)}") from error
-    return _placed(checked(sitk, image, Header("LPS")), order)
+        raise ImageRefusal(f"has no series of that series UID, but {_listed(result)}")
+    slices, notes = _one_stack(result[series or next(iter(result))])
+    order = _in_order(slices)
+    pixels = [_values(part) for part in order]
+    kind = np.result_type(*(values.dtype for values in pixels))
+    voxels = np.stack([values.astype(kind, copy=False) for values in pixels])
+    first, last = order[0].position, order[-1].position
+    gap_mm = float(np.linalg.norm(last - first)) / (len(order) - 1)
+    axes = np.column_stack([*order[0].axes, (last - first) / np.linalg.norm(last - first)])
+    spacing = np.array([*order[0].spacing, gap_mm]) * 1e-3
+    header = Header("LPS", notes=(*notes, *_gap_notes(order, gap_mm)))
+    return placed(voxels, spacing, first * 1e-3, axes, header)
 
 
-def _listed(sitk: Any, folder: Path, results: tuple[str, ...]) -> str:
-    texts = []
-    for uid in results[:SHOWN]:
-        files = sitk.ImageSeriesReader.GetGDCMSeriesFileNames(str(folder), uid)
-        tags = _tags(sitk, files[0])
-        texts.append(
-            f"{uid} ({tags.get(MODALITY, '?').strip()} {tags.get(DESCRIPTION, '').strip()!r}, {len(files)} images)"
-        )
-    return "; ".join(texts) + (f" and {len(results) - SHOWN} more" if len(results) > SHOWN else "")
+def _series(folder: Path) -> dict[str, list[tuple[Path, Any]]]:
+    """The files with pixels of each series, by its UID, in the order of their names."""
+    package, result = pydicom(), dict[str, list[tuple[Path, Any]]]()
+    for path in sorted(path for path in folder.iterdir() if path.is_file()):
+        try:
+            tags = package.dcmread(path, stop_before_pixels=True, force=not _is_dicom(path) and _may_be(path))
+        except Exception:  # whatever the damage leads it to: no DICOM file
+            continue
+        if "Rows" in tags and "Columns" in tags and "SeriesInstanceUID" in tags:
+            result.setdefault(str(tags.SeriesInstanceUID), []).append((path, tags))
+    return result
 
 
-def _tags(sitk: Any, file: str) -> dict[str, str]:
-    reader = sitk.ImageFileReader()
-    reader.SetFileName(file)
-    try:
-        reader.ReadImageInformation()
-    except RuntimeError as error:
-        raise ImageRefusal(f"holds {Path(file).name}, which can't be read: {reason(error)}") from error
-    return {key: reader.GetMetaData(key) for key in reader.GetMetaDataKeys()}
+def _is_dicom(path: Path) -> bool:
+    with path.open("rb") as stream:
+        return stream.read(132)[128:] == b"DICM"
 
 
-def _in_order(sitk: Any, files: tuple[str, ...]) -> list[Slice]:
-    """The slices along their normal. Raises ImageRefusal unless they are one even stack."""
-    first = _tags(sitk, files[0])
-    if int(first.get(SAMPLES, "1")) > 1:
+def _may_be(path: Path) -> bool:
+    """Whether a file without DICOM's mark may be one all the same: it begins with a tag of group 2 or 8."""
+    with path.open("rb") as stream:
+        return stream.read(2) in (b"\x02\x00", b"\x08\x00")
+
+
+def _listed(result: dict[str, list[tuple[Path, Any]]]) -> str:
+    texts = [
+        f"{uid} ({files[0][1].get('Modality', '?')} {str(files[0][1].get('SeriesDescription', ''))!r}, "
+        f"{len(files)} images)"
+        for uid, files in list(result.items())[:SHOWN]
+    ]
+    return "; ".join(texts) + (f" and {len(result) - SHOWN} more" if len(result) > SHOWN else "")
+
+
+def _one_stack(files: Sequence[tuple[Path, Any]]) -> tuple[list[Slice], tuple[str, ...]]:
+    """The slices of the stack among the files; a scout is left out, with a note of its name. Raises ImageRefusal."""
+    first = files[0][1]
+    if int(first.get("SamplesPerPixel", 1)) > 1:
         raise ImageRefusal("holds colour images: must have one value a pixel")
+    if frames := next((tags for _, tags in files if int(tags.get("NumberOfFrames", 1) or 1) > 1), None):
+        what = "a segmentation object" if frames.get("Modality") == "SEG" else "images of several frames a file"
+        raise ImageRefusal(f"holds {what} (enhanced DICOM): save it as NRRD or NIfTI, in 3D Slicer for example")
     if len(files) < 2:
         raise ImageRefusal("holds one image of that series: a volume needs several slices")
-    check_bytes((len(files), *_pixels(sitk, files[0])), 2)
-    slices = [_slice(sitk, file) for file in files]
-    axes = slices[0].axes
-    if any(np.abs(one.axes - axes).max() > 1e-4 for one in slices):
-        raise ImageRefusal("holds slices of different orientations: must be one stack (a scout among them?)")
-    normal = np.cross(axes[0], axes[1])
-    height = np.array([float(one.position @ normal) for one in slices])
+    check_bytes((len(files), int(first.Rows), int(first.Columns)), 2)
+    slices = [part for path, tags in files if (part := _slice(path, tags)) is not None]
+    stacks = _stacks(slices)
+    main = max(stacks, key=len)
+    others = [part for stack in stacks if stack is not main for part in stack]
+    if any(len(stack) > 1 and not all(part.is_localiser for part in stack) for stack in stacks if stack is not main):
+        shown = ", ".join(f"{len(stack)} from {stack[0].file.name}" for stack in stacks[:SHOWN])
+        raise ImageRefusal(f"holds slices of different orientations or sizes ({shown}): must be one stack")
+    left = [*(part.file.name for part in others), *(path.name for path, tags in files if _is_placeless_scout(tags))]
+    if len(main) < 2:
+        raise ImageRefusal(f"holds no stack of slices: {len(slices)} images, each of its own orientation or size")
+    names = ", ".join(left[:SHOWN]) + (f" and {len(left) - SHOWN} more" if len(left) > SHOWN else "")
+    rule = f"is read without {names}, which lies across the other {len(main)} slices or differs in size (a scout)"
+    return main, (rule,) if left else ()
+
+
+def _stacks(slices: Sequence[Slice]) -> list[list[Slice]]:
+    """Slices of one orientation, size and spacing each."""
+    result: list[list[Slice]] = []
+    for part in slices:
+        for stack in result:
+            same = stack[0].shape == part.shape and np.allclose(stack[0].spacing, part.spacing, rtol=1e-3)
+            if same and np.abs(stack[0].axes - part.axes).max() <= TURNED:
+                stack.append(part)
+                break
+        else:
+            result.append([part])
+    return result
+
+
+def _is_placeless_scout(tags: Any) -> bool:
+    return "ImagePositionPatient" not in tags and "LOCALIZER" in map(str, tags.get("ImageType", ()))
+
+
+def _slice(path: Path, tags: Any) -> Slice | None:
+    """The slice of a file; None of a scout without a place. Raises ImageRefusal."""
+    if _is_placeless_scout(tags):
+        return None
+    try:
+        position = np.array([float(x) for x in tags.ImagePositionPatient])
+        axes = np.array([float(x) for x in tags.ImageOrientationPatient]).reshape(2, 3)
+        down, along = (float(x) for x in tags.PixelSpacing)  # between rows, between columns
+        spaced = down > 0 and along > 0
+    except (AttributeError, TypeError, ValueError):
+        spaced = False
+    if not spaced or position.shape != (3,) or not np.isfinite([*position, *axes.ravel(), down, along]).all():
+        at_detector = " (ImagerPixelSpacing is that at the detector)" if "ImagerPixelSpacing" in tags else ""
+        rule = f"which does not say its place, orientation or pixel spacing{at_detector}"
+        raise ImageRefusal(f"holds {path.name}, {rule}")
+    if np.abs(axes @ axes.T - np.eye(2)).max() > 1e-3:
+        raise ImageRefusal(f"holds {path.name}, whose rows and columns are not at right angles")
+    return Slice(path, tags, position, axes, (along, down))
+
+
+def _in_order(slices: Sequence[Slice]) -> list[Slice]:
+    """The slices along their normal. Raises ImageRefusal unless they are even."""
+    normal = np.cross(*slices[0].axes)
+    height = np.array([float(part.position @ normal) for part in slices])
     order = np.argsort(height, kind="stable")
     _check_gaps(height[order], np.array([slices[k].position for k in order]), normal)
     return [slices[k] for k in order]
-
-
-def _pixels(sitk: Any, file: str) -> tuple[int, ...]:
-    reader = sitk.ImageFileReader()
-    reader.SetFileName(file)
-    reader.ReadImageInformation()
-    return tuple(reader.GetSize()[:2])
-
-
-def _slice(sitk: Any, file: str) -> Slice:
-    tags = _tags(sitk, file)
-    try:
-        position = np.array([float(x) for x in tags[POSITION].split("\\")])
-        axes = np.array([float(x) for x in tags[ORIENTATION].split("\\")]).reshape(2, 3)
-        spaced = all(float(x) > 0 for x in tags[SPACING].split("\\"))
-    except (KeyError, ValueError):
-        spaced = False
-    if not spaced or position.shape != (3,) or not np.isfinite([*position, *axes.ravel()]).all():
-        raise ImageRefusal(f"holds {Path(file).name}, which does not say its place, orientation or pixel spacing")
-    return Slice(file, position, axes)
 
 
 def _check_gaps(height: Array, position: Array, normal: Array) -> None:
@@ -134,11 +210,64 @@ def _check_gaps(height: Array, position: Array, normal: Array) -> None:
         raise ImageRefusal("has slices that lie aslant (tilted gantry): resample it to a straight grid")
 
 
-def _placed(image: Image, order: list[Slice]) -> Image:
-    """The image where its slices say, whatever its reader made of them."""
-    first, last = order[0].position, order[-1].position
-    gap_m = float(np.linalg.norm(last - first)) / (len(order) - 1) * 1e-3
-    axes = np.column_stack([*order[0].axes, (last - first) / np.linalg.norm(last - first)])
-    if not math.isclose(gap_m, image.spacing_m[2], abs_tol=UNEVEN_MM * 1e-3):
-        image = replace(image, spacing_m=np.array([*image.spacing_m[:2], gap_m]))
-    return replace(image, origin_m=first * 1e-3, direction=axes)
+def _gap_notes(order: Sequence[Slice], gap_mm: float) -> Iterator[str]:
+    said = order[0].tags.get("SpacingBetweenSlices")
+    if said is not None and not math.isclose(abs(float(said)), gap_mm, rel_tol=SAME_SPACING):
+        yield f"says slices are {float(said):.3g} mm apart, their places {gap_mm:.3g} mm: the places are taken"
+
+
+def _values(part: Slice) -> NDArray[Any]:
+    """(rows, columns) of a slice in the unit that it says, whole numbers where they are. Raises ImageRefusal."""
+    package = pydicom()
+    try:
+        whole = package.dcmread(part.file, force=True)
+        stored = _stored(whole, part.file)
+        result = package.pixels.apply_modality_lut(stored, whole)
+    except ImageRefusal:
+        raise
+    except Exception as error:  # whatever the damage leads it to
+        raise ImageRefusal(f"holds {part.file.name}, which can't be read: {reason(error)}") from error
+    if result.shape != part.shape:
+        raise ImageRefusal(f"holds {part.file.name}, whose pixels are no {part.shape[0]} rows of {part.shape[1]}")
+    return result if result.dtype.kind != "f" else _whole(result)
+
+
+def _whole(values: NDArray[Any]) -> NDArray[Any]:
+    nearest = np.rint(values)
+    exact = (values == nearest).all() and np.abs(nearest).max(initial=0.0) < 2**31
+    return np.asarray(nearest.astype(np.int32)) if exact else values
+
+
+def _stored(whole: Any, file: Path) -> NDArray[Any]:
+    """The pixels as they are stored, before any scaling."""
+    syntax = whole.file_meta.get("TransferSyntaxUID") if hasattr(whole, "file_meta") else None
+    if syntax is None or not syntax.is_compressed or syntax.is_deflated:
+        if syntax is None:
+            whole.file_meta.TransferSyntaxUID = pydicom().uid.ImplicitVRLittleEndian
+        return _without_other_bits(np.asarray(whole.pixel_array), whole)
+    sitk = simpleitk()
+    bare = copy.deepcopy(whole)
+    bare.SOPClassUID = bare.file_meta.MediaStorageSOPClassUID = CT_IMAGE
+    for name in SCALING:
+        if name in bare:
+            delattr(bare, name)
+    with tempfile.TemporaryDirectory() as folder:
+        unscaled = Path(folder) / "slice.dcm"
+        bare.save_as(unscaled)
+        reader = sitk.ImageFileReader()
+        reader.SetFileName(str(unscaled))
+        try:
+            with quiet():
+                return np.asarray(sitk.GetArrayFromImage(reader.Execute())).reshape(whole.Rows, whole.Columns)
+        except RuntimeError as error:
+            name = f"{file.name} (transfer syntax {syntax})"
+            raise ImageRefusal(f"holds {name}, which can't be read: {reason(error)}") from error
+
+
+def _without_other_bits(pixels: NDArray[Any], tags: Any) -> NDArray[Any]:
+    """Pixels without what stands in bits that are not theirs, such as overlays."""
+    kept, unused = int(tags.BitsStored), int(tags.BitsAllocated) - int(tags.BitsStored)
+    if not unused or pixels.dtype.kind not in "iu":
+        return pixels
+    shifted = pixels >> (int(tags.HighBit) - kept + 1)
+    return np.asarray((shifted << unused) >> unused).astype(pixels.dtype, copy=False)

@@ -1,22 +1,30 @@
-"""A volume: voxels, where each of them is and in which frame, the segments that it names; volumes kept while they are
-needed by several structures.
+"""A volume, kept while several structures need it, and what the header of its file says where readers do not.
+
+That is frame, units, spacing, place and scaling. A reader fills in what a file leaves open (a spacing of 1 mm, an
+origin of 0, axes along the patient's) and passes over what it does not know (centimetres, a scaling of the values).
+Here the first is refused and the second is applied.
 """
 
 from __future__ import annotations
 
+import bz2
+import gzip
 import re
+import tempfile
+import zlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.anatomy.patient_frame import Frame
 from ctrplan.base.arrays import MM_PER_M, Array
+from ctrplan.base.package import shown
 
 
 class ImageRefusal(Exception):
@@ -36,6 +44,7 @@ class Segment:
     layer: int = 0
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class Image:
     """Voxels (nz, ny, nx), or (nz, ny, nx, layers); voxel (i, j, k) along (x, y, z) has its centre at `place_m`.
@@ -136,3 +145,230 @@ def image_of(path: Path, read: Callable[[Path], Image]) -> Image:
         while len(images) > 1 and sum(image.voxels.nbytes for image in images.values()) > MOST_KEPT_BYTES:
             del images[next(iter(images))]
     return images[key]
+
+
+HEADER_BYTES, PIECE = 1 << 16, 1 << 24
+SPACES: dict[str, Frame] = {
+    **{"right-anterior-superior": "RAS", "ras": "RAS", "left-posterior-superior": "LPS", "lps": "LPS"},
+    **{"left-anterior-superior": "LPS", "las": "LPS"},  # which its reader turns
+}
+TURNED_SPACES = ("left-anterior-superior", "las")
+APART_MM = 0.05  # by which two statements of one place may differ
+UNITS_MM = {"mm": 1.0, "millimeter": 1.0, "millimetre": 1.0, "cm": 10.0, "centimeter": 10.0, "centimetre": 10.0}
+UNITS_MM |= {"m": 1e3, "meter": 1e3, "metre": 1e3, "um": 1e-3, "\u00b5m": 1e-3, "\u03bcm": 1e-3, "micron": 1e-3}
+UNITS_MM |= {"micrometer": 1e-3, "micrometre": 1e-3, "nm": 1e-6, "in": 25.4, "inch": 25.4}
+PACKED = {b"\x1f\x8b": "gzip", b"BZh": "bzip2", b"PK\x03\x04": "zip", b"\xfd7zXZ": "xz", b"\x28\xb5\x2f\xfd": "zstd"}
+KINDS = {b"NRRD": (".nrrd", "a NRRD file"), b"ObjectType": (".mha", "a MetaImage file")}
+KINDS |= {b"NDims": (".mha", "a MetaImage file"), b"\x89HDF": ("", "an HDF5 file (MINC?)")}
+
+
+@dataclass(frozen=True)
+class Header:
+    """frame: what the file's coordinates are in, None where it does not say.
+
+    corners_mm: (2, 3) centres of the first and last voxel as this header has them, in that frame; None if unread.
+    unit_mm: what its reader takes for 1 mm. slope, intercept: of stored values, where its reader leaves them as stored.
+    """
+
+    frame: Frame | None
+    corners_mm: Array | None = None
+    unit_mm: float = 1.0
+    slope: float = 1.0
+    intercept: float = 0.0
+    notes: tuple[str, ...] = ()
+
+
+def text_header(path: Path) -> Header:
+    """The header of a NRRD, MHA or MHD file. Raises ImageRefusal where it leaves open where voxels are."""
+    if path.name.lower().endswith((".nrrd", ".nhdr")):
+        return _nrrd(_fields(path, ":", b""))
+    return _meta(_fields(path, "=", b"ElementDataFile"))
+
+
+@contextmanager
+def opened(path: Path) -> Iterator[IO[bytes]]:
+    """The bytes of a file, unpacked where gzip or bzip2 packed it. Raises ImageRefusal for one that is damaged."""
+    try:
+        with path.open("rb") as plain:
+            kind = packed_by(plain.read(8))
+        if kind in ("zip", "xz", "zstd"):
+            raise ImageRefusal(f"is packed by {kind}: unpack it first")
+        opener: Any = {"gzip": gzip.open, "bzip2": bz2.open}.get(kind or "", open)
+        with opener(path, "rb") as stream:
+            yield stream
+    except (EOFError, OSError, ValueError, zlib.error) as error:
+        raise ImageRefusal(f"is damaged or cut short ({' '.join(str(error).split())})") from error
+
+
+def packed_by(head: bytes) -> str | None:
+    """The program that packed a file with these first bytes; None for one that is not packed."""
+    return next((name for mark, name in PACKED.items() if head.startswith(mark)), None)
+
+
+def check_packed(path: Path) -> None:
+    """Raises ImageRefusal for a packed file that is cut short or damaged, of which readers return what there is."""
+    with opened(path) as stream:
+        if isinstance(stream, (gzip.GzipFile, bz2.BZ2File)):
+            while stream.read(PIECE):
+                pass
+
+
+def first_bytes(path: Path, count: int) -> bytes:
+    """Those of a file, unpacked. Raises ImageRefusal for one that is damaged."""
+    return unpacked_bytes(path, 0, count)
+
+
+def unpacked_bytes(path: Path, start: int, count: int) -> bytes:
+    """At most so many bytes of a file, unpacked, from `start`. Raises ImageRefusal for one that is damaged."""
+    with opened(path) as stream:
+        stream.seek(start)
+        return bytes(stream.read(count))
+
+
+@contextmanager
+def readable(path: Path) -> Iterator[Path]:
+    """The file, or another one with the same image where its reader can't unpack it. Raises ImageRefusal.
+
+    A whole file may be packed, and the voxels of a NRRD file by bzip2.
+    """
+    head = first_bytes(path, HEADER_BYTES)
+    with path.open("rb") as stream:
+        is_packed = packed_by(stream.read(8)) is not None
+    is_nrrd = path.suffix.lower() in (".nrrd", ".nhdr")
+    end = _nrrd_end(head) if is_nrrd else 0
+    encoding = re.search(rb"(?im)^encoding:[ \t]*(bzip2|bz2)[ \t]*\r?$", head[:end]) if is_nrrd else None
+    if not is_packed and encoding is None:
+        yield path
+        return
+    with tempfile.TemporaryDirectory() as folder, opened(path) as stream:
+        whole = stream.read()
+        if encoding is not None:
+            whole = _without_bzip2(path, whole, end, encoding.span(1))
+        result = Path(folder) / f"image{path.suffix}"
+        result.write_bytes(whole)
+        yield result
+
+
+def _nrrd_end(head: bytes) -> int:
+    """Where the header of a NRRD file ends: behind its empty line."""
+    match = re.search(rb"\r?\n\r?\n", head)
+    return match.end() if match else len(head)
+
+
+def _without_bzip2(path: Path, whole: bytes, end: int, encoding: tuple[int, int]) -> bytes:
+    """A NRRD file with its voxels as they are, in it or in one file beside it."""
+    head, packed = whole[:end], whole[end:]
+    head = head[: encoding[0]] + b"raw" + head[encoding[1] :]
+    apart = re.search(rb"(?im)^data ?file:[ \t]*(\S.*?)[ \t]*\r?\n", head)
+    try:
+        if apart:
+            packed = (path.parent / apart[1].decode()).read_bytes()
+            head = head[: apart.start()] + head[apart.end() :]
+        return head.rstrip(b"\r\n") + b"\n\n" + bz2.decompress(packed)
+    except (OSError, ValueError, EOFError) as error:
+        raise ImageRefusal(f"is damaged or cut short: bzip2 says {' '.join(str(error).split())}") from error
+
+
+def other_kind(head: bytes) -> str | None:
+    """What a file with these first bytes is, and what it must be called; None where they say nothing."""
+    if head[128:132] == b"DICM":
+        return "is a DICOM file by its first bytes: name the folder of its series"
+    for mark, (suffix, what) in KINDS.items():
+        if head.lstrip().startswith(mark):
+            return f"is {what} by its first bytes" + (f": its name must end in {suffix}" if suffix else "")
+    return None
+
+
+def _fields(path: Path, mark: str, last: bytes) -> dict[str, str]:
+    """Lines "name mark value" of a text header, which ends with the line `last` or an empty one."""
+    results: dict[str, str] = {}
+    for line in first_bytes(path, HEADER_BYTES).split(b"\n"):
+        name, there, value = line.decode("latin-1").strip().partition(mark)
+        if there and not name.startswith("#"):
+            results[name.strip().lower()] = value.strip(" =\t")
+        if (last and line.startswith(last)) or (not last and not line.strip()):
+            break
+    return results
+
+
+def _nrrd(fields: dict[str, str]) -> Header:
+    if "space directions" not in fields and "spacings" not in fields:
+        raise ImageRefusal("does not say the size of its voxels (no space directions, no spacings)")
+    if "space directions" in fields and "space origin" not in fields:
+        raise ImageRefusal("does not say where its first voxel is (no space origin)")
+    space = fields.get("space", "").lower()
+    unit = _unit(fields, "space units" if "space directions" in fields else "units")
+    scaling = ("old min", "old max")
+    notes = (
+        ("says that its values were made of others (old min, old max): thresholds are of the values it holds",)
+        if any(name in fields for name in scaling)
+        else ()
+    )
+    corners = _nrrd_corners(fields)
+    if corners is not None:
+        corners = corners * unit * ((1, -1, 1) if space in TURNED_SPACES else (1, 1, 1))
+    return Header(SPACES.get(space), corners, unit, notes=notes)
+
+
+def _unit(fields: dict[str, str], key: str) -> float:
+    """Millimetres in the unit that a field names for each axis. Raises ImageRefusal for several and unknown ones."""
+    said = [word.strip() for word in re.findall(r'"([^"]*)"', fields.get(key, ""))] or fields.get(key, "").split()
+    named = {word.lower() for word in said if word not in ("", "???", "none")}
+    if not named:
+        return 1.0
+    units = {UNITS_MM.get(word) for word in named}
+    if None in units or len(units) > 1:
+        rule = f"has places in {', '.join(sorted(named))} ({key})"
+        raise ImageRefusal(f"{rule}: must be one of mm, cm, m, um for all axes")
+    return float(units.pop() or 1.0)
+
+
+def _nrrd_corners(fields: dict[str, str]) -> Array | None:
+    """(2, 3) first and last voxel in the file's unit and axes; None where it has no directions in space."""
+    try:
+        vectors = re.findall(r"none|\(([^)]*)\)", fields["space directions"])
+        axes = np.array([[float(x) for x in v.split(",")] for v in vectors if v])
+        sizes = [int(n) for n, v in zip(fields["sizes"].split(), vectors, strict=True) if v]
+        origin = np.array([float(x) for x in fields["space origin"].strip("() ").split(",")])
+    except (KeyError, ValueError):
+        return None
+    if axes.shape != (3, 3) or origin.shape != (3,):
+        return None
+    return np.stack([origin, origin + (np.array(sizes) - 1) @ axes])
+
+
+def _meta(fields: dict[str, str]) -> Header:
+    if "elementspacing" not in fields and "elementsize" not in fields:
+        raise ImageRefusal("does not say the size of its voxels (no ElementSpacing)")
+    if not any(name in fields for name in ("offset", "position", "origin")):
+        raise ImageRefusal("does not say where its first voxel is (no Offset)")
+    letters = fields.get("anatomicalorientation", "").upper()
+    matrix = fields.get("transformmatrix") or fields.get("rotation") or fields.get("orientation") or "1 0 0 0 1 0 0 0 1"
+    unit = _unit(fields, "distanceunits")
+    try:
+        slope = float(fields.get("elementtointensityfunctionslope", "1"))
+        intercept = float(fields.get("elementtointensityfunctionoffset", "0"))
+        axes = np.array(matrix.split(), dtype=float).reshape(3, 3)
+        place = next(fields[name] for name in ("offset", "position", "origin") if name in fields)
+        origin = np.array(place.split(), dtype=float)
+        sizes = np.array(fields["dimsize"].split(), dtype=float)
+        spacing = np.array((fields.get("elementspacing") or fields["elementsize"]).split(), dtype=float)
+        corners = np.stack([origin, origin + ((sizes - 1) * spacing) @ axes]) * unit
+    except (KeyError, ValueError):
+        return Header(None, unit_mm=unit)
+    said = len(letters) == 3 and not set(letters) - set("RLAPIS")
+    frame: Frame | None = "LPS" if said and _runs_from(axes) == letters else None
+    return Header(frame, corners, unit, slope or 1.0, intercept)
+
+
+def _runs_from(axes: Array) -> str:
+    """Letters of what each index runs from, for axes (3, 3) in rows in LPS: RAI for the identity.
+
+    Each index goes to one direction of the patient, the closest pairs first, as the writers of such files do it.
+    """
+    letters, left = ["", "", ""], np.abs(axes)
+    for _ in range(3):
+        index, side = np.unravel_index(np.argmax(left), left.shape)
+        letters[index] = ("RL", "AP", "IS")[side][int(axes[index, side] < 0)]
+        left[index], left[:, side] = -1.0, -1.0
+    return "".join(letters)

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import gzip
 import importlib
 import locale
 import os
-import struct
 import sys
-import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -17,9 +14,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrplan.anatomy.image import Image, ImageRefusal, UnfitImageRefusal, segments_of
-from ctrplan.anatomy.image_header import Header, check_gzip, first_bytes, read_header
-from ctrplan.anatomy.patient_frame import TURNED
+from ctrplan.anatomy.image import (
+    Header,
+    Image,
+    ImageRefusal,
+    UnfitImageRefusal,
+    check_packed,
+    first_bytes,
+    other_kind,
+    readable,
+    segments_of,
+    text_header,
+)
+from ctrplan.anatomy.nifti import is_nifti, nifti_header, nifti_voxels, scaled
+from ctrplan.anatomy.patient_frame import TURNED, Frame
 from ctrplan.base.arrays import Array
 
 
@@ -63,68 +71,12 @@ def reason(error: Exception) -> str:
     return " ".join((lines[-1] if lines else type(error).__name__).split())[-160:]
 
 
-SIZE = 540
-MAGIC = b"n+2\0"
-TYPES = {2: "u1", 4: "i2", 8: "i4", 16: "f4", 64: "f8", 256: "i1", 512: "u2", 768: "u4", 1024: "i8", 1280: "u8"}
-DATA_TYPE, DIM, OFFSET, SCALING = ("h", 12), ("8q", 16), ("q", 168), ("2d", 176)
-
-
-def is_nifti_2(head: bytes) -> bool:
-    """Whether the first bytes of a file are those of NIfTI-2, in either order."""
-    return len(head) >= 4 and SIZE in struct.unpack("<i", head[:4]) + struct.unpack(">i", head[:4])
-
-
-def shape_and_type(head: bytes) -> tuple[tuple[int, ...], np.dtype[Any]]:
-    """Voxels along each axis, those of length 1 at the end left out, and their type. Raises ImageRefusal."""
-    order = "<" if struct.unpack("<i", head[:4])[0] == SIZE else ">"
-    code = _read(head, order, DATA_TYPE)[0]
-    count, *dim = _read(head, order, DIM)
-    if head[4:8] != MAGIC or not 1 <= count <= 7 or any(n < 1 for n in dim[:count]):
-        raise ImageRefusal("is damaged, or has its voxels in another file: its header is none of NIfTI-2")
-    if code not in TYPES:
-        raise ImageRefusal(f"has values of NIfTI's type {code} (colour, complex?): must have one real number a voxel")
-    shape = [int(n) for n in dim[:count]]
-    while len(shape) > 3 and shape[-1] == 1:
-        shape.pop()
-    return tuple(shape), np.dtype(order + TYPES[code])
-
-
-def read_nifti_2(path: Path, head: bytes) -> NDArray[Any]:
-    """(nz, ny, nx) values as the header scales them. Raises ImageRefusal for a file that is cut short."""
-    order = "<" if struct.unpack("<i", head[:4])[0] == SIZE else ">"
-    shape, kind = shape_and_type(head)
-    slope, intercept = _read(head, order, SCALING)
-    start, count = int(_read(head, order, OFFSET)[0]), int(np.prod(shape))
-    data = _nifti_bytes(path, start, count * kind.itemsize)
-    if start < SIZE or len(data) < count * kind.itemsize:
-        due = f"it has {len(data)} bytes of voxels, {count * kind.itemsize} are due"
-        raise ImageRefusal(f"is damaged or cut short: {due}")
-    values = np.frombuffer(data, kind, count).reshape(shape[::-1]).astype(kind.newbyteorder("="))
-    if slope in (0.0, 1.0) and intercept == 0 or not np.isfinite([slope, intercept]).all():
-        return values
-    return np.asarray(values * (slope or 1.0) + intercept)
-
-
-def _nifti_bytes(path: Path, start: int, count: int) -> bytes:
-    try:
-        with path.open("rb") as plain:
-            packed = plain.read(2) == b"\x1f\x8b"
-        with gzip.open(path) if packed else path.open("rb") as stream:
-            stream.seek(start)
-            return bytes(stream.read(count))
-    except (EOFError, OSError, ValueError, zlib.error) as error:
-        raise ImageRefusal(f"is damaged or cut short ({' '.join(str(error).split())})") from error
-
-
-def _read(head: bytes, order: str, field: tuple[str, int]) -> tuple[Any, ...]:
-    kind, offset = field
-    return struct.unpack_from(order + kind, head, offset)
-
-
 SUFFIXES = (".nii", ".nii.gz", ".nrrd", ".nhdr", ".mha", ".mhd")
 MOST_BYTES = 2_000_000_000
 SMALLEST_M, LARGEST_M = 1e-3, 4.0  # from the first to the last voxel
 FINEST_M, COARSEST_M = 1e-6, 50e-3
+ROUNDING, LARGEST_WHOLE = 1e-6, 1e9  # of single precision, with room for a scaling; what is taken for whole numbers
+SAMPLED = 10_000
 SKEW = 1e-3
 VOXEL_BYTES = {"8": 1, "16": 2, "32": 4, "64": 8}
 
@@ -134,39 +86,49 @@ def is_image(path: Path) -> bool:
     return path.name.lower().endswith(SUFFIXES)
 
 
+def stated_image_frame(path: Path) -> Frame | None:
+    """The frame that the header of a NIfTI, NRRD, MHA or MHD file says. Raises ImageRefusal for a damaged one."""
+    return nifti_header(path).header.frame if is_nifti(path) else text_header(path).frame
+
+
 def read_image(path: Path) -> Image:
     """The volume. Raises ImageRefusal."""
-    sitk, header = simpleitk(), read_header(path)
-    if is_nifti_2(head := first_bytes(path, SIZE)):
-        return _nifti_2(path, head, header)
-    reader = sitk.ImageFileReader()
-    reader.SetFileName(str(path))
-    try:
-        reader.ReadImageInformation()
-    except RuntimeError as error:
-        raise ImageRefusal(f"can't be read: {reason(error)}") from error
-    names = {key: reader.GetMetaData(key) for key in reader.GetMetaDataKeys()}
-    segments = segments_of(names)
-    _check_kind(sitk, reader, bool(segments))
-    check_gzip(path)
-    try:
-        with quiet():
-            read = reader.Execute()
-        return checked(sitk, read, header, segments)
-    except RuntimeError as error:
-        raise ImageRefusal(f"is damaged or cut short: {reason(error)}") from error
+    if is_nifti(path):
+        return _nifti(path)
+    sitk, header = simpleitk(), text_header(path)
+    check_packed(path)
+    with readable(path) as file:
+        reader = sitk.ImageFileReader()
+        reader.SetFileName(str(file))
+        try:
+            reader.ReadImageInformation()
+        except RuntimeError as error:
+            raise ImageRefusal(other_kind(first_bytes(path, 512)) or f"can't be read: {reason(error)}") from error
+        names = {key: reader.GetMetaData(key) for key in reader.GetMetaDataKeys()}
+        segments = segments_of(names)
+        _check_kind(sitk, reader, bool(segments))
+        try:
+            with quiet():
+                read = reader.Execute()
+        except RuntimeError as error:
+            raise ImageRefusal(f"is damaged or cut short: {reason(error)}") from error
+    return checked(sitk, read, header, segments)
 
 
-def _nifti_2(path: Path, head: bytes, header: Header) -> Image:
-    shape, kind = shape_and_type(head)
-    _check_shape(shape)
-    check_bytes(shape, kind.itemsize)
-    check_gzip(path)
-    affine = np.zeros((3, 4)) if header.affine_mm is None else header.affine_mm * 1e-3
+def _nifti(path: Path) -> Image:
+    head = first_bytes(path, 512)
+    if (other := other_kind(head)) is not None:
+        raise ImageRefusal(other)
+    header = nifti_header(path)
+    _check_shape(header.shape)
+    check_bytes(header.shape, header.kind.itemsize)
+    check_packed(path)
+    affine = header.affine_mm * 1e-3
     spacing = np.linalg.norm(affine[:, :3], axis=0)
     if not (np.isfinite(affine).all() and (spacing > 0).all()):
         raise ImageRefusal("has a spacing or an origin that is not finite")
-    return _checked(read_nifti_2(path, head), spacing, affine[:, 3], affine[:, :3] / spacing, header)
+    voxels = nifti_voxels(path, header)
+    return placed(voxels, spacing, affine[:, 3], affine[:, :3] / spacing, header.header)
 
 
 def _check_shape(size: tuple[int, ...]) -> None:
@@ -201,14 +163,15 @@ def _bytes(pixel: str) -> int:
 
 def checked(sitk: Any, image: Any, header: Header, segments: tuple[Any, ...] = ()) -> Image:
     """SimpleITK's image as ours. Raises ImageRefusal for places or values that are none."""
-    direction, spacing = np.array(image.GetDirection()).reshape(3, 3), np.array(image.GetSpacing()) * 1e-3
-    origin = np.array(image.GetOrigin()) * 1e-3
+    direction = np.array(image.GetDirection()).reshape(3, 3)
+    spacing, origin = (np.array(mm) * 1e-3 * header.unit_mm for mm in (image.GetSpacing(), image.GetOrigin()))
     if header.frame == "RAS":  # the reader turns everything to LPS
         origin, direction = TURNED * origin, TURNED[:, None] * direction
-    return _checked(sitk.GetArrayFromImage(image), spacing, origin, direction, header, segments)
+    voxels = scaled(sitk.GetArrayFromImage(image), header.slope, header.intercept)
+    return placed(voxels, spacing, origin, direction, header, segments)
 
 
-def _checked(
+def placed(
     voxels: NDArray[Any],
     spacing: Array,
     origin: Array,
@@ -216,17 +179,35 @@ def _checked(
     header: Header,
     segments: tuple[Any, ...] = (),
 ) -> Image:
-    """The image. Raises ImageRefusal for places or values that are none."""
+    """The image of voxels whose axes are the columns of `direction`, all in SI.
+
+    Values that are whole but for the rounding of a scaling become whole, so that labels are found. Raises ImageRefusal
+    for places or values that are none.
+    """
     if not (np.isfinite(direction).all() and np.abs(direction.T @ direction - np.eye(3)).max() <= SKEW):
         raise ImageRefusal("has axes that are not at right angles: resample it to a straight grid")
     if not (np.isfinite(spacing).all() and np.isfinite(origin).all()):
         raise ImageRefusal("has a spacing or an origin that is not finite")
-    image = Image(voxels, spacing, origin, direction, header.frame, segments)
-    _check_place(image, header.corners_mm)
-    _check_size(image)
     if voxels.dtype.kind == "f" and (bad := int(np.count_nonzero(~np.isfinite(voxels)))):
         raise ImageRefusal(f"has {bad} voxels that are NaN or infinite: all must be finite")
+    image = Image(whole_numbers(voxels), spacing, origin, direction, header.frame, segments, header.notes)
+    _check_place(image, header.corners_mm)
+    _check_size(image)
     return image
+
+
+def whole_numbers(voxels: NDArray[Any]) -> NDArray[Any]:
+    """Values of a floating type as whole numbers where all of them are, within ROUNDING of themselves."""
+    if voxels.dtype.kind != "f":
+        return voxels
+    some = voxels.ravel()[:: max(1, voxels.size // SAMPLED)]  # most images that are not whole are told by these
+    for values in (some, voxels):
+        nearest = np.rint(values)
+        if (np.abs(values - nearest) > ROUNDING * np.maximum(1.0, np.abs(nearest))).any():
+            return voxels
+    if np.abs(nearest).max(initial=0.0) > LARGEST_WHOLE:
+        return voxels
+    return np.asarray(nearest.astype(np.int32))
 
 
 def _check_place(image: Image, corners_mm: Array | None) -> None:

@@ -1,15 +1,17 @@
 """Reading triangle meshes from files of several formats: checked, repaired, or refused in one sentence."""
 
+import json
 import logging
 import re
 import warnings
 from os import PathLike
 from pathlib import Path
-from typing import BinaryIO, TypeVar, cast
+from typing import BinaryIO, Literal, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ctrplan.anatomy.image import packed_by
 from ctrplan.anatomy.mesh_repair import Indices, MeshRefusal, turned_outward, welded
 from ctrplan.anatomy.patient_frame import Frame
 from ctrplan.base.arrays import Array
@@ -18,7 +20,9 @@ from ctrplan.storage.csv_table import file_name
 
 Number = TypeVar("Number", np.float64, np.int64)
 
-UNITS_M = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 25.4e-3}
+Unit = Literal["mm", "cm", "m", "in"]
+Up = Literal["y", "z"]
+UNITS_M: dict[Unit, float] = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 25.4e-3}
 SUFFIXES = (".stl", ".ply", ".obj", ".vtk", ".vtp", ".vtu", ".glb")
 WITH_GROUPS = (".obj", ".glb")
 MAX_BYTES = 500_000_000
@@ -27,19 +31,25 @@ LARGEST_M, SMALLEST_M = 2.0, 1e-4
 
 
 def load_mesh(
-    path: str | PathLike[str], unit: str = "mm", *, file: str | None = None, key: str | None = None
+    path: str | PathLike[str],
+    unit: str | None = None,
+    *,
+    up: str | None = None,
+    file: str | None = None,
+    key: str | None = None,
 ) -> tuple[Array, Indices]:
     """Read a closed mesh: vertices (V, 3) [m] and triangles (F, 3) that wind outward. Several bodies are fine.
 
-    unit: of the file's coordinates, one of UNITS_M. file, key: the scenario file and the key in it that named the mesh,
-    for messages.
+    unit: of the file's coordinates, one of UNITS_M; by default mm, of glTF (.glb) m as its specification has it.
+    up: "y" for a file whose y axis points up, which is turned so that z does; by default so for glTF alone. file, key:
+    the scenario file and the key in it that named the mesh, for messages.
     Repaired: vertices less than 1 um apart are merged, repeated and collapsed triangles dropped, winding made
     consistent and outward. A shell within another one stays a cavity if the file winds it the other way round.
     Raises InputError, one sentence, for everything else: see the rules in this file.
     """
     name = file_name(path, "a mesh")
     try:
-        vertices, faces = welded(*read_triangles(Path(name), unit))
+        vertices, faces = welded(*read_triangles(Path(name), unit, up=up))
         return vertices, turned_outward(vertices, faces)
     except MeshRefusal as refusal:
         if file is None and key is None:
@@ -47,14 +57,45 @@ def load_mesh(
         raise InputError(str(refusal), file=file, key=key, value=name) from refusal.__cause__
 
 
-def read_triangles(path: Path, unit: str, group: str | None = None) -> tuple[Array, Indices]:
-    """Vertices (V, 3) [m] and triangles (F, 3) as they are in a file, or in a group of it. Raises MeshRefusal."""
+def read_triangles(
+    path: Path, unit: str | None, group: str | None = None, up: str | None = None
+) -> tuple[Array, Indices]:
+    """Vertices (V, 3) [m] and triangles (F, 3) of a file, or of a group of it, z up. Raises MeshRefusal."""
     vertices, faces = _read(path, group)
+    unit = unit or usual_unit(path)
     if unit not in UNITS_M:
         raise MeshRefusal(f"can't be read in unit {unit!r}: must be one of {', '.join(UNITS_M)}")
+    if up not in (None, "y", "z"):
+        raise MeshRefusal(f"can't have {up!r} up: must be y or z")
     vertices = vertices * UNITS_M[unit]
+    if (up or usual_up(path)) == "y":
+        vertices = np.column_stack([vertices[:, 0], -vertices[:, 2], vertices[:, 1]])
     _check_size(vertices, faces, unit)
     return vertices, faces
+
+
+def usual_unit(path: Path) -> Unit:
+    """The unit of a file where nobody says another one: metres of glTF, by its specification."""
+    return "m" if is_gltf(path) else "mm"
+
+
+def usual_up(path: Path) -> Up:
+    """The axis that points up where nobody says another one: y of glTF, by its specification."""
+    return "y" if is_gltf(path) else "z"
+
+
+def is_gltf(path: Path) -> bool:
+    """Whether the name is that of binary glTF."""
+    return path.suffix.lower() == ".glb"
+
+
+def axes_notes(path: Path, unit: str | None, up: str | None) -> tuple[str, ...]:
+    """What was made of a file's axes and unit by its specification, where nobody says them."""
+    said = [
+        *(["in metres"] if is_gltf(path) and unit is None else []),
+        *(["with y up, and was turned so that z is up (key up)"] if is_gltf(path) and up is None else []),
+    ]
+    return (f"is glTF, by its specification {' and '.join(said)}",) if said else ()
 
 
 def stated_frame(path: Path) -> Frame | None:
@@ -73,11 +114,13 @@ def _read(path: Path, group: str | None) -> tuple[Array, Indices]:
             raise MeshRefusal("is not a file")
         if size > MAX_BYTES:
             raise MeshRefusal(f"is {size / 1e6:.0f} MB large: must be at most {MAX_BYTES / 1e6:.0f} MB")
-        with path.open("rb"):
-            pass
+        with path.open("rb") as stream:
+            packed = packed_by(stream.read(8))
     except (OSError, ValueError) as error:  # ValueError: a name that no file can have
         reason = getattr(error, "strerror", None) or str(error)
         raise MeshRefusal(f"can't be read: {reason.lower()}") from error
+    if packed is not None:
+        raise MeshRefusal(f"is packed by {packed}: unpack it first")
     if group is not None and path.suffix.lower() not in WITH_GROUPS:
         raise MeshRefusal(f"has no groups: leave the key group out, {' and '.join(WITH_GROUPS)} may have them")
     vertices, faces = _parsed(path, group)
@@ -106,6 +149,8 @@ def _parsed(path: Path, group: str | None) -> tuple[Array, Indices]:
     if kind == "stl" and (mesh := read_binary_stl(path)) is not None:
         return mesh
     try:
+        if kind == "glb":
+            _check_gltf(path)
         with warnings.catch_warnings(), path.open("rb") as stream:
             warnings.simplefilter("ignore")
             return _by_trimesh(stream, kind, group)
@@ -116,6 +161,28 @@ def _parsed(path: Path, group: str | None) -> tuple[Array, Indices]:
     except Exception as error:  # its readers raise whatever the damage leads them to
         reason = " ".join(str(error).split())[:120] or type(error).__name__
         raise MeshRefusal(f"can't be read as {kind.upper()}: {reason}") from error
+
+
+GLTF_PLAIN = ("KHR_materials_", "KHR_texture_", "KHR_lights_", "EXT_texture_")  # extensions that move no vertex
+
+
+def _check_gltf(path: Path) -> None:
+    """Raises MeshRefusal for what a file needs and trimesh passes over, which would leave its vertices elsewhere."""
+    with path.open("rb") as stream:
+        head = stream.read(20)
+        if head[:4] != b"glTF" or int.from_bytes(head[4:8], "little") != 2 or head[16:20] != b"JSON":
+            raise MeshRefusal("can't be read as GLB: it is no binary glTF of version 2")
+        content = json.loads(stream.read(int.from_bytes(head[12:16], "little")))
+    needed = [name for name in content.get("extensionsRequired", ()) if not str(name).startswith(GLTF_PLAIN)]
+    if needed:
+        raise MeshRefusal(f"needs glTF's extension {needed[0]}: export it without, uncompressed")
+    if any("sparse" in accessor for accessor in content.get("accessors", ())):
+        raise MeshRefusal("has sparse accessors of glTF: export it without")
+    modes = {p.get("mode", 4) for mesh in content.get("meshes", ()) for p in mesh.get("primitives", ())}
+    if 6 in modes:
+        raise MeshRefusal("has triangle fans of glTF: export it as triangles")
+    if any(buffer.get("uri") for buffer in content.get("buffers", ())):
+        raise MeshRefusal("has its vertices in another file: export it as one .glb")
 
 
 def _by_trimesh(stream: BinaryIO, kind: str, group: str | None) -> tuple[Array, Indices]:

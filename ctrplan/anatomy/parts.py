@@ -23,11 +23,13 @@ from numpy.typing import ArrayLike, NDArray
 from ctrplan import _model
 from ctrplan.anatomy.shape import PartShape, Role
 from ctrplan.base.arrays import Array
+from ctrplan.base.package import shown
 from ctrplan.errors import CtrplanError, InputError
 
 CHUNK_POINTS = 1 << 18
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class AnatomyPart:
     """A shape of the anatomy and what the robot has to do with it; compared and hashed by identity.

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ctrplan.anatomy.mesh_file import read_triangles, stated_frame
+from ctrplan.anatomy.mesh_file import axes_notes, is_gltf, read_triangles, stated_frame
 from ctrplan.anatomy.mesh_repair import (
     Indices,
     MeshDefect,
@@ -170,18 +170,28 @@ class SurfaceFile:
     error_m: float = 0.0
 
 
-def read_body(
-    table: TomlTable, path: Path, unit: str, frame: Frame | None, group: str | None, repair: Repair
-) -> SurfaceFile:
+@dataclass(frozen=True)
+class MeshChoice:
+    """What is read of a mesh file, and how: None is what its format says."""
+
+    unit: str | None
+    up: str | None
+    frame: Frame | None
+    group: str | None
+
+
+def read_body(table: TomlTable, path: Path, choice: MeshChoice, repair: Repair) -> SurfaceFile:
     """The closed surface of a body that `table` names, turned outward. Raises InputError."""
+    _check_unit(table, path, choice)
     vertices, faces = np.zeros((0, 3)), np.zeros((0, 3), np.int64)
     try:
-        vertices, faces = merged(*read_triangles(path, unit, group))
+        vertices, faces = merged(*read_triangles(path, choice.unit, choice.group, choice.up))
         faces, notes = closed(vertices, faces, repair)
         refuse_open(vertices, faces)
         vertices, faces, error = thinned(vertices, faces)
         faces = turned_outward(vertices, faces)
-        return SurfaceFile(_placed(table, path, frame, vertices), faces, (*notes, *thinning_note(faces, error)), error)
+        notes = (*axes_notes(path, choice.unit, choice.up), *notes, *thinning_note(faces, error))
+        return SurfaceFile(_placed(table, path, choice.frame, vertices), faces, notes, error)
     except MeshRefusal as refusal:
         fault = table.fault(str(refusal), "file")
         if refusal.place_m is None:
@@ -189,13 +199,20 @@ def read_body(
         raise MeshDefectError(fault, MeshDefect(path, Surface(vertices, faces), refusal.place_m)) from None
 
 
-def read_sheet(table: TomlTable, path: Path, unit: str, frame: Frame | None, group: str | None) -> SurfaceFile:
+def read_sheet(table: TomlTable, path: Path, choice: MeshChoice) -> SurfaceFile:
     """A surface of any kind that `table` names, open ones as well. Raises InputError."""
+    _check_unit(table, path, choice)
     try:
-        vertices, faces = merged(*read_triangles(path, unit, group))
+        vertices, faces = merged(*read_triangles(path, choice.unit, choice.group, choice.up))
     except MeshRefusal as refusal:
         raise table.fault(str(refusal), "file") from refusal.__cause__
-    return SurfaceFile(_placed(table, path, frame, vertices), faces)
+    return SurfaceFile(_placed(table, path, choice.frame, vertices), faces, axes_notes(path, choice.unit, choice.up))
+
+
+def _check_unit(table: TomlTable, path: Path, choice: MeshChoice) -> None:
+    """Raises InputError where neither the table nor the format says a unit."""
+    if choice.unit is None and not is_gltf(path):
+        raise table.fault("is missing: the file does not say whether its numbers are in mm, cm, m or in", "unit")
 
 
 def _placed(table: TomlTable, path: Path, frame: Frame | None, vertices: Array) -> Array:

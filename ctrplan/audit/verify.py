@@ -2,27 +2,187 @@
 
 from __future__ import annotations
 
+import copy
+import json
 import os
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
 
 from ctrplan.audit.audited_plan import AuditedPlan, WorstFigure
 from ctrplan.audit.counterexamples import HistoryHunt, StateHunt
-from ctrplan.audit.recomputed import recomputed_differences, robots_at_ends
 from ctrplan.base.arguments import EVENT, PROGRESS, SEED, Choice, Number, Whole, checked
-from ctrplan.base.long_work import StageProgress, interrupt_event
-from ctrplan.certificate.certificate import Difference
+from ctrplan.base.arrays import Array
+from ctrplan.base.long_work import Progress, StageProgress, interrupt_event, part_of
+from ctrplan.base.package import shown
+from ctrplan.certificate.certificate import SAME, SHARE, Certificate, Difference, Settling, joined_certificates
+from ctrplan.certificate.certify import certify
+from ctrplan.drive.trajectory import PERIOD_S, time_parameterise
 from ctrplan.errors import CtrplanError
 from ctrplan.files.plan_file import WrittenPlan, load_plan
+from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.mechanics.accuracy import Accuracy
-from ctrplan.plans.plan import Plan
+from ctrplan.planning.compensate import either_arrives
+from ctrplan.planning.endings import settled_again
+from ctrplan.planning.goal_states import nearest_turn
+from ctrplan.plans.plan import Plan, plan_to_json
+from ctrplan.plans.planned_motion import Leg, ReorderReport, follow_the_leader_m, leg_kind
+from ctrplan.robot.robot import Robot
+
+# Of plan.json, what follows from scenario and legs; None where a hand-made plan says nothing.
+KEYS = ("base", "goal", "via", "margins", "cost", "joints", "legs", "certificate", "trajectory", "follow_the_leader_m")
+SETTLED = ("min_clearance_m", "goal_predicted_after_m", "duration_s")
+SPEEDING = 1e-3  # share of a joint's largest speed by which samples may exceed it: rounding of what was written
+
+
+def recomputed_differences(plan: WrittenPlan, progress: Progress | None = None) -> tuple[Difference, ...]:
+    """Figures of plan.json that do not come out again. Raises CtrplanError where the legs can't be walked at all."""
+    certificate = _certificate(plan, progress)
+    legs = list(zip(plan.waypoints[:-1], plan.waypoints[1:], strict=True))
+    drive = plan.scenario.robot.drive
+    rests = [target["leg"] + 1 for target in plan.certificate["targets"]]
+    trajectory = time_parameterise(plan.waypoints, drive, _period(plan), rests=rests)
+    again = Plan(
+        scenario=plan.scenario,
+        seed=0,
+        planner="",
+        style="simultaneous",
+        legs=tuple(Leg(a, b, leg_kind(drive, a, b)) for a, b in legs),
+        certificate=certificate,
+        trajectory=trajectory,
+        reorder=ReorderReport(0, 0, 0, 0, 0, 0, 0, 0),
+        search_time_s=0,
+        first_found_s=0,
+        first_certified_s=0,
+        follow_the_leader_m=follow_the_leader_m(plan.scenario.robot, trajectory),
+    )
+    fresh = json.loads(json.dumps(plan_to_json(again)))
+    said = [key for key in KEYS if plan.content.get(key, ...) is not None]
+    results = [d for key in said for d in _differences(key, plan.content.get(key, ...), fresh[key])]
+    stated, settled = plan.content.get("settling"), fresh["settling"]
+    if stated is not None and settled is not None:
+        results += [d for key in SETTLED for d in _differences(f"settling.{key}", stated.get(key, ...), settled[key])]
+    return (*results, *_played(plan))
+
+
+def _certificate(plan: WrittenPlan, progress: Progress | None) -> Certificate:
+    """The legs walked again, stage by stage."""
+    if plan.certificate["start_friction"] == "observed":
+        rule = "predictions start from an observer's state, which no file holds: plan.recheck() where it was planned"
+        raise CtrplanError(f"{plan.file or plan.scenario.name}: {rule}.")
+    stages, first, start = list[Certificate](), 0, plan.scenario.start
+    lasts = [target["leg"] for target in plan.certificate["targets"]]
+    targets = plan.scenario.targets
+    if len(lasts) != len(targets) or lasts != sorted(lasts) or lasts[-1] != len(plan.waypoints) - 2:
+        rule = f"certificate.targets must be those of the scenario, {len(targets)}, the last one at the end of the legs"
+        raise CtrplanError(f"{plan.file or plan.scenario.name}: {rule}.")
+    for k, (goal, last) in enumerate(zip(targets, lasts, strict=True)):
+        corners = plan.waypoints[first : last + 2]
+        corners = corners[:1] if len(corners) == 2 and np.array_equal(*corners) else corners
+        stage = replace(plan.scenario, start=start, goal=nearest_turn(plan.scenario, start, goal), via=())
+        starts = stages[-1].end_states or None if stages else None
+        told = part_of(progress, k, len(targets))
+        stages.append(certify(stage, corners, goal_test=either_arrives, starts=starts, progress=told))
+        start, first = corners[-1], last + 1
+    joined = joined_certificates(stages)
+    return replace(joined, settling=_settling(plan, joined))
+
+
+def _settling(plan: WrittenPlan, certificate: Certificate) -> Settling | None:
+    written = plan.content.get("settling")
+    if written is None or not written["first_leg"] <= certificate.samples.leg[-1]:
+        return None
+    turns = np.zeros(plan.waypoints.shape[1])
+    swing = Settling(written["amplitude_rad"], turns, written["first_leg"], np.inf, 0.0, 0.0)
+    return settled_again(swing, certificate, 0)
+
+
+def _period(plan: WrittenPlan) -> float:
+    period = plan.content["trajectory"]["period_s"]
+    return PERIOD_S if period is None else float(period)
+
+
+def _played(plan: WrittenPlan) -> Iterator[Difference]:
+    """Speeds between the trajectory's samples beyond what the drive can do."""
+    drive = plan.scenario.robot.drive
+    steps, times = np.abs(np.diff(plan.position, axis=0)), np.diff(plan.time_s)[:, None]
+    speeds: Array = steps / times if len(times) else np.zeros((1, len(drive.names)))
+    for name, speed, limit in zip(drive.names, speeds.max(axis=0), drive.max_velocity, strict=True):
+        if speed > limit * (1 + SPEEDING):
+            yield Difference(f"largest speed of joint {name!r} in the trajectory", float(limit), float(speed))
+
+
+def _differences(figure: str, stated: Any, result: Any) -> Iterator[Difference]:
+    """Where two contents of JSON differ: numbers beyond rounding, the worst of a column."""
+    if isinstance(result, dict) and isinstance(stated, dict):
+        for key in (*result, *(key for key in stated if key not in result)):
+            yield from _differences(f"{figure}.{key}", stated.get(key, ...), result.get(key, ...))
+    elif _is_numeric(result) and _is_numeric(stated):
+        yield from _numbers_differ(figure, stated, result)
+    elif isinstance(result, list) and isinstance(stated, list) and len(result) == len(stated):
+        for k, (a, b) in enumerate(zip(stated, result, strict=True), start=1):
+            yield from _differences(f"{figure}.{k}", a, b)
+    elif stated != result:
+        yield Difference(figure, _shown(stated), _shown(result))
+
+
+def _numbers_differ(figure: str, stated: Any, result: Any) -> Iterator[Difference]:
+    a, b = (np.array(value, dtype=np.float64).ravel() for value in (stated, result))
+    if len(a) != len(b):
+        yield Difference(f"number of {figure}", len(a), len(b))
+        return
+    off = ~np.isclose(a, b, rtol=SHARE, atol=SAME, equal_nan=True)
+    if off.any():
+        k = int(np.argmax(np.where(off, np.nan_to_num(np.abs(a - b), nan=np.inf), -1.0)))
+        yield Difference(figure, float(a[k]), float(b[k]))
+
+
+def _is_numeric(value: Any) -> bool:
+    """A number, none, or rows of them."""
+    if isinstance(value, list):
+        return all(map(_is_numeric, value)) and len({len(v) if isinstance(v, list) else -1 for v in value}) <= 1
+    return value is None or (isinstance(value, (int, float)) and not isinstance(value, bool))
+
+
+def _shown(value: Any) -> float | str:
+    """A number or a text as it is; NaN for what is neither."""
+    if isinstance(value, str):
+        return value
+    return float(value) if isinstance(value, (int, float)) else np.nan
+
+
+def robots_at_ends(robot: Robot) -> Iterator[tuple[str, Robot]]:
+    """What was changed, in words, and the robot; ends that make none are left out."""
+    for name, content in _contents(robot):
+        try:
+            yield name, robot_from_dict(content, file=robot.path)
+        except CtrplanError:
+            continue
+
+
+def _contents(robot: Robot) -> Iterator[tuple[str, dict[str, Any]]]:
+    for k, (low, high) in enumerate(robot.friction.tolist()):
+        if low < high:
+            content = copy.deepcopy(dict(robot.content))
+            content["contact"][k]["friction_coefficient"] = low
+            yield f"contact.{k + 1}.friction_coefficient = {low:.4g}", content
+    for effect, table in robot.effects.items():
+        for key, ends in table.get("ci95", {}).items():
+            for end in ends:
+                content = copy.deepcopy(dict(robot.content))
+                content["effects"][effect][key] = end
+                yield f"effects.{effect}.{key} = {end:.4g}", content
+
 
 WORK = 100_000  # units of the hunt, about as many tenths of a millisecond on a quiet core
 TIME, BUDGET = Number(0, 1e6, "s", above=True), Whole(1, 10**10)
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class Verification:
     """What the judge found."""

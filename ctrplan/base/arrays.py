@@ -78,3 +78,16 @@ def shortest_rotation(direction: ArrayLike) -> Array:
     if sine < TINY:
         return np.asarray(Rotation.from_rotvec([0.0 if aim[2] > 0 else math.pi, 0.0, 0.0]).as_matrix())
     return np.asarray(Rotation.from_rotvec(axis / sine * math.atan2(sine, aim[2])).as_matrix())
+
+
+WINDING_RAD = 2 * math.pi  # beyond which whole numbers of radians are degrees
+MOST_WINDING_RAD = 50 * math.pi  # beyond which any number is
+
+
+def are_degrees(theta: ArrayLike) -> bool:
+    """Whether angles that are meant to be radians are most likely degrees: whole numbers beyond a turn, or huge."""
+    angles = np.asarray(theta, dtype=np.float64)
+    if not angles.size or not np.isfinite(angles).all():
+        return False
+    largest = float(np.abs(angles).max())
+    return largest > MOST_WINDING_RAD or (largest > WINDING_RAD and bool((angles == np.round(angles)).all()))

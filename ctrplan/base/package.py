@@ -1,12 +1,15 @@
-"""What the package says of itself: its version, and names that are imported on first use."""
+"""What the package says of itself: its version, names that are imported on first use, and how its objects show."""
 
 from __future__ import annotations
 
+import html
 import importlib
 import sys
 from collections.abc import Callable, Mapping
+from dataclasses import fields, is_dataclass
+from enum import Enum
 from importlib.util import find_spec
-from typing import Any
+from typing import Any, TypeVar
 
 __version__ = "0.1.0"
 
@@ -27,3 +30,105 @@ def lazy_names(package: str, homes: Mapping[str, str]) -> Callable[[str], Any]:
         return value
 
     return get
+
+
+T = TypeVar("T", bound=type)
+
+MOST_LINES, WIDEST = 30, 110  # of what an object shows of itself
+FEW = 6  # entries that are shown one by one
+
+
+def shown(cls: T) -> T:
+    """A dataclass that shows itself in at most MOST_LINES: its fields by their sizes and ranges, and a headline.
+
+    The headline is what its method `headline` returns, or else its property `sentence`. Notebooks show it as a table.
+    """
+    cls.__repr__ = _text  # type: ignore[assignment]
+    cls._repr_html_ = _table  # type: ignore[attr-defined]
+    return cls
+
+
+def _text(given: Any) -> str:
+    rows = _rows(given)
+    width = max((len(name) for name, _ in rows), default=0)
+    lines = [_cut(f"{type(given).__name__}{_headline(given)}"), *(_cut(f"  {n:{width}}  {s}") for n, s in rows)]
+    return "\n".join(lines)
+
+
+def _table(given: Any) -> str:
+    cells = "".join(
+        f'<tr><th style="text-align:left">{html.escape(n)}</th><td style="text-align:left">{html.escape(s)}</td></tr>'
+        for n, s in _rows(given)
+    )
+    return f"<b>{html.escape(type(given).__name__ + _headline(given))}</b><table>{cells}</table>"
+
+
+def _headline(given: Any) -> str:
+    try:
+        own = callable(getattr(type(given), "headline", None))
+        said = given.headline() if own else getattr(given, "sentence", "")
+    except Exception:  # of an object that is half made: a debugger shows it all the same
+        said = ""
+    return f": {said}" if isinstance(said, str) and said else ""
+
+
+def _rows(given: Any) -> list[tuple[str, str]]:
+    """Names and values of the fields that are shown, as many as there is room for."""
+    rows = []
+    for each in fields(given):
+        if each.repr and not each.name.startswith("_"):
+            try:
+                rows.append((each.name, summary(getattr(given, each.name))))
+            except Exception:  # likewise
+                rows.append((each.name, "?"))
+    most = MOST_LINES - 1
+    return rows if len(rows) <= most else [*rows[: most - 1], ("...", f"{len(rows) - most + 1} more")]
+
+
+def summary(value: Any) -> str:
+    """A value in one line: numbers as they are, arrays by shape and range, objects by their headline or type."""
+    if isinstance(value, Enum):
+        return value.name
+    if value is None or isinstance(value, (bool, int)):
+        return repr(value)
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if isinstance(value, str):
+        return _cut(repr(value), 80)
+    if hasattr(value, "shape") and hasattr(value, "dtype"):
+        return _array(value)
+    if isinstance(value, Mapping):
+        return f"{len(value)} by name: {_cut(', '.join(map(str, value)), 80)}" if value else "{}"
+    if isinstance(value, (tuple, list)):
+        return _sequence(value)
+    if is_dataclass(value):
+        return _cut(f"{type(value).__name__}{_headline(value)}", 90)
+    return f"a {type(value).__name__}"
+
+
+def _array(values: Any) -> str:
+    if values.size <= FEW and values.ndim <= 1:
+        return "[" + ", ".join(f"{x:.6g}" if isinstance(x, float) else str(x) for x in values.ravel().tolist()) + "]"
+    size = " x ".join(map(str, values.shape))
+    if values.dtype.kind not in "fiu":
+        return f"{size} {values.dtype.name}"
+    try:
+        finite = values[abs(values) < float("inf")]  # leaves NaN out, too
+        return f"{size}, {finite.min():.4g} to {finite.max():.4g}"
+    except (TypeError, ValueError):
+        return size
+
+
+def _sequence(values: Any) -> str:
+    simple = all(isinstance(x, (str, int, float)) or x is None for x in values)
+    if len(values) <= FEW and simple:
+        return "(" + ", ".join(summary(x) for x in values) + ")"
+    if not values:
+        return "()"
+    kinds = sorted({type(x).__name__ for x in values})
+    return f"{len(values)} of {', '.join(kinds)}"
+
+
+def _cut(text: str, most: int = WIDEST) -> str:
+    line = " ".join(text.splitlines())
+    return line if len(line) <= most else line[: most - 3] + "..."

@@ -8,10 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
+from ctrplan.base.package import shown
 
 Z_AXIS = np.array([0.0, 0.0, 1.0])
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class Surface:
     """Triangles, turned outward where they enclose a body."""

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from ctrplan.base.arguments import SEED, Choice, Interval, Made, Number, Table, Texts, Whole, checked
 from ctrplan.base.arrays import Array
+from ctrplan.base.package import shown
 from ctrplan.calibration.estimates import Combination, Errors, Estimate, combinations, distances, estimates, summary
 from ctrplan.calibration.fit_warnings import (
     excused,
@@ -39,6 +40,7 @@ from ctrplan.pipeline.term import Term
 from ctrplan.robot.robot import Robot
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class Calibration:
     """A fit of named parameters. Estimates are in the units of the names."""
@@ -112,6 +114,7 @@ def calibrated(
     )
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class PoseErrors:
     """What a fit leaves of the poses (K,) of a chain."""

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
+from ctrplan.base.package import shown
 from ctrplan.calibration.residuals import Noise, Residuals, residuals
 from ctrplan.errors import InputError
 from ctrplan.pipeline.parametric_chain import ParametricChain
@@ -20,6 +21,7 @@ FIRST_DAMPING, LARGEST_DAMPING = 1.0, 1e6  # of steps in units of the priors: va
 LONGEST_STEP = 2.0  # of a parameter in a step, in standard deviations of its prior
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class Fit:
     """Parameters (P,), SI, with residuals and derivatives there."""

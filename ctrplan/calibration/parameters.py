@@ -14,6 +14,7 @@ from ctrplan.measurement.measurements import Measurements
 from ctrplan.pipeline.term import Term, term
 from ctrplan.robot.named_numbers import value_of
 from ctrplan.robot.robot import Robot
+from ctrplan.robot.tube_keys import MOST_RATIO
 
 CURVATURE_PRIOR, STIFFNESS_PRIOR, POISSON_PRIOR, FRICTION_PRIOR = 0.1, 0.2, 0.15, 0.1
 
@@ -39,10 +40,7 @@ class BaseParameters(Effect):
         stiffnesses = [
             Parameter(f"stiffness_factor_{i}", STIFFNESS_PRIOR, neutral=1.0, lower=0.1, upper=10.0) for i, _ in numbered
         ]
-        ratios = [
-            Parameter(f"poisson_ratio_{i}", POISSON_PRIOR, neutral=tube.poisson_ratio, lower=-0.95, upper=2.0)
-            for i, tube in numbered
-        ]
+        ratios = [_ratio(f"poisson_ratio_{i}", tube.poisson_ratio) for i, tube in numbered]
         frictions = [
             Parameter(f"friction_coefficient_{i}", FRICTION_PRIOR, neutral=mu, lower=0.0, upper=2.0)
             for i, mu in enumerate(robot.friction[:, 1].tolist(), start=1)
@@ -94,17 +92,24 @@ class NamedParameters(Effect):
 
     def _parameter(self, robot: Robot, name: str) -> Parameter:
         value = value_of(robot, name)
-        low, high = self.bounds.get(name, _usual_bounds(name))
-        prior = self.priors.get(
-            name, 0.15 if name.endswith("poisson_ratio") else RELATIVE_PRIOR * abs(value) or LEAST_PRIOR
-        )
+        low, high = self.bounds.get(name, _usual_bounds(name, value))
+        is_ratio = name.endswith("poisson_ratio")
+        usual = _ratio(name, value).prior if is_ratio else RELATIVE_PRIOR * abs(value) or LEAST_PRIOR
+        prior = self.priors.get(name, usual)
         return Parameter(name, prior, neutral=value, lower=low, upper=high)
 
 
-def _usual_bounds(name: str) -> tuple[float, float]:
+def _ratio(name: str, value: float) -> Parameter:
+    """Poisson's ratio, or EI / GJ - 1 of stiffnesses that were fitted apart, as uncertain as that is large."""
+    times = max(1.0, (1 + value) / (1 + MOST_RATIO))
+    return Parameter(name, POISSON_PRIOR * times, neutral=value, lower=min(-0.95, value), upper=3.0 * times - 1)
+
+
+def _usual_bounds(name: str, value: float) -> tuple[float, float]:
     key = name.rsplit(".", 1)[-1]
     if key == "poisson_ratio":
-        return -0.95, 2.0
+        ratio = _ratio(name, value)
+        return ratio.lower, ratio.upper
     if key in ("bending_stiffness_Nm2", "clearance_m", "length_m"):
         return 1e-9, float("inf")
     if key == "friction_coefficient":

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -21,6 +20,7 @@ from ctrplan.pipeline.parametric_chain import ParametricChain
 from ctrplan.pipeline.term import Term
 from ctrplan.robot.named_numbers import MAGNITUDE, with_values
 from ctrplan.robot.robot import Robot, StatedIntervals, file_key
+from ctrplan.robot.tube_keys import MOST_RATIO, with_plain_keys
 
 INTERVAL_DIGITS = 7
 HELD = 1e-4  # share of what an earlier fit left uncertain, below which a later one merely held the parameter
@@ -107,7 +107,6 @@ def _interval_rounded(value: float) -> float:
 
 
 DIGITS = 7  # of numbers in the file
-LARGEST_POISSON_RATIO = 0.5  # of a robot file; a fit may go beyond, which is a symptom
 CHI95 = 2.795  # 95 % of distances of three Gaussian coordinates lie within that many standard deviations
 
 
@@ -122,8 +121,8 @@ def within_file(result: Fit) -> Fit:
 
 
 def _possible(parameter: Parameter) -> Parameter:
-    is_ratio = "poisson_ratio" in parameter.name
-    return replace(parameter, upper=min(parameter.upper, LARGEST_POISSON_RATIO)) if is_ratio else parameter
+    is_ratio = "poisson_ratio" in parameter.name and parameter.neutral <= MOST_RATIO
+    return replace(parameter, upper=min(parameter.upper, MOST_RATIO)) if is_ratio else parameter
 
 
 def calibrated_content(
@@ -136,7 +135,7 @@ def calibrated_content(
     the file's own numbers in [uncertainty]; `before` is the first of two passes.
     """
     chain = result.chain
-    content: dict[str, Any] = copy.deepcopy(dict(chain.robot.content))
+    content = with_plain_keys(chain.robot.content)
     ideal, tables = chain.robot.ideal or chain.robot, content.setdefault("effects", {})
     for t, values in zip(chain.terms, chain.values(result.p), strict=True):
         if t.effect.of_the_file:

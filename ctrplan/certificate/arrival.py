@@ -112,6 +112,37 @@ class Arrival:
     erased: tuple[ErasedPair, ...]  # per pair, outermost first
     restart: int | None = None  # waypoint from which an interrupted run begins again; None: from a start as stated
 
+    def after(self, before: Arrival | None, legs: int) -> Arrival:
+        """This arrival in a tour, whose stage begins after `legs` legs with the friction states that `before` left."""
+        restart = None if self.restart is None else self.restart + legs
+        if restart is None and before is not None:
+            restart = before.restart
+        erased = [pair if pair.leg is None else replace(pair, leg=pair.leg + legs) for pair in self.erased]
+        for k, pair in enumerate(erased):
+            if before and pair.leg is None and not pair.kept:  # forgotten before the stage
+                erased[k] = before.erased[k]
+        return replace(self, restart=restart, erased=tuple(erased))
+
+
+@dataclass(frozen=True)
+class TargetReached:
+    """A target of a plan, and how well it is reached there."""
+
+    name: str
+    leg: int  # index of the leg that ends at it
+    path_mm: float  # weighted joint length travelled until then
+    bound_m: float
+    bound_rad: float
+    released_m: float  # the bound less what the friction law says translations released
+    unknown_m: float  # what friction leaves there that no compensation knows, by the friction law; in the cost
+    predicted_m: float  # by simulated history
+    tip_error_m: float  # frictionless tip to the target; 0 for joint goals
+    play_m: float = 0.0  # how far play of the drive may move the tip
+    line_error_m: float | None = (
+        None  # largest distance of the frictionless tip from the line on the way, if it has one
+    )
+    arrival: Arrival | None = None  # None where a history found no equilibrium
+
 
 def arrival(
     scenario: Scenario,

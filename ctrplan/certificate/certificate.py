@@ -17,11 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
+from ctrplan.base.package import shown
+from ctrplan.certificate.arrival import Arrival, TargetReached
 from ctrplan.drive.legs import distance_from_polyline, merge_legs
 from ctrplan.errors import InputError
 
 if TYPE_CHECKING:
-    from ctrplan.certificate.arrival import Arrival, ErasedPair
     from ctrplan.mechanics.accuracy import Accuracy
     from ctrplan.mechanics.history import HistoryState
     from ctrplan.mechanics.walk import PathLimits
@@ -146,6 +147,7 @@ def _numbers_compared(figure: str, stated: Any, result: Any) -> Iterator[Differe
         yield Difference(figure, float(a[k]), float(b[k]))
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class CertificateSamples:
     """The finished legs with the full model, K samples in the order driven."""
@@ -198,26 +200,6 @@ class Settling:
     goal_predicted_after_m: float  # and that it leaves
 
 
-@dataclass(frozen=True)
-class TargetReached:
-    """A target of a plan, and how well it is reached there."""
-
-    name: str
-    leg: int  # index of the leg that ends at it
-    path_mm: float  # weighted joint length travelled until then
-    bound_m: float
-    bound_rad: float
-    released_m: float  # the bound less what the friction law says translations released
-    unknown_m: float  # what friction leaves there that no compensation knows, by the friction law; in the cost
-    predicted_m: float  # by simulated history
-    tip_error_m: float  # frictionless tip to the target; 0 for joint goals
-    play_m: float = 0.0  # how far play of the drive may move the tip
-    line_error_m: float | None = (
-        None  # largest distance of the frictionless tip from the line on the way, if it has one
-    )
-    arrival: Arrival | None = None  # None where a history found no equilibrium
-
-
 def _limits(scenario: Scenario) -> PathLimits:
     """Imported where a limit is evaluated: files that read plans need no checker of motions."""
     from ctrplan.motion.checker import path_limits
@@ -225,6 +207,7 @@ def _limits(scenario: Scenario) -> PathLimits:
     return path_limits(scenario)
 
 
+@shown
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Certificate:
     """Dense recheck of the legs, independent of anything the search approximated. Its fields are the table of figures.
@@ -441,22 +424,6 @@ def _legs_driven(stage: Certificate) -> int:
     return stage.stops + 1 if stage.length_mm > 0 else 0
 
 
-def _after(before: Arrival | None, arrival: Arrival, legs: int) -> Arrival:
-    """The arrival of a stage that begins with the friction states that the one before left, `legs` legs into a tour."""
-    restart = None if arrival.restart is None else arrival.restart + legs
-    if restart is None and before is not None:
-        restart = before.restart
-    erased = tuple(
-        before.erased[k] if before and pair.leg is None and not pair.kept else _shifted(pair, legs)
-        for k, pair in enumerate(arrival.erased)
-    )
-    return replace(arrival, restart=restart, erased=erased)
-
-
-def _shifted(pair: ErasedPair, legs: int) -> ErasedPair:
-    return pair if pair.leg is None else replace(pair, leg=pair.leg + legs)
-
-
 def _joined_samples(stages: list[Certificate]) -> tuple[CertificateSamples, tuple[TargetReached, ...]]:
     columns: dict[str, list[NDArray[Any]]] = {name: [] for name in CertificateSamples.__dataclass_fields__}
     targets, legs, travelled = list[TargetReached](), 0, 0.0
@@ -471,7 +438,7 @@ def _joined_samples(stages: list[Certificate]) -> tuple[CertificateSamples, tupl
                 target,
                 leg=target.leg + legs,
                 path_mm=target.path_mm + travelled,
-                arrival=target.arrival and _after(before, target.arrival, legs),
+                arrival=target.arrival and target.arrival.after(before, legs),
             )
             for target in stage.targets
         ]

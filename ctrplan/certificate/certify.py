@@ -13,8 +13,8 @@ import numpy as np
 from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.base.long_work import Progress
 from ctrplan.certificate.anatomy_distance import AnatomyDistance
-from ctrplan.certificate.arrival import Arrival, arrival, restart_waypoint, simulated_rows
-from ctrplan.certificate.certificate import Certificate, CertificateSamples, TargetReached
+from ctrplan.certificate.arrival import Arrival, TargetReached, arrival, restart_waypoint, simulated_rows
+from ctrplan.certificate.certificate import Certificate, CertificateSamples
 from ctrplan.certificate.closest import closest_places
 from ctrplan.certificate.friction_states import BEYOND_BOUND_M
 from ctrplan.certificate.problems import frictionless_miss, goal_miss_m, line_error_m

@@ -85,7 +85,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _told(arguments: argparse.Namespace, designs: TubeDesigns) -> int:
-    from ctrplan.reports.design_page import write_design_report
+    from ctrplan.reports.study_page import write_design_report
 
     write_design_report(designs)
     print(_text(designs))

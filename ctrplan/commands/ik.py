@@ -58,10 +58,11 @@ def run(arguments: argparse.Namespace) -> int:
 
     from ctrplan.files.scenario_file import load_robot_or_scenario
     from ctrplan.pipeline.installed import plan_range_notes
-    from ctrplan.planning.inverse_kinematics import inverse_kinematics
+    from ctrplan.planning.inverse_kinematics import inverse_kinematics, refuse_wrong_unit
 
     scenario = load_robot_or_scenario(arguments.file, arguments.overrides, allow_outside=arguments.allow_outside)
     _check_direction(arguments)
+    refuse_wrong_unit(scenario, arguments.tip_mm, "mm", "--tip-mm")
     folder = output_folder(arguments.output, OUTPUTS) if arguments.output is not None else None
     warn(scenario.warnings)
     tolerance_deg = arguments.direction_tolerance_deg

@@ -311,7 +311,7 @@ VALUES: dict[Unit, Callable[[float], str]] = {
 def _figures(plan: Plan) -> dict[str, str]:
     """The table of figures in lines, with what is said of targets, extras, uncertainty and clearances between them."""
     from ctrplan.certificate.certificate import FIGURES
-    from ctrplan.reports.uncertainty_words import uncertainty_rows
+    from ctrplan.reports.words import uncertainty_rows
 
     certificate, reordered, lines = plan.certificate, plan.reorder, _arrivals(plan)
     for name, figure in FIGURES.items():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import difflib
 import errno
 import io
 import os
@@ -25,6 +26,8 @@ COMMANDS = {
     "verify": "judge a written plan: hunt for what breaks its certificate",
     "render": "a plan's motion as MP4 or GIF",
     "export": "write a plan for 3D Slicer: curves, models, a sequence over time, a scene",
+    "init": "write a robot, scenario or mapping file to begin with, commented and ready to run",
+    "check": "what a file says, in numbers that a person knows; names what is in another unit",
     "bound": "bound the friction error at one configuration, or over a sweep",
     "ik": "every way to bring the tip to a point, with the friction bound of each",
     "place": "where the robot could stand: base poses for a scenario's targets, ranked",
@@ -61,6 +64,9 @@ class CommandLine(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """Raises InputError, with where to look for help."""
         message = message.removeprefix("argument ").replace("-o/--output", "--output")
+        if (wrong := re.match(r"COMMAND: invalid choice: '(.*?)'", message)) is not None:
+            meant = difflib.get_close_matches(wrong[1], COMMANDS, n=1)
+            message = message.replace(" (choose", f"{f', did you mean {meant[0]}?' if meant else ''} (choose", 1)
         raise InputError(f"{message} (see {self.prog} --help)")
 
 
@@ -102,7 +108,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
     except CtrplanError as error:
         print(f"ctrplan: {error}", file=sys.stderr)
         if (defect := getattr(error, "defect", None)) is not None:  # a mesh is refused because of a place in it
-            from ctrplan.reports.mesh_defect_picture import tell_picture
+            from ctrplan.reports.plan_picture import tell_picture
 
             tell_picture(defect)
         return error.exit_code

@@ -112,7 +112,7 @@ def _summary(study: Study, outcome: Outcome) -> str:
 
 def _extremes(study: Study, outcome: Outcome) -> dict[str, str]:
     """The best and the worst row."""
-    from ctrplan.studies.study.analysis import extremes, judged_by
+    from ctrplan.studies.study.table import extremes, judged_by
 
     column, rows = judged_by(study), list(outcome.table.rows())
     inputs = [name for axis in study.axes for name in axis.at(0).inputs]

@@ -8,7 +8,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from ctrplan.base.package import __version__
+from ctrplan.base.package import __version__, shown
 from ctrplan.calibration.estimates import Errors, estimates
 from ctrplan.calibration.residuals import Noise
 from ctrplan.calibration.robot_content import calibrated_content, model_error_m
@@ -42,6 +42,7 @@ class ConfirmationResult(Protocol):
         """For diagnosis.json."""
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
     """What `ctrplan diagnose` found; lengths in metres, angles in radians, parameters in their names' units."""
@@ -71,6 +72,17 @@ class Diagnosis:
     memory: float | None = None  # of what remains, s or rows of a continuous motion, whatever the verdict
     framed_gap: Gap | None = None  # the gap with free frames alone, where something remains
     confirmations: tuple[ConfirmationResult, ...] = ()  # on other runs, asked once
+
+    def headline(self) -> str:
+        """The verdict and its effects, as it shows itself."""
+        named = ", ".join(term.name for term in self.listed)
+        return f"{self.verdict}{f' ({named})' if named else ''}"
+
+    def show(self, height: int = 700) -> Any:
+        """The report as a page within a notebook, so many pixels high; its `save` writes it."""
+        import ctrplan  # pages are of a package above, and stand in the public names
+
+        return ctrplan.show(self, height=height)
 
     @property
     def listed(self) -> tuple[Term, ...]:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ctrplan.base.arrays import Array, numbers, read_only
+from ctrplan.base.package import shown
 from ctrplan.errors import InputError
 
 Kind = Literal["rotation", "translation"]
@@ -65,6 +66,7 @@ class ExecutionTolerance:
     translation_m: float = 0.05e-3
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class Drive:
     """m actuators moving the collars of n tubes: commanded = home + sum over joints of moves * joint value.

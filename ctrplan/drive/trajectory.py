@@ -23,6 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ctrplan.base.arguments import Made, Number, checked
 from ctrplan.base.arrays import Array, numbers
+from ctrplan.base.package import shown
 from ctrplan.drive.legs import distance_from_leg, merge_legs, rounding
 from ctrplan.errors import InputError, SolverError
 
@@ -39,6 +40,7 @@ PERIOD_S = 0.01
 PERIOD = Number(1e-9, 1e9, "s")
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class Trajectory:
     """Samples of a motion of the m actuated joints, at rest at its start, at its end and where its legs meet.

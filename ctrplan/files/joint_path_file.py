@@ -7,6 +7,7 @@ well, read by the same rules. So is the trajectory.csv of a plan, whose columns 
 
 from __future__ import annotations
 
+import difflib
 import os
 import re
 from collections.abc import Sequence
@@ -93,8 +94,22 @@ def _check_columns(table: CsvTable, n: int, needed: Sequence[str]) -> None:
         if name not in table.header:
             stem = re.sub(r"_(?:rad|m)$", "", name)
             other = [given for given in table.header if re.fullmatch(rf"{stem}(_[a-z]+)?", given)]
-            result = f", found {other[0]}: columns are in rad and m" if other else ""
+            result = f", found {other[0]}: columns are in rad and m" if other else _nearest(name, table.header)
             raise table.fault(f"is missing{result}", column=name)
+
+
+KNOWN = re.compile(r"(?:theta_\d+_rad|l_\d+_m|[xyz]_m|t[xyz]|sequence|time_s)")  # columns that are called so
+
+
+def _nearest(name: str, header: Sequence[str]) -> str:
+    """The columns that there are, and the one most like the missing one."""
+    shown = ", ".join(header[:20]) + (" ..." if len(header) > 20 else "")
+    others = [given for given in header if not KNOWN.fullmatch(given)]
+    axis = re.fullmatch(r"t?([xyz])(?:_m)?", name)
+    same = [given for given in others if axis and re.fullmatch(rf".*[_. ]{axis[1]}|{axis[1]}[_. ].*", given, re.I)]
+    close = same or difflib.get_close_matches(name, others, n=1, cutoff=0.5)
+    meant = f" (is {close[0]} meant?)" if close else ""
+    return f"{meant}: the columns are {shown}; a mapping file says what each of them is (ctrplan init mapping)"
 
 
 def _check_order(table: CsvTable, sequence: Array, time_s: Array | None) -> None:

@@ -14,6 +14,7 @@ from msgspec import Meta, Struct, defstruct
 from msgspec.structs import asdict
 
 from ctrplan.base.arrays import Array
+from ctrplan.base.package import shown
 from ctrplan.certificate.certificate import FIGURES, Closest
 from ctrplan.drive.drive import Drive
 from ctrplan.errors import InputError
@@ -187,6 +188,7 @@ LARGEST_FILE_BYTES = 200_000_000
 SAME = 1e-9  # of a number of a leg in its two units, and of where legs meet, rad or m
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class WrittenPlan:
     """A plan as it stands in plan.json and trajectory.csv: nothing of it is believed.
@@ -259,7 +261,8 @@ def _json_object(file: str) -> dict[str, Any]:
     except UnicodeDecodeError as error:
         raise InputError(f"is not UTF-8 text (byte {error.start})", file=file) from None
     except json.JSONDecodeError as error:
-        raise InputError(f"is no JSON (line {error.lineno}: {error.msg})", file=file) from None
+        what = "" if file.lower().endswith(".json") else ": a plan.json is meant, which ctrplan plan -o DIR writes"
+        raise InputError(f"is no JSON (line {error.lineno}: {error.msg}){what}", file=file) from None
     except (RecursionError, ValueError):  # thousands of brackets, or of digits
         raise InputError("is no JSON that could be read", file=file) from None
     if not isinstance(content, dict) or "schema_version" not in content:

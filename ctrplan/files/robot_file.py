@@ -9,16 +9,28 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import numpy as np
-from msgspec import Meta, Struct
+from msgspec import Meta, Struct, to_builtins
 
-from ctrplan.base.arrays import Array, read_only
-from ctrplan.errors import InputError
 from ctrplan.files.drive_file import ExecutionEntry, HomeEntry, JointEntry, build_drive
+from ctrplan.files.robot_intervals import UncertaintyEntry, build_intervals
 from ctrplan.measurement.sensor import Marker, SensorNoise
-from ctrplan.mechanics.tube import SOFTEST_NM2, STIFFEST_NM2, Contact, Tube, TubeSection
-from ctrplan.robot.named_numbers import MAGNITUDE, value_of
-from ctrplan.robot.robot import KEYS, Robot, StatedIntervals, diametral_gap_m, never_nests
+from ctrplan.mechanics.tube import RANGES, SOFTEST_NM2, STIFFEST_NM2, Contact, Tube, TubeSection
+from ctrplan.robot.magnitudes import one_sentence, robot_doubts
+from ctrplan.robot.robot import Robot, diametral_gap_m, never_nests
+from ctrplan.robot.tube_keys import (
+    BENDING,
+    CURVATURES,
+    MOST_RATIO,
+    POISSON,
+    SHEAR,
+    TORSIONAL,
+    YOUNG,
+    curvatures_per_m,
+    outermost_first,
+    section_fault,
+    stiffness_fault,
+    stiffnesses,
+)
 from ctrplan.storage.output_folder import write_atomically
 from ctrplan.storage.toml_document import (
     LARGEST_NUMBER,
@@ -26,8 +38,6 @@ from ctrplan.storage.toml_document import (
     Document,
     Length,
     Name,
-    Step,
-    interval_fault,
     read_document,
 )
 
@@ -36,18 +46,23 @@ MOST_MARKERS = 200
 LONGEST_TUBE_MM = 5000.0  # beyond these two a value was most likely given in another unit
 LARGEST_CURVATURE_PER_M = 1000.0
 LARGEST_FRICTION = 2.0
+LEAST_RATIO, LARGEST_RATIO = -0.999, RANGES["poisson_ratio"].high  # of EI / GJ - 1
 LENGTH_TOLERANCE_M = 1e-9
 TAKEN_NAMES = ("frictionless", "measured")  # of columns beside those of the tip
 
 Curvature = Annotated[float, Meta(ge=-LARGEST_NUMBER, le=LARGEST_NUMBER)]  # narrower below, with a hint
+
+Stiffness = Annotated[float, Meta(ge=SOFTEST_NM2, le=STIFFEST_NM2)]
+Modulus = Annotated[float, Meta(ge=1e-6, le=1e4)]
 
 
 class SectionEntry(Struct, forbid_unknown_fields=True):
     """[[tube.section]], from base to tip."""
 
     length_mm: Length
-    curvature_x_per_m: Curvature
-    curvature_y_per_m: Curvature
+    curvature_x_per_m: Curvature | None = None  # both, or radius_mm, or none of a straight section
+    curvature_y_per_m: Curvature | None = None
+    radius_mm: Annotated[float, Meta(gt=0)] | None = None  # bent towards +x at theta = 0
 
 
 class TubeEntry(Struct, forbid_unknown_fields=True):
@@ -55,9 +70,12 @@ class TubeEntry(Struct, forbid_unknown_fields=True):
 
     outer_diameter_mm: Annotated[float, Meta(gt=0, le=1000)]
     inner_diameter_mm: Annotated[float, Meta(ge=0, le=1000)]
-    bending_stiffness_Nm2: Annotated[float, Meta(ge=SOFTEST_NM2, le=STIFFEST_NM2)]
-    poisson_ratio: Annotated[float, Meta(gt=-0.999, le=0.5)]
     section: Annotated[list[SectionEntry], Meta(min_length=1)]
+    bending_stiffness_Nm2: Stiffness | None = None  # or youngs_modulus_GPa
+    poisson_ratio: Annotated[float, Meta(gt=-0.999, le=99)] | None = None  # or one of the two below
+    youngs_modulus_GPa: Modulus | None = None
+    shear_modulus_GPa: Modulus | None = None
+    torsional_stiffness_Nm2: Stiffness | None = None
     collar_length_mm: Annotated[float, Meta(ge=0, le=LONGEST_TUBE_MM)] = 0.0
     max_strain: Annotated[float, Meta(gt=0, le=1)] = 0.08
     density_kg_m3: Annotated[float, Meta(ge=0, le=1e5)] = 0.0
@@ -89,19 +107,12 @@ class MarkerEntry(Struct, forbid_unknown_fields=True):
     position_sigma_mm: Annotated[float, Meta(ge=1e-6, le=1000)] | None = None
 
 
-class UncertaintyEntry(Struct, forbid_unknown_fields=True):
-    """[uncertainty]: 95 % intervals of the file's own numbers, and how errors go together."""
-
-    ci95: dict[str, Any] = {}
-    correlated: list[str] = []
-    correlation: list[list[Annotated[float, Meta(ge=-1.001, le=1.001)]]] = []  # rounded ones too
-
-
 class RobotEntry(Struct, forbid_unknown_fields=True):
     """A robot file."""
 
     tube: Annotated[list[TubeEntry], Meta(min_length=1, max_length=MOST_TUBES)]
     name: Name | None = None
+    order: Literal["outer first", "inner first"] = "outer first"
     contact: list[ContactEntry] = []
     home: HomeEntry | None = None
     joint: Annotated[list[JointEntry], Meta(min_length=1)] | None = None
@@ -118,6 +129,11 @@ class RobotEntry(Struct, forbid_unknown_fields=True):
 def build_tubes(entry: RobotEntry, document: Document) -> tuple[Tube, ...]:
     """Tubes of the file. Raises InputError for values no tube can have and for tubes that don't fit together."""
     tubes = tuple(_tube(tube, i, document) for i, tube in enumerate(entry.tube))
+    if _is_innermost_first(tubes):
+        rule = (
+            'fit into each other from the last to the first: list the outermost first, or write order = "inner first"'
+        )
+        raise document.fault(rule, "tube")
     for i in range(1, len(tubes)):
         _check_fit(tubes[i - 1], tubes[i], i, document)
     return tubes
@@ -161,15 +177,20 @@ def _marker(entry: MarkerEntry, k: int, robot: RobotEntry, document: Document) -
 
 
 def _tube(entry: TubeEntry, i: int, document: Document) -> Tube:
+    given = to_builtins(entry)
+    if fault := stiffness_fault(given):
+        raise document.fault(fault.rule, "tube", i, fault.key)
     if not entry.inner_diameter_mm < entry.outer_diameter_mm:
         rule = f"must be smaller than outer_diameter_mm = {entry.outer_diameter_mm:g} mm"
         raise document.fault(rule, "tube", i, "inner_diameter_mm")
+    EI, ratio = stiffnesses(given)
+    _check_stiffnesses(entry, EI, ratio, i, document)
     sections = tuple(_section(section, i, k, document) for k, section in enumerate(entry.section))
     tube = Tube(
         outer_diameter_m=entry.outer_diameter_mm * 1e-3,
         inner_diameter_m=entry.inner_diameter_mm * 1e-3,
-        bending_stiffness_Nm2=entry.bending_stiffness_Nm2,
-        poisson_ratio=entry.poisson_ratio,
+        bending_stiffness_Nm2=EI,
+        poisson_ratio=ratio,
         sections=sections,
         collar_length_m=entry.collar_length_mm * 1e-3,
         max_strain=entry.max_strain,
@@ -187,15 +208,36 @@ def _tube(entry: TubeEntry, i: int, document: Document) -> Tube:
     return tube
 
 
+def _check_stiffnesses(entry: TubeEntry, EI: float, ratio: float, i: int, document: Document) -> None:
+    """Raises InputError for a Poisson's ratio or stiffnesses that go beyond what the model takes."""
+    if not SOFTEST_NM2 <= EI <= STIFFEST_NM2:
+        rule = f"makes a bending stiffness of {EI:.3g} N m^2, must be from {SOFTEST_NM2:g} to {STIFFEST_NM2:g}"
+        raise document.fault(rule, "tube", i, YOUNG)
+    if not LEAST_RATIO < ratio <= LARGEST_RATIO:
+        given = (TORSIONAL, entry.torsional_stiffness_Nm2), (SHEAR, entry.shear_modulus_GPa)
+        key = next((name for name, value in given if value is not None), POISSON)
+        rule = f"makes EI / GJ = {ratio + 1:.3g}, must be above {LEAST_RATIO + 1:.3g} and at most {LARGEST_RATIO + 1:g}"
+        raise document.fault(rule, "tube", i, key)
+
+
 def _section(entry: SectionEntry, i: int, k: int, document: Document) -> TubeSection:
+    given = to_builtins(entry)
+    if fault := section_fault(given):
+        raise document.fault(fault.rule, "tube", i, "section", k, fault.key)
     if entry.length_mm > LONGEST_TUBE_MM:
         rule = "must be at most 5000 mm, is it in millimetres?"
         raise document.fault(rule, "tube", i, "section", k, "length_mm")
     for key in ("curvature_x_per_m", "curvature_y_per_m"):
-        if abs(getattr(entry, key)) > LARGEST_CURVATURE_PER_M:
+        if abs(getattr(entry, key) or 0.0) > LARGEST_CURVATURE_PER_M:
             rule = "must be within -1000 to 1000 1/m, is it per metre?"
             raise document.fault(rule, "tube", i, "section", k, key)
-    return TubeSection(entry.length_mm * 1e-3, entry.curvature_x_per_m, entry.curvature_y_per_m)
+    return TubeSection(entry.length_mm * 1e-3, *curvatures_per_m(given))
+
+
+def _is_innermost_first(tubes: Sequence[Tube]) -> bool:
+    """Whether every tube goes around the one before it, which none does of tubes that are listed outermost first."""
+    pairs = list(zip(tubes[:-1], tubes[1:], strict=True))
+    return bool(pairs) and all(inner.outer_diameter_m < outer.inner_diameter_m for inner, outer in pairs)
 
 
 def _check_fit(outer: Tube, inner: Tube, i: int, document: Document) -> None:
@@ -222,80 +264,6 @@ def _contact(entry: ContactEntry, i: int, document: Document) -> Contact:
     return Contact((interval[0], interval[1]), clearance_m)
 
 
-ROUNDING = 1e-3  # of correlations
-PLACE = ("uncertainty", "ci95")
-
-
-def build_intervals(entry: UncertaintyEntry | None, robot: Robot, document: Document) -> StatedIntervals:
-    """The table in SI. Raises InputError for what is no number of the file, no interval, or no correlation."""
-    if entry is None:
-        return StatedIntervals()
-    results: dict[str, tuple[float, float]] = {}
-    for path, ends in _flat(entry.ci95):
-        name, si = _named(path, robot, document)
-        value = value_of(robot, name)
-        if fault := interval_fault(ends, value / si):
-            raise document.fault(fault, *PLACE, *path)
-        if name.endswith(MAGNITUDE) and value == 0:
-            raise document.fault("has no direction, the section is straight", *PLACE, *path)
-        results[name] = float(ends[0]) * si, float(ends[1]) * si
-    names = tuple(_correlated(name, robot, results, document) for name in entry.correlated)
-    return StatedIntervals(results, names, _correlation(entry, document))
-
-
-def _flat(table: Mapping[str, Any], path: tuple[Step, ...] = ()) -> Iterator[tuple[tuple[Step, ...], Any]]:
-    """Keys as `tube.2.poisson_ratio`, written in quotes or as tables in tables."""
-    for key, value in table.items():
-        if isinstance(value, dict):
-            yield from _flat(value, (*path, key))
-        else:
-            yield (*path, key), value
-
-
-def _named(path: tuple[Step, ...], robot: Robot, document: Document) -> tuple[str, float]:
-    """The number's name and the SI value of its unit in the file."""
-    stem, _, key = ".".join(map(str, path)).rpartition(".")
-    try:
-        name, si = KEYS[key]
-        value_of(robot, f"{stem}.{name}")
-    except (KeyError, InputError):
-        known = ", ".join(KEYS)
-        rule = (
-            f"is no number of this file that may have an interval, such as tube.1.poisson_ratio; those end in {known}"
-        )
-        raise document.fault(rule, *PLACE, *path) from None
-    return f"{stem}.{name}", si
-
-
-def _correlated(name: str, robot: Robot, results: Mapping[str, Any], document: Document) -> str:
-    """The name, SI, if it has an interval."""
-    kind, *rest = name.split(".")
-    if kind == "effects" and len(rest) == 2:
-        table = robot.effects.get(rest[0], {})
-        if isinstance(table, dict) and rest[1] in table.get("ci95", {}):
-            return name
-    stem, _, key = name.rpartition(".")
-    if key in KEYS and f"{stem}.{KEYS[key][0]}" in results:
-        return f"{stem}.{KEYS[key][0]}"
-    raise document.fault(f'"{name}" has no 95 % interval in this file', "uncertainty", "correlated")
-
-
-def _correlation(entry: UncertaintyEntry, document: Document) -> Array | None:
-    count = len(entry.correlated)
-    if any(len(row) != count for row in entry.correlation) or len(entry.correlation) != count:
-        raise document.fault(f"must be {count} rows of {count} numbers, as `correlated`", "uncertainty", "correlation")
-    if len(set(entry.correlated)) != count:
-        raise document.fault("names a parameter twice", "uncertainty", "correlated")
-    if not count:
-        return None
-    result = np.array(entry.correlation)
-    symmetric = np.allclose(result, result.T, rtol=0, atol=ROUNDING) and np.allclose(np.diag(result), 1, rtol=0)
-    if not symmetric or np.linalg.eigvalsh((result + result.T) / 2).min() < -count * ROUNDING:
-        rule = "must be a correlation: symmetric, 1 on its diagonal, no negative eigenvalue"
-        raise document.fault(rule, "uncertainty", "correlation")
-    return read_only((result + result.T) / 2)
-
-
 LARGEST_CLEARANCE_RATIO = 0.02  # of the smallest radius of curvature (Ha et al. 2019, section I)
 SMALLEST_CLEARANCE_M = 5e-6  # the meshes do not resolve the contact forces of smaller ones (docs/model.md)
 ROUNDING_M = 0.05e-3  # of diameters in drawings and tables
@@ -316,6 +284,12 @@ def robot_from_dict(content: Mapping[str, Any], *, file: str | None = None, over
 
 def _build(document: Document) -> Robot:
     entry = document.to(RobotEntry)
+    if entry.order != "outer first":
+        content, fault = outermost_first(document.content)
+        if fault is not None:
+            raise document.fault(fault.rule, fault.key)
+        document = Document(content, document.file)
+        entry = document.to(RobotEntry)
     if entry.name is not None and not entry.name.isprintable():
         raise document.fault("must be one line of printable text", "name")
     for effect, terms in entry.effects.items():
@@ -340,7 +314,10 @@ def _build(document: Document) -> Robot:
     if violation := never_nests(robot):
         raise document.fault(f"no joint values within limits nest the tubes, at home {violation}", "home", "l_mm")
     intervals = build_intervals(entry.uncertainty, robot, document)
-    robot = replace(robot, intervals=intervals, warnings=tuple(_clearance_warnings(robot, document)))
+    doubts = doubtful_numbers(robot, document)
+    in_doubt = one_sentence(doubts, f"ctrplan check {document.file or 'ROBOT.toml'}")
+    warnings = (*in_doubt, *_ratio_warnings(entry, document), *_clearance_warnings(robot, document))
+    robot = replace(robot, intervals=intervals, warnings=warnings)
     if not robot.effects:
         return robot
     from ctrplan.pipeline.installed import (
@@ -357,6 +334,35 @@ def _measurement(entry: MeasurementEntry | None) -> SensorNoise | None:
         return None
     degrees = entry.tangent_sigma_deg
     return SensorNoise(entry.position_sigma_mm * 1e-3, None if degrees is None else math.radians(degrees))
+
+
+def doubtful_numbers(robot: Robot, document: Document) -> list[str]:
+    """A sentence for each number of a robot's file that is most likely in another unit."""
+    return [str(document.fault(doubt.rule, *_key_in_file(doubt.key, document))) for doubt in robot_doubts(robot)]
+
+
+def _key_in_file(key: tuple[str | int, ...], document: Document) -> tuple[str | int, ...]:
+    """The key of a doubt as the file has it, which may say a stiffness or a bend in another way."""
+    table: Any = document.content
+    for step in key if isinstance(key[-1], int) else key[:-1]:
+        table = table[step]
+    if key[-1] == BENDING and BENDING not in table:
+        return (*key[:-1], YOUNG)
+    if len(key) == 4 and key[2] == "section":
+        bent = max(CURVATURES, key=lambda name: abs(table.get(name) or 0.0))
+        return (*key, "radius_mm" if "radius_mm" in table else bent)
+    return key
+
+
+def _ratio_warnings(entry: RobotEntry, document: Document) -> Iterator[str]:
+    for i, tube in enumerate(entry.tube):
+        if tube.poisson_ratio is not None and tube.poisson_ratio > MOST_RATIO:
+            EI, ratio = stiffnesses(to_builtins(tube))
+            rule = (
+                f"is above {MOST_RATIO}, which no material is: of stiffnesses that were fitted apart, say "
+                f"{TORSIONAL} = {EI / (1 + ratio):.6g} in its place"
+            )
+            yield str(document.fault(rule, "tube", i, "poisson_ratio"))
 
 
 def _clearance_warnings(robot: Robot, document: Document) -> Iterator[str]:

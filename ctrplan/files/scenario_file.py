@@ -15,21 +15,16 @@ import numpy as np
 from msgspec import Meta, Struct
 
 from ctrplan.anatomy.image import images_kept
+from ctrplan.anatomy.parts import AnatomyPart
 from ctrplan.base.arrays import MM_PER_M, MOST_TURNS_DEG, Array, read_only, shortest_rotation, unit
 from ctrplan.drive.drive import Joint
+from ctrplan.errors import InputError
 from ctrplan.files.robot_file import load_robot, robot_from_dict
 from ctrplan.files.scenario_anatomy import anatomy_notes, anatomy_part, fixture, refuse_targets_outside_images
 from ctrplan.robot.robot import Robot, nesting_violation
 from ctrplan.scenario.joint_space import bare_scenario
-from ctrplan.scenario.scenario import (
-    Cost,
-    Goal,
-    Margins,
-    PlannerSettings,
-    Registration,
-    Scenario,
-    StartFriction,
-)
+from ctrplan.scenario.scenario import Cost, Goal, Margins, PlannerSettings, Registration, Scenario, StartFriction
+from ctrplan.scenario.sizes import SizeDoubt, base_doubt, part_doubts, place_doubt
 from ctrplan.storage.toml_document import (
     Angle,
     Document,
@@ -241,10 +236,12 @@ def _build(document: Document, for_robot: Sequence[str], allow_outside: bool) ->
             anatomy_part(TomlTable(document, ("anatomy", k), allow_outside)) for k in range(len(entry.anatomy))
         )
     refuse_targets_outside_images(anatomy, goals, document)
+    base_m = read_only(np.multiply(entry.base.position_mm, 1e-3))
+    doubts = _refuse_wrong_units(robot, goals, base_m, anatomy, document)
     return Scenario(
         name=entry.name or (Path(document.file).stem if document.file else "scenario"),
         robot=robot,
-        base_position_m=read_only(np.multiply(entry.base.position_mm, 1e-3)),
+        base_position_m=base_m,
         base_R=base_rotation(entry.base, document),
         registration=Registration(entry.base.position_sigma_mm * 1e-3, math.radians(entry.base.rotation_sigma_deg)),
         start=joint_values({k: v for k, v in entry.start.items() if k != FRICTION}, robot, document, "start"),
@@ -259,8 +256,29 @@ def _build(document: Document, for_robot: Sequence[str], allow_outside: bool) ->
         planner=planner_settings(TomlTable(document, ("planner",))),
         path=document.file,
         sha256=document.sha256,
-        warnings=(*robot.warnings, *anatomy_notes(anatomy)),
+        warnings=(*doubts, *robot.warnings, *anatomy_notes(anatomy)),
     )
+
+
+def _refuse_wrong_units(
+    robot: Robot, goals: Sequence[Goal], base_m: Array, anatomy: Sequence[AnatomyPart], document: Document
+) -> tuple[str, ...]:
+    """Sentences about places and parts that may be in another unit. Raises InputError for those that surely are."""
+    aims = [goal for goal in goals if goal.tip_m is not None]
+    tips = [goal.tip_m for goal in aims if goal.tip_m is not None]
+    found: list[tuple[SizeDoubt, InputError]] = []
+    if doubt := base_doubt(robot, tips, base_m):
+        found.append((doubt, document.fault(doubt.rule, "base", "position_mm")))
+    for goal, tip in zip(aims, tips, strict=True):
+        if not found and (doubt := place_doubt(robot, tip, base_m, "mm", anatomy)):
+            steps = [int(step) - 1 if step.isdecimal() else step for step in f"{goal.table}.{goal.tip_key}".split(".")]
+            found.append((doubt, document.fault(doubt.rule, *steps)))
+    for k, doubt in part_doubts(robot, anatomy, tips):
+        found.append((doubt, document.fault(doubt.rule, "anatomy", k, doubt.key)))
+    for doubt, fault in found:
+        if doubt.is_sure:
+            raise fault
+    return tuple(str(fault) for _, fault in found)
 
 
 def _start_friction(entry: ScenarioEntry, document: Document) -> StartFriction:

@@ -60,6 +60,8 @@ def lps_mm(points_m: Array, frame: Frame) -> Array:
 SUFFIXES = (".mrk.json", ".fcsv")
 LARGEST_FILE_BYTES = 20_000_000
 LINES, POINTS = ("Line", "Curve"), ("Fiducial",)
+PLACED = "defined"  # positionStatus of a point that has a place
+FCSV_STATUS = {"0": "undefined", "1": "preview", "3": "missing"}  # behind the columns that are named; 2 is placed
 MM_PER_UNIT = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "um": 1e-3}
 FCSV_FRAMES: dict[str, Frame] = {"0": "RAS", "1": "LPS", "RAS": "RAS", "LPS": "LPS"}  # 4.10 and before wrote numbers
 FCSV_COLUMNS = "id,x,y,z,ow,ox,oy,oz,vis,sel,lock,label,desc,associatedNodeID"
@@ -74,6 +76,7 @@ class PlacedMarkup:
     labels: tuple[str, ...]  # of the points; empty texts where they have none
     frame: Frame | None
     is_line: bool
+    notes: tuple[str, ...] = ()  # of points that were left out
 
     @property
     def name(self) -> str:
@@ -122,13 +125,25 @@ def _markup(file: str, markup: dict[str, Any], key: str) -> PlacedMarkup:
     if kind not in (*LINES, *POINTS):
         rule = f"must be one of {', '.join((*POINTS, *LINES))}: nothing else says targets and entries"
         raise InputError(rule, file=file, key=f"{key}.type", value=kind)
-    points = [point for point in markup.get("controlPoints", []) if point.get("positionStatus") != "undefined"]
-    rows = [_position(file, point.get("position"), f"{key}.controlPoints.{k}") for k, point in enumerate(points, 1)]
+    rows, labels, notes = list[list[float]](), list[str](), list[str]()
+    for k, point in enumerate(markup.get("controlPoints", []), 1):
+        label, status = str(point.get("label", "")), point.get("positionStatus", PLACED)
+        if status != PLACED:
+            notes.append(_left_out(file, k, label, f"positionStatus is {status}"))
+            continue
+        rows.append(_position(file, point.get("position"), f"{key}.controlPoints.{k}"))
+        labels.append(label)
     if not rows:
-        raise InputError("has no points", file=file, key=key)
-    labels = tuple(str(point.get("label", "")) for point in points)
+        rule = f"has no points{' that were placed' if notes else ''}"
+        raise InputError(rule, file=file, key=key)
     scale = _mm_per_unit(file, markup.get("coordinateUnits", "mm"), key)
-    return PlacedMarkup(file, np.array(rows) * scale, labels, _frame(file, markup, key), kind in LINES)
+    frame = _frame(file, markup, key)
+    return PlacedMarkup(file, np.array(rows) * scale, tuple(labels), frame, kind in LINES, tuple(notes))
+
+
+def _left_out(file: str, number: int, label: str, why: str) -> str:
+    called = f" ({label})" if label else ""
+    return f"{Path(file).name}: point {number}{called} is left out, it has no place ({why})"
 
 
 def _frame(file: str, markup: dict[str, Any], key: str) -> Frame | None:
@@ -177,8 +192,18 @@ def _from_fcsv(file: str, text: str) -> PlacedMarkup:
             columns = [column.strip() for column in value.split(",")]
     if not rows or not {"x", "y", "z"} <= set(columns):
         raise InputError("holds no points" if not rows else "has no columns x, y and z", file=file)
-    points = np.array([_row(file, columns, cells, k) for k, cells in enumerate(rows, start=1)])
-    return PlacedMarkup(file, points, tuple(_cell(columns, cells, "label") for cells in rows), said, is_line=False)
+    points, labels, notes = list[list[float]](), list[str](), list[str]()
+    for k, cells in enumerate(rows, start=1):
+        label = _cell(columns, cells, "label")
+        status = FCSV_STATUS.get(cells[len(columns)].strip()) if len(cells) > len(columns) else None
+        if status is not None:
+            notes.append(_left_out(file, k, label, f"its status is {status}"))
+            continue
+        points.append(_row(file, columns, cells, k))
+        labels.append(label)
+    if not points:
+        raise InputError("holds no points that were placed", file=file)
+    return PlacedMarkup(file, np.array(points), tuple(labels), said, is_line=False, notes=tuple(notes))
 
 
 def _row(file: str, columns: Sequence[str], cells: Sequence[str], number: int) -> list[float]:

@@ -60,7 +60,7 @@ class TargetsEntry(Struct, forbid_unknown_fields=True, frozen=True):
     file: str | None = None  # CSV with the columns x_mm, y_mm, z_mm
     within: str | None = None  # "anatomy" (where margins leave room), "anatomy.2" or a mesh file
     on: str | None = None  # the surface of such a part or file
-    unit: Literal["mm", "cm", "m"] = "mm"  # of a mesh file
+    unit: Literal["mm", "cm", "m", "in"] | None = None  # of a mesh file; by default mm, of glTF m
     box_mm: tuple[Point, Point] | None = None  # what a volume is limited to; alone: all of it
     step_mm: Annotated[float, Meta(ge=1e-3, le=1000)] | None = None  # of a grid, or between points of a surface
     count: Count | None = None  # points drawn at random in the place of a grid

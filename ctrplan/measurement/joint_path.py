@@ -12,10 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
+from ctrplan.base.package import shown
 from ctrplan.errors import InputError
 from ctrplan.measurement.measurements import Measurements, is_streamed
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class JointPath:
     """K waypoints of n tubes in the order visited; between them all joints move together linearly."""

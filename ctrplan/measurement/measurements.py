@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
+from ctrplan.base.package import shown
 
 SAME_ROTATION_RAD = 1e-3  # commanded joints that differ by less are the same configuration
 SAME_TRANSLATION_M = 1e-5
@@ -23,6 +24,7 @@ MOST_ROWS = 20  # that a sentence lists
 LONGEST_LAG_S = 0.4  # two clocks that are further apart are no matter of a fit
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class Measurements:
     """R waypoints of n tubes, K of them measured; the arrays of poses have K rows, in the order of the waypoints."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
@@ -17,6 +18,7 @@ from ctrplan import _model
 from ctrplan.base.arguments import EXECUTOR, PROGRESS, Choice, Flag, Made, Number, Texts, Whole, checked, require
 from ctrplan.base.arrays import Array, numbers
 from ctrplan.base.long_work import Progress, core_threads, part_of
+from ctrplan.base.package import shown
 from ctrplan.errors import InputError
 from ctrplan.mechanics.accuracy import Accuracy
 from ctrplan.mechanics.core_arrays import (
@@ -37,6 +39,7 @@ from ctrplan.mechanics.core_arrays import (
     worst,
 )
 from ctrplan.mechanics.friction import SPACING, FrictionStates
+from ctrplan.mechanics.loaded_shape import LoadedRobot, is_beyond_standard
 from ctrplan.mechanics.shapes import Bound, Bounds, FrictionBodies, Shape, Status, Tips, input_errors
 from ctrplan.mechanics.tube import RANGES, SECTION_RANGES, Loads, nests
 from ctrplan.mechanics.walk import (
@@ -93,10 +96,24 @@ class Mechanics:
         """Pickled as the numbers it was made of, and compiled again where it is read."""
         return type(self), self._given
 
-    def zero_clearance(self, theta_b: ArrayLike, l_b: ArrayLike) -> Shape:
-        """The standard model (2)-(3) at base rotations (n,) [rad] and translations (n,) [m]."""
+    @cached_property
+    def _loaded(self) -> LoadedRobot | None:
+        """What solves the zero-clearance model with terms that the core leaves out of it; None without such terms."""
+        tubes, _, _, loads = self._given
+        return LoadedRobot(tubes, loads) if is_beyond_standard(tubes, loads) else None
+
+    @checked(loads=Flag())
+    def zero_clearance(self, theta_b: ArrayLike, l_b: ArrayLike, *, loads: bool = True) -> Shape:
+        """The standard model (2)-(3) at base rotations (n,) [rad] and translations (n,) [m].
+
+        With the robot's loads, weight, ovality and softening, unless `loads` is False. `status` is then that of the
+        equilibrium without them, from which the loads grow; FAILED where no equilibrium is reached on the way.
+        """
         with input_errors():
-            return solved_shape(self._model.zero_clearance(self._row(theta_b), self._row(l_b)))
+            shape = solved_shape(self._model.zero_clearance(*self._collars(theta_b, l_b)))
+        if self._loaded is None or not loads or shape.status == Status.FAILED:
+            return shape
+        return self._loaded.shape(*self._collars(theta_b, l_b), shape)
 
     @checked(accuracy=ACCURACY, refinement=Number(0.25, 16))
     def solve(
@@ -121,7 +138,7 @@ class Mechanics:
             raise InputError("must lie in [-1, 1]", key="phi", value=worst(state))
         with input_errors():
             return solved_shape(
-                self._model.solve(self._row(theta_b), self._row(l_b), np.ascontiguousarray(state), accuracy, refinement)
+                self._model.solve(*self._collars(theta_b, l_b), np.ascontiguousarray(state), accuracy, refinement)
             )
 
     @checked(accuracy=ACCURACY, corners=Choice("all", "extreme"), progress=PROGRESS)
@@ -143,7 +160,7 @@ class Mechanics:
         """
         which = corners or ("all" if self.n <= MOST_TUBES_OF_ALL_CORNERS else "extreme")
         with input_errors():
-            raw = self._model.bound(self._row(theta_b), self._row(l_b), accuracy, which == "extreme", progress)
+            raw = self._model.bound(*self._collars(theta_b, l_b), accuracy, which == "extreme", progress)
         return solved_bound(raw)
 
     @checked(accuracy=ACCURACY, threads=THREADS, progress=PROGRESS, executor=EXECUTOR)
@@ -186,13 +203,21 @@ class Mechanics:
                 return k, str(refusal)
         return None
 
-    @checked(threads=THREADS, progress=PROGRESS)
+    @checked(threads=THREADS, progress=PROGRESS, loads=Flag())
     def tips(
-        self, theta_b: ArrayLike, l_b: ArrayLike, *, threads: int = 0, progress: Progress | None = None
+        self,
+        theta_b: ArrayLike,
+        l_b: ArrayLike,
+        *,
+        threads: int = 0,
+        progress: Progress | None = None,
+        loads: bool = True,
     ) -> tuple[Array, Array, NDArray[np.int_]]:
         """Zero-clearance tips (K, 3) [m], tangents (K, 3) and status (K,) of K configurations.
 
-        `progress` is told the finished share, 0 to 1.
+        Loads and the other terms that `zero_clearance` names are included; they take milliseconds a tip instead of
+        15 us, so searches, whose tips are hints, leave them out by `loads=False`. `progress` is told the finished
+        share, 0 to 1.
         """
         thetas, ls = self._configurations(theta_b, l_b)
         parts = chunks(len(thetas), TIPS_AT_ONCE)
@@ -205,7 +230,10 @@ class Mechanics:
                     self._model.tips(thetas[rows], ls[rows], core_threads(threads), part_of(progress, k, len(parts)))
                 )
         position_m, tangent, status = map(np.concatenate, zip(*results, strict=True))
-        return position_m, tangent, sound(status, position_m, tangent)
+        status = sound(status, position_m, tangent)
+        if self._loaded is None or not loads or not len(thetas):
+            return position_m, tangent, status
+        return self._loaded.tips(thetas, ls, status, partial(self.zero_clearance, loads=False))
 
     @checked(field=Made("Field"), spacing_m=SPACING, threads=THREADS)
     def zero_clearance_rooms(
@@ -214,7 +242,7 @@ class Mechanics:
         """Clearances (K,) [m] of zero-clearance shapes at points `spacing_m` apart, and tips (K, 3) [m].
 
         The outer radius of what is there is taken off; -inf without a stable solution. A hint, some 30 times cheaper
-        than a bound: friction and clearance between tubes move a shape by millimetres. Raises InputError.
+        than a bound: loads, friction and clearance between tubes move a shape by millimetres. Raises InputError.
         """
         with input_errors():
             return self._model.clearances(
@@ -294,13 +322,13 @@ class Mechanics:
     def body(self, theta_b: ArrayLike, l_b: ArrayLike, *, accuracy: Accuracy = "search") -> tuple[Array, Array]:
         """Outermost centreline in front of the plate: points (1 + corners, N, 3) [m], outer radii (N,) [m]."""
         with input_errors():
-            return self._model.body(self._row(theta_b), self._row(l_b), accuracy)
+            return self._model.body(*self._collars(theta_b, l_b), accuracy)
 
     @checked(accuracy=ACCURACY)
     def friction_states(self, theta_b: ArrayLike, l_b: ArrayLike, *, accuracy: Accuracy = "search") -> FrictionStates:
         """A configuration solved without friction: where its friction states part, to ask for them again."""
         with input_errors():
-            core = _model.FrictionStates(self._model, self._row(theta_b), self._row(l_b), accuracy)
+            core = _model.FrictionStates(self._model, *self._collars(theta_b, l_b), accuracy)
         return FrictionStates(core, self.n)
 
     def friction_bodies(
@@ -323,7 +351,17 @@ class Mechanics:
         corner has none. Order of corners as `Bound.corners`.
         """
         with input_errors():
-            return np.asarray(self._model.corners_apart(self._row(theta_b), self._row(l_b), accuracy))
+            return np.asarray(self._model.corners_apart(*self._collars(theta_b, l_b), accuracy))
+
+    def _collars(self, theta_b: ArrayLike, l_b: ArrayLike) -> tuple[Array, Array]:
+        """Base rotations and translations (n,) in the layout of the core. Raises InputError."""
+        rows = joint_row(theta_b, self.n), joint_row(l_b, self.n)
+        longest = max(tube.length_m for tube in self._given[0])
+        if 20 * longest < np.abs(rows[1]).max() < 5000 * longest:  # where no tube can be, and in mm each of them
+            raise InputError(
+                "is many lengths of the robot: are these millimetres?", key="l_b", value=worst(rows[1]), unit="m"
+            )
+        return rows
 
     def _configurations(self, theta_b: ArrayLike, l_b: ArrayLike) -> tuple[Array, Array]:
         return joint_rows(theta_b, l_b, self.n)
@@ -337,9 +375,6 @@ class Mechanics:
         if pairs.shape != (self.n - 1,):
             raise InputError(f"must have shape ({self.n - 1},), one value per pair, not {pairs.shape}", key=key)
         return pairs
-
-    def _row(self, values: ArrayLike) -> Array:
-        return joint_row(values, self.n)
 
     def _rows(self, values: ArrayLike) -> Array:
         return joint_table(values, self.n)
@@ -355,6 +390,7 @@ def _require_ranges(place: str, of: object, ranges: Mapping[str, Number]) -> Non
         require(f"{place}.{name}", getattr(of, name), kind)
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class BoundStep:
     """The bound where a walker stands. NaN where a solve FAILED."""

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from ctrplan.base.arguments import PROGRESS, Choice, Made, checked
 from ctrplan.base.arrays import Array, numbers
 from ctrplan.base.long_work import Progress
+from ctrplan.base.package import shown
 from ctrplan.errors import InputError, SolverError
 from ctrplan.mechanics.accuracy import Accuracy
 from ctrplan.mechanics.accuracy import HistoryOptions as HistoryOptions
@@ -32,6 +33,7 @@ Start = Literal["released", "oscillated"] | Sequence[float] | Array
 OSCILLATION_DEG = tuple(range(40, -1, -2))  # decreasing amplitude, turned one way and the other (Section V-A)
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class PairFriction:
     """Friction state of a pair at its N contact points."""
@@ -53,6 +55,7 @@ class Energy:
     smallest_loss_J: float = 0.0  # of any contact in any step: not below zero but for rounding
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class HistoryStep:
     """Where a history stands after an advance."""
@@ -77,6 +80,7 @@ class HistoryStep:
         return float(np.linalg.norm(self.shape.tip_m - self.frictionless.tip_m))
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class HistoryPath:
     """Tips along K waypoints."""
@@ -88,6 +92,7 @@ class HistoryPath:
     status: NDArray[np.int_]  # (K,) Status
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class HistoryState:
     """A memory of a history, to go back to."""

@@ -21,8 +21,12 @@ from numpy.typing import NDArray
 
 from ctrplan import _model
 from ctrplan.base.arrays import Array
+from ctrplan.base.package import shown
 from ctrplan.errors import InputError, SolverError
 from ctrplan.mechanics.tube import Tube
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 @contextmanager
@@ -52,6 +56,7 @@ class Status(enum.IntEnum):
     OVERTWISTED = 4
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class TubeShape:
     """One tube from its collar to its tip, N stations."""
@@ -64,6 +69,7 @@ class TubeShape:
     strain: Array  # (N,) largest bending strain r_out |u_xy - u_hat_xy|
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class Shape:
     """An equilibrium of the robot; the centreline is the innermost tube's."""
@@ -79,6 +85,17 @@ class Shape:
     stability: float
     max_strain: float
     equilibrium: _model.Equilibrium | None = field(default=None, repr=False)  # what the core kept of the solution
+
+    def headline(self) -> str:
+        """Its tip and status, as it shows itself."""
+        tip = ", ".join(f"{x:.4g}" for x in (self.tip_m * 1e3).tolist())
+        return f"tip at ({tip}) mm, {Status(self.status).name}"
+
+    def plot(self) -> Figure:
+        """The shape in front of the plate, a colour for each tube."""
+        import ctrplan  # pictures are of a package above, and stand in the public names
+
+        return ctrplan.plot(self)
 
     def recheck(self) -> float:
         """`residual` evaluated anew by the core, from theta_rad and contact_force_N as they stand here.
@@ -143,6 +160,7 @@ class Shape:
         return tangent
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class Bound:
     """Largest deviations that friction can cause, over sign corners, from the frictionless clearance solution."""
@@ -155,12 +173,24 @@ class Bound:
     envelope_m: Array  # (N,) of the centreline, at frictionless.s_m
     worst_corner: int  # index of the corner that gives position_m
 
+    def headline(self) -> str:
+        """How far friction may move the tip, as it shows itself."""
+        moved, turned = self.position_m * 1e3, np.degrees(self.tangent_rad)
+        return f"friction may move the tip by {moved:.3g} mm and turn it by {turned:.3g} deg"
+
+    def plot(self) -> Figure:
+        """The frictionless shape among the corner shapes, and the envelope along the robot."""
+        import ctrplan  # pictures are of a package above, and stand in the public names
+
+        return ctrplan.plot(self)
+
     @property
     def has_all_corners(self) -> bool:
         """Whether every corner was visited; of extreme ones alone the bound is what a search found."""
         return len(self.corners) == 1 << int(self.corner_phi.shape[1])
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class Bounds:
     """`Bound` for K configurations, without the shapes.
@@ -178,6 +208,7 @@ class Bounds:
     tip_tangent: Array  # (K, 3)
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class Tips:
     """Tips of K friction states and their derivatives by P parameters, per unit of each in SI units."""
@@ -191,6 +222,7 @@ class Tips:
     tangent_by: Array  # (K, 3, P)
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class FrictionBodies:
     """The outermost centreline in front of the plate in S friction states, N points at the same arc lengths."""

@@ -25,7 +25,7 @@ RANGES = {
     "outer_diameter_m": Number(0, 1, "m", above=True),
     "inner_diameter_m": Number(0, 1, "m"),
     "bending_stiffness_Nm2": Number(SOFTEST_NM2, STIFFEST_NM2, "N m^2"),
-    "poisson_ratio": Number(-1, 10, above=True),
+    "poisson_ratio": Number(-1, 99, above=True),
     "collar_length_m": Number(0, 5, "m"),
     "max_strain": Number(0, 1),
     "density_kg_m3": Number(0, 1e5, "kg/m^3"),
@@ -65,7 +65,7 @@ class Tube:
     outer_diameter_m: float
     inner_diameter_m: float  # 0: a wire
     bending_stiffness_Nm2: float
-    poisson_ratio: float  # calibrated values may be negative
+    poisson_ratio: float  # EI / GJ - 1, which may be that of no material where both were fitted
     sections: tuple[TubeSection, ...]
     collar_length_m: float = 0.0  # least distance of this tube's base behind the base of the tube around it
     max_strain: float = 0.08

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from ctrplan.base.arguments import Number, checked, require
 from ctrplan.base.arrays import Array, numbers
 from ctrplan.base.long_work import Progress
+from ctrplan.base.package import shown
 from ctrplan.errors import InputError
 
 if TYPE_CHECKING:
@@ -30,6 +31,7 @@ def no_shapes() -> Array:
     return np.empty((0, 0))
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class PathSamples:
     """What `Mechanics.check_path` found at each of the K configurations it reached."""
@@ -85,6 +87,7 @@ class PathLimits:
     clearance_m: float = -np.inf
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class Field:
     """A grid of clearances [m] in the anatomy's frame A, and where the robot's base B stands in it."""

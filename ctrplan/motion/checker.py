@@ -222,7 +222,7 @@ class MotionChecker:
         self.meter.add(ROOM_NS * len(l_b))
         threads = 0 if len(l_b) > FEW else 1
         if self.field is None:
-            return np.full(len(l_b), np.inf), self.mechanics.tips(theta_b, l_b, threads=threads)[0]
+            return np.full(len(l_b), np.inf), self.mechanics.tips(theta_b, l_b, threads=threads, loads=False)[0]
         rooms, tips = self.mechanics.zero_clearance_rooms(theta_b, l_b, self.field, threads=threads)
         return rooms - self.limits.clearance_m, tips
 

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from ctrplan.base.arguments import EVENT, PROGRESS, Choice, checked
 from ctrplan.base.arrays import numbers
 from ctrplan.base.long_work import StageProgress, interrupt_event
+from ctrplan.base.package import shown
 from ctrplan.errors import InputError
 from ctrplan.patients.request import STEP_NAMES, Options, Place, over, request_of
 from ctrplan.patients.steps import BasesStep, PlacedStep, PlanStep, ScenarioStep, SlicerStep
@@ -40,6 +41,7 @@ class StepTold:
     is_made: bool
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class Case:
     """A case's folder after a run. plan is None where the plan that is there was kept."""

@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 
 from ctrplan.anatomy.image import ImageRefusal
-from ctrplan.anatomy.image_file import is_image
-from ctrplan.anatomy.image_header import read_header
+from ctrplan.anatomy.image_file import is_image, stated_image_frame
 from ctrplan.anatomy.mesh_file import stated_frame
 from ctrplan.anatomy.mesh_repair import MeshDefectError
 from ctrplan.anatomy.parts import AnatomyPart, combined_clearance, exact_clearance, surface_distance
@@ -267,7 +266,7 @@ def _said_frame(path: Path) -> Frame | None:
     try:
         if path.is_dir():
             return "LPS"  # DICOM
-        return read_header(path).frame if is_image(path) else stated_frame(path)
+        return stated_image_frame(path) if is_image(path) else stated_frame(path)
     except ImageRefusal as refusal:
         raise InputError(str(refusal), file=path) from refusal.__cause__
 

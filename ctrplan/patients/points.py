@@ -27,6 +27,7 @@ class Named:
 
     points_mm: Array
     name: str
+    notes: tuple[str, ...] = ()  # of the file that it is from
 
     @property
     def is_line(self) -> bool:
@@ -132,9 +133,9 @@ def _in_frame(markup: PlacedMarkup, frame: Frame, file_frame: str | None) -> tup
 def _apart(points_mm: Array, markup: PlacedMarkup) -> list[Named]:
     """A line as one, points one by one."""
     if markup.is_line and len(points_mm) > 1:
-        return [Named(points_mm + 0.0, markup.name)]
+        return [Named(points_mm + 0.0, markup.name, markup.notes)]
     names = [label or (markup.name if markup.file else "") for label in markup.labels]
-    return [Named(point[None] + 0.0, name) for point, name in zip(points_mm, names, strict=True)]
+    return [Named(point[None] + 0.0, name, markup.notes) for point, name in zip(points_mm, names, strict=True)]
 
 
 def _there(markups: Sequence[PlacedMarkup]) -> str:

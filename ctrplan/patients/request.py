@@ -44,7 +44,7 @@ class ScenarioOptions(TypedDict, total=False):
     frame: Annotated[str, Option(FRAME, "of the numbers in this command and of the case's files")]
     file_frame: Annotated[str, Option(FRAME, "of files that do not say theirs")]
     series: Annotated[str, Option(Text(), "of a DICOM folder that has several", "UID")]
-    unit: Annotated[str, Option(Choice("mm", "cm", "m"), "of meshes (default: mm)")]
+    unit: Annotated[str, Option(Choice("mm", "cm", "m", "in"), "of meshes (default: mm, of glTF m)")]
     repair: Annotated[
         str,
         Option(

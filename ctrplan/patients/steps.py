@@ -80,7 +80,6 @@ from ctrplan.storage.output_folder import output_folder, write_atomically, write
 from ctrplan.storage.toml_document import Document, read_document, toml_text
 
 DEFAULT_ROBOT = "three_tube_insertion.toml"
-UNIT = "mm"
 ENTRY_COLUMNS = "x_mm,y_mm,z_mm,look_x_mm,look_y_mm,look_z_mm"
 
 
@@ -139,7 +138,7 @@ def _task(work: Work) -> _CaseTask:
     """Structures with their roles, targets and entries; what was recognised is told. Raises InputError."""
     request = work.request
     inputs, phases = request.get("inputs", ()), request.get("phases", ())
-    result = content_of(inputs, request.get("unit", UNIT), work.folder, request.get("series"), phases)
+    result = content_of(inputs, request.get("unit"), work.folder, request.get("series"), phases)
     lumens, avoids, ignored = request.get("lumens", ()), request.get("avoids", ()), request.get("ignored", ())
     aimed = aimed_at(result, request.get("targets"), (*lumens, *avoids, *ignored))
     for sentence in result.notes:
@@ -153,6 +152,9 @@ def _task(work: Work) -> _CaseTask:
         "--target", request.get("targets"), [*result.markups, *points], frame, request.get("file_frame")
     )
     entries = places_of("--entry", request.get("entries"), result.markups, frame, request.get("file_frame"))
+    told_of = [*(one.notes for one in result.markups), *(one.notes for one in (*targets, *entries))]
+    for sentence in dict.fromkeys(note for notes in told_of for note in notes):
+        work.note(sentence)
     return _CaseTask(frame, structures, targets, entries)
 
 

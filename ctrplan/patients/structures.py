@@ -16,6 +16,7 @@ from ctrplan.anatomy import image_file
 from ctrplan.anatomy.image import Image, ImageRefusal, UnfitImageRefusal, image_of
 from ctrplan.anatomy.image_file import is_image
 from ctrplan.anatomy.mesh_file import SUFFIXES as MESHES
+from ctrplan.anatomy.mesh_file import usual_unit
 from ctrplan.anatomy.parts import AnatomyPart
 from ctrplan.anatomy.phases import Phases
 from ctrplan.anatomy.shape import Role
@@ -51,9 +52,9 @@ def stem(path: Path) -> str:
     return PACKED.sub("", path.name) or path.name
 
 
-def of_mesh(path: Path, unit: str) -> Structure:
-    """The body of a mesh, which is not read yet."""
-    return Structure(path, stem(path), "mesh", {"kind": "mesh", "unit": unit})
+def of_mesh(path: Path, unit: str | None) -> Structure:
+    """The body of a mesh, which is not read yet; where nobody says a unit, it is that of its format."""
+    return Structure(path, stem(path), "mesh", {"kind": "mesh", "unit": unit or usual_unit(path)})
 
 
 def of_image(path: Path) -> list[Structure]:
@@ -154,7 +155,7 @@ class CaseContent:
 
 def content_of(
     inputs: Sequence[str],
-    unit: str,
+    unit: str | None,
     output: Path,
     series: str | None = None,
     phases: Sequence[Sequence[str]] = (),

@@ -8,9 +8,9 @@ With a sensor 3 mm off the tube's axis that is 0.05 mm. What is remembered goes 
 Tips come with exact derivatives. The core differentiates no other points: markers are points of whole shapes, and
 `ParametricChain` differences them.
 
-The rigid motion that brings measured positions nearest to the zero-clearance tips and markers of the robot file (Kabsch
-1976), far ones left out. It takes the place of a registration, not of a fit: base_misalignment or frame_shift beside it
-take up what a better model moves.
+The rigid motion that brings measured positions nearest to the tips and markers of the robot file without friction
+(Kabsch 1976), far ones left out. It takes the place of a registration, not of a fit: base_misalignment or frame_shift
+beside it take up what a better model moves.
 """
 
 from __future__ import annotations
@@ -257,13 +257,14 @@ def registered(robot: Robot, data: Measurements, frames: Mapping[int, str]) -> M
 
 
 def _believed_m(robot: Robot, data: Measurements) -> Array:
-    """(K, 3) [m] where the robot file has the measured points without clearance and friction; NaN where it has none."""
-    theta_b, l_b = _collars(robot, data)
-    result, _, _ = robot.mechanics.tips(theta_b, l_b)
-    for k in np.flatnonzero(on_body(robot, data)).tolist():
-        shape = robot.zero_clearance(theta_b[k], l_b[k])
-        result[k] = markers_on(robot, shape, l_b[k])[0][data.seen_marker[k] - 1]
-    return result
+    """(K, 3) [m] where the robot file has the measured points in the middle of friction; NaN where it has none.
+
+    Clearance, loads and everything else that the file says of the mechanics are in it: what it left out would turn the
+    frame.
+    """
+    collars, phi = Collars(*_collars(robot, data)), np.zeros((data.count, robot.n - 1))
+    table = point_table(robot, data, collars, phi)
+    return np.where(table.failed[:, None], np.nan, table.position_m)
 
 
 def _collars(robot: Robot, data: Measurements) -> tuple[Array, Array]:

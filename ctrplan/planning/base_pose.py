@@ -12,6 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ctrplan.base.arrays import MM_PER_M, Array, shortest_rotation, unit
+from ctrplan.base.package import shown
 from ctrplan.motion.checker import MotionChecker
 from ctrplan.planning.reach import Configuration, reach
 from ctrplan.planning.room import start_trouble, tightest_place
@@ -133,6 +134,7 @@ class ReachedTarget:
         return self.worst_m / self.goal.tolerance_m
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class BasePose:
     """A place for the robot's plate; positions and directions in the anatomy's frame."""

@@ -5,19 +5,22 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ctrplan.base.arguments import SEED, Number, Whole, checked, require
 from ctrplan.base.arrays import LONGEST_MM, numbers
+from ctrplan.base.package import shown
 from ctrplan.errors import InputError
 from ctrplan.motion.checker import MotionChecker, path_limits
 from ctrplan.planning.reach import Configuration, Reach, reach
+from ctrplan.robot.magnitudes import UNITS_M
 from ctrplan.robot.robot import Robot
 from ctrplan.scenario.joint_space import bare_scenario
 from ctrplan.scenario.scenario import Scenario
+from ctrplan.scenario.sizes import place_doubt
 from ctrplan.scenario.tip_solver import TipTarget
 
 if TYPE_CHECKING:
@@ -30,6 +33,7 @@ STARTS = 400
 FARTHEST_M = LONGEST_MM * 1e-3
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class InverseKinematics:
     """Ways to a point; positions in the robot's frame, as those of `Configuration` are."""
@@ -103,12 +107,23 @@ def inverse_kinematics(
     `seed`, are where solves begin. Nothing found is no error: see `InverseKinematics.sentence`. Raises InputError.
     """
     scenario = _scenario(robot_or_scenario)
+    refuse_wrong_unit(scenario, tip_m, "m", "tip_m")
     target = _target(scenario, tip_m, direction, direction_tolerance_rad)
     checker = MotionChecker(scenario)
     checker.limits = path_limits(scenario)  # the scenario's own, without what a search adds, as in the live view
     return InverseKinematics(
         scenario, reach(checker, target, float(tolerance_m), np.random.default_rng(seed), int(starts))
     )
+
+
+def refuse_wrong_unit(scenario: Scenario, tip: ArrayLike, unit: Literal["m", "mm"], key: str) -> None:
+    """Raises InputError for a point (3,) whose numbers make sense in another unit than `unit`, and not in this one."""
+    point = numbers(tip, key)
+    if point.shape != (3,) or not np.isfinite(point).all():
+        return  # which is refused for that
+    doubt = place_doubt(scenario.robot, point * UNITS_M[unit], scenario.base_position_m, unit, scenario.anatomy)
+    if doubt is not None and doubt.is_sure:
+        raise InputError(doubt.rule, key=key, value=point.tolist(), unit=unit)
 
 
 def _scenario(given: Robot | Scenario) -> Scenario:

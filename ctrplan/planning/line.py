@@ -78,7 +78,7 @@ def _shift(checker: MotionChecker, q: Array) -> Array | None:
     """(3,) zero-clearance tip less frictionless tip with clearance; None where either fails."""
     theta_b, l_b = checker.space.drive.collars(q)
     shape = checker.mechanics.solve(theta_b, l_b)
-    tip, _, status = checker.mechanics.tips(theta_b[None], l_b[None])
+    tip, _, status = checker.mechanics.tips(theta_b[None], l_b[None], loads=False)
     if shape.status >= Status.UNSTABLE or status[0] != Status.CONVERGED:
         return None
     shift: Array = tip[0] - shape.tip_m

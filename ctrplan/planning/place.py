@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from ctrplan.base.arguments import EVENT, PROGRESS, SEED, Made, Number, Whole, checked, require
 from ctrplan.base.arrays import LONGEST_MM, numbers
 from ctrplan.base.long_work import StageProgress, interrupt_event
+from ctrplan.base.package import shown
 from ctrplan.errors import InputError, NoAnswerError
 from ctrplan.planning.base_pose import BaseFrame, BasePose, Patch, base_pose, middle_of, placed
 from ctrplan.planning.base_screen import PoseScore, Screen
@@ -34,6 +35,7 @@ MANY, FEW = Whole(1, 100_000), Whole(1, 1000)
 FARTHEST = Number(-LONGEST_MM * 1e-3, LONGEST_MM * 1e-3, "m")
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class Placement:
     """Base poses for a scenario, best first."""

@@ -43,7 +43,7 @@ from ctrplan.scenario.tip_solver import GoalState
 if TYPE_CHECKING:
     from ctrplan.certificate.arrival import Arrival
     from ctrplan.certificate.certificate import CertificateSamples
-    from ctrplan.robot.observer_state import ObserverState
+    from ctrplan.robot.observer import ObserverState
     from ctrplan.scenario.prediction import PathPrediction
     from ctrplan.scenario.scenario import Scenario
 

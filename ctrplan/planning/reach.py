@@ -16,6 +16,7 @@ from scipy.sparse.csgraph import connected_components
 
 from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.base.long_work import cores
+from ctrplan.base.package import shown
 from ctrplan.mechanics.friction import corner_signs
 from ctrplan.mechanics.shapes import Status, Tips
 from ctrplan.mechanics.walk import PathSamples
@@ -82,6 +83,7 @@ LINK_MM = 30.0  # of joint length between neighbours in a branch
 SAME_SHARE = 0.35  # of their distance that the middle of two neighbours may lie off their branch
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class Configuration:
     """Joint values at a target, and what they are worth with clearance and friction."""
@@ -104,6 +106,7 @@ class Configuration:
         return not self.reason
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class Reach:
     """What is known about reaching a target."""

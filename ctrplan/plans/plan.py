@@ -15,13 +15,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ctrplan.base.arrays import Array
-from ctrplan.base.package import __version__
+from ctrplan.base.package import __version__, shown
 from ctrplan.certificate.certificate import Closest, Recheck, path_differences
 from ctrplan.drive.drive import Drive
 from ctrplan.plans.planned_motion import PlannedMotion, place_time_s, settling_duration_s
 from ctrplan.storage.output_folder import write_atomically
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from ctrplan.plans.planned_motion import Leg
     from ctrplan.scenario.scenario import Goal, Scenario
 
@@ -166,9 +168,28 @@ def _plain(value: Any) -> Any:
 ENDED_BY_TIME = "The search was ended by the clock: with the same seed, another machine may find another path."
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class Plan(PlannedMotion):
     """A certified motion of the drive from a scenario's start to its goal."""
+
+    def headline(self) -> str:
+        """Its scenario, length and duration, as it shows itself."""
+        legs = f"{len(self.legs)} leg{'s' if len(self.legs) != 1 else ''}"
+        valid = "" if self.certificate.valid else ", not certified"
+        return f"{self.scenario.name}, {legs} in {self.trajectory.duration_s:.3g} s{valid}"
+
+    def plot(self) -> Figure:
+        """The robot in its anatomy at start and goal, errors, joints and margins over time: the picture plan.png."""
+        import ctrplan  # pictures are of a package above, and stand in the public names
+
+        return ctrplan.plot(self)
+
+    def show(self, frames: int = 40) -> Any:
+        """The moving scene of the report as a plotly figure, for which the model is solved `frames` times."""
+        import ctrplan  # pages are of a package above, and stand in the public names
+
+        return ctrplan.show(self, frames=frames)
 
     def recheck(self) -> Recheck:
         """`certificate.recheck()`, and whether legs and trajectory are the ones that the certificate walked.

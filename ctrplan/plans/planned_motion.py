@@ -13,6 +13,7 @@ import numpy as np
 
 from ctrplan.base.arrays import Array
 from ctrplan.base.long_work import SearchEnd
+from ctrplan.base.package import shown
 from ctrplan.certificate.certificate import Certificate
 from ctrplan.drive.drive import Drive
 from ctrplan.drive.legs import distance_from_polyline
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 LegKind = Literal["rotation", "translation", "simultaneous"]
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class Leg:
     """A straight motion in joint space, from rest to rest unless the next leg continues in its direction."""
@@ -74,6 +76,7 @@ class ReorderReport:
     alternatives: tuple[ComparedWay, ...] = ()  # other ways to it from the target before, or the start
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class PlannedMotion:
     """What was found about a motion from a scenario's start to its goal; `Plan` adds what can be made of it."""

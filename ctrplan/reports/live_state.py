@@ -28,8 +28,8 @@ from ctrplan.planning.reach import reach
 from ctrplan.plans.planned_motion import Played, joints_at
 from ctrplan.reports import looks as looks
 from ctrplan.reports.looks import view_box
+from ctrplan.reports.plan_scene import anatomy_traces, lay_out, mesh_trace, moved_traces, robot_traces, xyz
 from ctrplan.reports.robot_surface import RobotPose, anatomy_surface, pose, stand
-from ctrplan.reports.scene_traces import anatomy_traces, lay_out, mesh_trace, moved_traces, robot_traces, xyz
 from ctrplan.scenario.tip_solver import TipTarget
 
 if TYPE_CHECKING:
@@ -238,7 +238,7 @@ class LiveState:
     def _reach(self, surfaces: list[Surface]) -> Array:
         """(K, 3) what to look at, anatomy's frame: the plate and random tips, near the lumens where there are any."""
         q = self.checker.space.sample(np.random.default_rng(0), REACH_SAMPLES)
-        tips, _, status = self.checker.mechanics.tips(*self.checker.space.drive.collars(q))
+        tips, _, status = self.checker.mechanics.tips(*self.checker.space.drive.collars(q), loads=False)
         points = self.scenario.located(np.concatenate([tips[status == Status.CONVERGED], np.zeros((1, 3))]))
         parts = zip(self.scenario.anatomy, surfaces, strict=True)
         lumens = [surface.vertices_m for part, surface in parts if part.role == "inside"]

@@ -17,19 +17,21 @@ from ctrplan.reports import looks
 from ctrplan.reports.curves import CURSOR
 from ctrplan.reports.html_page import plot, rendered, script
 from ctrplan.reports.looks import side_azimuth_rad, view_box
-from ctrplan.reports.plan_scene import PlanScene, goal_tip, tip_path
-from ctrplan.reports.plan_words import START_FRICTION, Kind, clearance_rows, point_words
-from ctrplan.reports.robot_surface import anatomy_surface, stand, swept_surface, thinned
-from ctrplan.reports.scene_traces import (
+from ctrplan.reports.plan_scene import (
     SIDES,
     TILT,
+    PlanScene,
     anatomy_traces,
+    goal_tip,
     lay_out,
     mesh_trace,
     moved_traces,
     robot_traces,
+    tip_path,
     xyz,
 )
+from ctrplan.reports.plan_words import START_FRICTION, Kind, clearance_rows, point_words
+from ctrplan.reports.robot_surface import anatomy_surface, stand, swept_surface, thinned
 from ctrplan.reports.words import Markup, millimetres
 
 if TYPE_CHECKING:

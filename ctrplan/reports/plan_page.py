@@ -34,8 +34,7 @@ from ctrplan.reports.plan_words import (
     verdict,
     worst_arrival,
 )
-from ctrplan.reports.uncertainty_words import stated_in_words, uncertainty_rows
-from ctrplan.reports.words import MEANING, VALUES, Markup, digits, millimetres, term
+from ctrplan.reports.words import MEANING, VALUES, Markup, digits, millimetres, stated_in_words, term, uncertainty_rows
 from ctrplan.storage.output_folder import output_folder, write_atomically, written_together
 
 if TYPE_CHECKING:

@@ -14,13 +14,12 @@ from ctrplan.base.arrays import Array
 from ctrplan.reports import looks
 from ctrplan.reports.html_page import FIGURE_TEXT
 from ctrplan.reports.looks import view_box
+from ctrplan.reports.plan_scene import anatomy_traces, lay_out, xyz
 from ctrplan.reports.robot_surface import anatomy_surface
-from ctrplan.reports.scene_traces import anatomy_traces, lay_out, xyz
 from ctrplan.reports.study_tables import Quantity
 from ctrplan.reports.words import digits
-from ctrplan.studies.study.analysis import Sensitivity, sensitivity
 from ctrplan.studies.study.study_definition import StudyDefinition
-from ctrplan.studies.study.table import StudyTable
+from ctrplan.studies.study.table import Sensitivity, StudyTable, sensitivity
 
 MOST_POINTS = 20_000
 MOST_MAPS = 6

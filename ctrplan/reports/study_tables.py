@@ -13,10 +13,9 @@ import numpy as np
 
 from ctrplan.base.arrays import Array
 from ctrplan.reports.words import digits
-from ctrplan.studies.study.analysis import extremes, judged_by
 from ctrplan.studies.study.store import PLANS
 from ctrplan.studies.study.study_definition import StudyDefinition
-from ctrplan.studies.study.table import FIRST, LAST, TIMING, StudyTable
+from ctrplan.studies.study.table import FIRST, LAST, TIMING, StudyTable, extremes, judged_by
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -10,7 +11,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ctrplan.base.arrays import Array, numbers, read_only
+from ctrplan.base.arrays import Array, are_degrees, numbers, read_only
+from ctrplan.base.package import shown
 from ctrplan.drive.drive import Drive
 from ctrplan.errors import InputError
 from ctrplan.measurement.sensor import Marker, SensorNoise
@@ -18,6 +20,8 @@ from ctrplan.mechanics.tube import TOLERANCE_M, Contact, Loads, Tube, least_dist
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
+
+    from matplotlib.figure import Figure
 
     from ctrplan.base.long_work import Progress
     from ctrplan.mechanics.accuracy import Accuracy, HistoryOptions
@@ -108,6 +112,7 @@ def _base(robot: Robot, i: int, l_b: Array) -> str:
     return f"the base of tube {i + 1}{moved_by} at l_{i + 1}b = {l_b[i] * 1e3:.6g} mm"
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class Robot:
     """n concentric tubes, outermost first, their n - 1 contacts and the drive; SI units."""
@@ -158,6 +163,17 @@ class Robot:
 
         return Mechanics(self.tubes, self.clearance_m, self.friction[:, 1], self.loads)
 
+    def headline(self) -> str:
+        """Its name and size, as it shows itself."""
+        longest = max(tube.length_m for tube in self.tubes) * 1e3
+        return f"{self.name}, {self.n} tube{'s' if self.n > 1 else ''} up to {longest:.4g} mm long"
+
+    def plot(self) -> Figure:
+        """The tubes to scale, as they are bent when nothing holds them, and the travel of the drive."""
+        import ctrplan  # pictures are of a package above, and stand in the public names
+
+        return ctrplan.plot(self)
+
     def collars(self, theta_commanded: ArrayLike, l_commanded: ArrayLike) -> tuple[Array, Array]:
         """Where the drive holds the bases: theta_b [rad], l_b [m], each (n,) or (K, n), of commanded values alike.
 
@@ -166,7 +182,8 @@ class Robot:
         return self.drive.reached(theta_commanded, l_commanded)
 
     def zero_clearance(self, theta_b: ArrayLike, l_b: ArrayLike) -> Shape:
-        """Zero-clearance, frictionless shape with collars at theta_b (n,) [rad] and l_b (n,) [m], (2)-(3)."""
+        """Zero-clearance, frictionless shape at collars (n,) [rad], (n,) [m], (2)-(3), with the loads of the robot."""
+        _warn_of_degrees(theta_b)
         return self.mechanics.zero_clearance(theta_b, l_b)
 
     def solve(
@@ -176,6 +193,7 @@ class Robot:
 
         See `Mechanics.solve`.
         """
+        _warn_of_degrees(theta_b)
         return self.mechanics.solve(theta_b, l_b, phi, accuracy=accuracy)
 
     def bound(
@@ -188,6 +206,7 @@ class Robot:
         progress: Progress | None = None,
     ) -> Bound:
         """Largest friction-induced deviations with collars at (n,) [rad], (n,) [m]. See `Mechanics.bound`."""
+        _warn_of_degrees(theta_b)
         return self.mechanics.bound(theta_b, l_b, accuracy=accuracy, corners=corners, progress=progress)
 
     def bound_many(
@@ -204,6 +223,7 @@ class Robot:
 
         `progress` is told the finished share, 0 to 1. See `Mechanics.bound_many`.
         """
+        _warn_of_degrees(theta_b)
         return self.mechanics.bound_many(
             theta_b, l_b, accuracy=accuracy, threads=threads, progress=progress, executor=executor
         )
@@ -261,6 +281,13 @@ class Robot:
     def _clearance(self, i: int) -> float:
         given = self.contacts[i].clearance_m
         return diametral_gap_m(self.tubes, i) if given is None else given
+
+
+def _warn_of_degrees(theta_b: ArrayLike) -> None:
+    """Warns the caller's caller of angles that are most likely degrees."""
+    if are_degrees(theta_b):
+        shown = np.array2string(np.asarray(theta_b, dtype=np.float64), threshold=6)
+        warnings.warn(f"theta_b = {shown} rad: are these degrees? numpy.radians turns them.", stacklevel=3)
 
 
 def diametral_gap_m(tubes: Sequence[Tube], i: int) -> float:

@@ -19,7 +19,7 @@ from ctrplan.errors import SolverError
 from ctrplan.mechanics.history import OSCILLATION_DEG, History, HistoryState, Start
 from ctrplan.mechanics.shapes import Status
 from ctrplan.robot.friction_calibration import friction_law
-from ctrplan.robot.observer_state import ObservedHistory
+from ctrplan.robot.observer import ObservedHistory
 
 if TYPE_CHECKING:
     from ctrplan.mechanics.accuracy import Accuracy

@@ -20,13 +20,14 @@ from ctrplan.anatomy.anatomy_field import anatomy_field, shared_spacing_m
 from ctrplan.anatomy.clearance_grid import SignedDistanceField, field_bounds
 from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.base.catalogue import AbstractStruct, Catalogue
+from ctrplan.base.package import shown
 from ctrplan.errors import InputError
 from ctrplan.robot.robot import Robot
 
 if TYPE_CHECKING:
     from ctrplan.anatomy.fixture import Fixture
     from ctrplan.anatomy.parts import AnatomyPart
-    from ctrplan.robot.observer_state import ObserverState
+    from ctrplan.robot.observer import ObserverState
 
 
 class PlannerSettings(Struct, metaclass=AbstractStruct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -140,6 +141,7 @@ class Registration:
         return self.position_sigma_m == 0 and self.rotation_sigma_rad == 0
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class Scenario:
     """A planning problem; SI units, positions in the anatomy's frame."""

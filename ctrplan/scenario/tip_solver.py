@@ -84,8 +84,8 @@ class TipSolver:
         return work.solutions()
 
     def tips(self, q: Array) -> tuple[Array, Array]:
-        """Zero-clearance tips and tangents (K, 3), (K, 3); NaN tips where there is no stable solution."""
-        tip, tangent, status = self.mechanics.tips(*self.space.drive.collars(q))
+        """Zero-clearance tips and tangents (K, 3), (K, 3), loads left out; NaN tips without a stable solution."""
+        tip, tangent, status = self.mechanics.tips(*self.space.drive.collars(q), loads=False)
         tip[status != Status.CONVERGED] = np.nan
         return tip, tangent
 

@@ -46,12 +46,13 @@ def file_bytes(file: str, largest_bytes: int, kind: str, what: str) -> bytes:
 
 LARGEST_FILE_BYTES = 200_000_000
 LARGEST_NUMBER = 1e20  # stamps in nanoseconds are smaller
+MISSING = ("nan", "na", "n/a", "null", "none", "-", "--", "missing", "#n/a", "-nan", "nan(ind)", "-nan(ind)", "1.#qnan")
 
 
 class CsvTable:
     """Cells of a CSV file by column name; rows are counted from 1 below the header, as a person would.
 
-    Blank rows, of commas alone too, are none.
+    Blank rows, of commas alone too, are none, nor are lines that begin with #.
     """
 
     def __init__(self, file: str, what: str, *, separator: str = ",", header: bool = True) -> None:
@@ -63,7 +64,7 @@ class CsvTable:
         data = file_bytes(file, LARGEST_FILE_BYTES, "CSV", what)
         self.file, self.sha256 = file, hashlib.sha256(data).hexdigest()
         try:
-            lines = _split(data.decode("utf-8-sig").splitlines(), separator)
+            lines = _split(_uncommented(data.decode("utf-8-sig").splitlines(), separator, header=header), separator)
             filled = [row for row in lines if any(map(str.strip, row))]
         except UnicodeDecodeError as error:
             raise InputError(f"is not UTF-8 text (byte {error.start})", file=file) from None
@@ -90,9 +91,11 @@ class CsvTable:
         return InputError(rule, file=self.file, key=place or None, value=value)
 
     def numbers(self, name: str, *, blanks: bool = False) -> Array:
-        """(K,) finite numbers of a column; with `blanks` NaN where nothing stands."""
+        """(K,) finite numbers of a column; with `blanks` NaN where nothing stands, or a word of MISSING."""
         column = self.header.index(name)
         texts = [cells[column].strip() for cells in self.rows]
+        if blanks:
+            texts = ["" if text.lower() in MISSING else text for text in texts]
         given = np.array([bool(text) for text in texts])
         if blanks or given.all():
             result = np.array([in_plain_digits(text) if text else np.nan for text in texts], dtype=np.float64)
@@ -114,12 +117,32 @@ class CsvTable:
             return np.nan
         value = in_plain_digits(text)
         if value is None:
-            raise self.fault("must be a number", row, name, text)
+            raise self.fault(f"must be a number{_likely(text)}", row, name, text)
         if not np.isfinite(value):
             raise self.fault("must be a finite number", row, name, text)
         if abs(value) > LARGEST_NUMBER:
             raise self.fault(f"must be from {-LARGEST_NUMBER:g} to {LARGEST_NUMBER:g}", row, name, text)
         return value
+
+
+def _likely(text: str) -> str:
+    """What a text that is no number most likely is."""
+    if in_plain_digits(text.replace(",", ".")) is not None:
+        return ", with a point for the decimal comma"
+    return ", left empty where nothing was measured" if text.lower() in MISSING else ""
+
+
+def _uncommented(lines: Sequence[str], separator: str, *, header: bool) -> list[str]:
+    """The lines without comments, which begin with #; a header that does is one, as numpy.savetxt writes it."""
+    kept = [line for line in lines if not line.lstrip().startswith("#")]
+    first = next((k for k, line in enumerate(lines) if line.strip() and not line.lstrip().startswith("#")), 0)
+    before = [line.lstrip("# ") for line in lines[:first] if line.strip()]
+    if not header or not before:
+        return kept
+    (names,), (cells,) = _split(before[-1:], separator), _split(lines[first : first + 1], separator)
+    are_numbers = all(in_plain_digits(cell.strip()) is not None for cell in cells if cell.strip())
+    are_names = all(in_plain_digits(name.strip()) is None for name in names)
+    return [before[-1], *kept] if are_numbers and are_names and len(names) == len(cells) > 1 else kept
 
 
 def _split(lines: Sequence[str], separator: str) -> Iterable[list[str]]:

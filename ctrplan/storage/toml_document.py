@@ -166,6 +166,11 @@ def read_document(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -
         raise InputError("is nested too deeply", file=file) from None
 
 
+def parsed_toml(text: str, file: str) -> dict[str, Any]:
+    """The content of a text in TOML; `file` is what errors call it. Raises InputError."""
+    return _parse(text.encode(), file)
+
+
 def _parse(data: bytes, file: str) -> dict[str, Any]:
     try:
         content: dict[str, Any] = tomllib.loads(data.decode("utf-8-sig"))
@@ -174,7 +179,8 @@ def _parse(data: bytes, file: str) -> dict[str, Any]:
         raise InputError(f"is not UTF-8 text (byte {error.start})", file=file) from None
     except tomllib.TOMLDecodeError as error:
         message, _, place = str(error).rstrip(")").partition(" (at ")
-        raise InputError(f"is not valid TOML at {place or 'an unknown place'}: {message}", file=file) from None
+        hint = " (text needs quotes, and numbers a point for the comma)" if "value" in message.lower() else ""
+        raise InputError(f"is not valid TOML at {place or 'an unknown place'}: {message}{hint}", file=file) from None
     except ValueError:
         raise InputError("holds a number with thousands of digits", file=file) from None
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Literal, get_args, get_origin
 
 import msgspec
@@ -36,6 +36,32 @@ _ANY_UNIT = re.compile(
 # Keys that files of one kind have and those of the other do not.
 _OF_ROBOTS = {"tube", "contact", "joint", "home", "measurement", "uncertainty", "effects"}
 _OF_SCENARIOS = {"robot", "start", "goal", "target", "base", "anatomy", "margins", "cost", "planner"}
+# What the options of a key mean, and what people write in the place of one of them.
+MEANINGS: dict[str, dict[str, str]] = {
+    "role": {"avoid": "an obstacle", "inside": "a lumen that the robot stays in"},
+    "repair": {"off": "nothing is closed", "holes": "small openings, the default", "caps": "flat cuts of any size too"},
+    "frame": {"RAS": "x right, y front, z head, as 3D Slicer shows", "LPS": "x left, y back, z head, as DICOM counts"},
+    "order": {"outer first": "the default", "inner first": "everything listed by tube from inside"},
+}
+MEANT: dict[str, tuple[str, ...]] = {
+    "inside": ("lumen", "airway", "cavity", "in", "within", "stay inside", "keep inside"),
+    "avoid": ("obstacle", "outside", "out", "keep out", "forbidden"),
+    "mm": ("millimeter", "millimetre", "millimeters", "millimetres", "MM"),
+    "cm": ("centimeter", "centimetre"),
+    "m": ("meter", "metre", "meters", "metres"),
+    "in": ("inch", "inches"),
+    "mesh": ("stl", "obj", "ply", "vtk", "vtp", "vtu", "glb", "gltf", "body", "file"),
+    "volume": ("nii", "nifti", "nrrd", "dicom", "image", "label", "segmentation", "ct", "mri"),
+    "sphere": ("ball",),
+    "capsule": ("cylinder", "tube", "rod"),
+    "surface": ("sheet", "wall", "plane"),
+    "RAS": ("right", "ras"),
+    "LPS": ("left", "lps", "dicom"),
+    "holes": ("true", "yes", "on", "auto", "fill"),
+    "off": ("false", "no", "none"),
+    "deg": ("degree", "degrees", "\u00b0"),
+    "rad": ("radian", "radians"),
+}
 _KINDS: tuple[tuple[Any, Any, str], ...] = (  # of a schema, the types that values of it have, and what people call it
     (inspect.FloatType, (int, float), "a number"),
     (inspect.IntType, int, "a whole number"),
@@ -56,6 +82,16 @@ def unit_of(key: str) -> str | None:
 def first_fault(content: Any, schema: type[msgspec.Struct]) -> Fault | None:
     """The first thing in `content` that does not fit `schema`, in the order of the file; None if all does."""
     return _fault(content, inspect.type_info(schema), ())
+
+
+def rule_of_options(options: Sequence[str], key: str = "", value: Any = None) -> str:
+    """That a value must be one of some, what they mean where the key tells, and the one that was most likely meant."""
+    meanings = MEANINGS.get(key, {})
+    shown = ", ".join(f"{option} ({meanings[option]})" if option in meanings else option for option in options)
+    said = str(value).lower() if isinstance(value, (str, bool)) else ""
+    meant = [option for option in options if said in (word.lower() for word in (option, *MEANT.get(option, ())))]
+    meant = meant or (difflib.get_close_matches(str(value), options, n=1) if said else [])
+    return f"must be one of {shown}" + (f"; did you mean {meant[0]}?" if meant else "")
 
 
 def _fault(value: Any, kind: inspect.Type, path: Path) -> Fault | None:
@@ -101,7 +137,7 @@ def _fault_in_table(table: dict[Any, Any], kind: inspect.StructType, path: Path)
             continue
         if fault := _fault(value, known[key].type, (*path, key)):
             options = _options(next(f.type for f in msgspec.structs.fields(kind.cls) if f.encode_name == key))
-            return ((*path, key), f"must be one of {', '.join(options)}") if options else fault
+            return ((*path, key), rule_of_options(options, key, value)) if options else fault
     missing = [key for key, field in known.items() if field.required and key not in table]
     return ((*path, missing[0]), "is missing") if missing else None
 
@@ -177,7 +213,10 @@ def _in_words(kind: inspect.Type) -> str:
 
 def _unknown_key(key: str, known: Mapping[str, Any]) -> str:
     if key in _OF_ROBOTS and known.keys() >= _OF_SCENARIOS:
-        return f"is a key of robot files, this must be a scenario; to change its robot, write robot.{key} after --set"
+        return (
+            f"is a key of robot files, this must be a scenario (ctrplan init scenario writes one); "
+            f"to change its robot, write robot.{key} after --set"
+        )
     if key in _OF_SCENARIOS and "tube" in known:
         return "is a key of scenarios, this must be a robot file"
     quantity = _ANY_UNIT.sub("", key)
@@ -185,4 +224,13 @@ def _unknown_key(key: str, known: Mapping[str, Any]) -> str:
         return "unknown key, expected " + " or ".join(f"{n} (in {unit_of(n)})" if unit_of(n) else n for n in same)
     if close := difflib.get_close_matches(key, known, n=1):
         return f"unknown key, did you mean {close[0]}?"
-    return f"unknown key, known ones are {', '.join(known)}"
+    return f"unknown key, {_listed(known)}"
+
+
+def _listed(known: Mapping[str, Any]) -> str:
+    """The keys there are, those that may be left out called so."""
+    needed = [key for key, field in known.items() if field.required]
+    optional = [key for key, field in known.items() if not field.required]
+    if not needed or not optional:
+        return f"known ones{', all optional,' if not needed else ''} are {', '.join(known)}"
+    return f"known ones are {', '.join(needed)}, and optional {', '.join(optional)}"

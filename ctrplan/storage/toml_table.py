@@ -13,7 +13,7 @@ import msgspec
 from ctrplan.base.catalogue import Catalogue
 from ctrplan.errors import InputError
 from ctrplan.storage.toml_document import Document, Step
-from ctrplan.storage.toml_faults import first_fault
+from ctrplan.storage.toml_faults import first_fault, rule_of_options
 
 T = TypeVar("T", bound=msgspec.Struct)
 
@@ -126,7 +126,7 @@ def _name(table: TomlTable, by: str, catalogue: Catalogue[type[Entry]], default:
     if name is None:
         raise table.fault("is missing", by)
     if not isinstance(name, str) or name not in catalogue:
-        raise table.fault(f"must be one of {catalogue.names}", by)
+        raise table.fault(rule_of_options(catalogue.names.split(", "), by, name), by)
     return name
 
 

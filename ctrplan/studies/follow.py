@@ -26,7 +26,7 @@ from ctrplan.measurement.sensor import Poses, SensorNoise, frames_along
 from ctrplan.mechanics.history import HistoryPath
 from ctrplan.mechanics.shapes import Status
 from ctrplan.pipeline.chain import Chain
-from ctrplan.robot.observer_state import Observed
+from ctrplan.robot.observer import Observed
 from ctrplan.robot.robot import Robot
 from ctrplan.robot.slow_states import SlowOffset, SlowParameter
 from ctrplan.studies.simulate import across_tips

@@ -6,8 +6,9 @@ import csv
 import io
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
+from contextlib import ExitStack
 from dataclasses import dataclass, fields
 from functools import partial
 from itertools import groupby
@@ -16,22 +17,38 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ctrplan.base.arguments import EXECUTOR, PROGRESS, Choice, checked, in_plain_digits
+from ctrplan.base.arguments import (
+    EXECUTOR,
+    PROGRESS,
+    SEARCH_TIME,
+    SEED,
+    Choice,
+    Made,
+    checked,
+    in_plain_digits,
+    require,
+)
 from ctrplan.base.arrays import Array, numbers
-from ctrplan.base.long_work import StageProgress, cores
+from ctrplan.base.long_work import StageProgress, cores, one_core
+from ctrplan.base.package import shown
 from ctrplan.drive.drive import UNITS, Kind
-from ctrplan.errors import InputError
+from ctrplan.errors import CtrplanError, InputError, NoAnswerError
 from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.mechanics.shapes import Status
 from ctrplan.mechanics.walk import TASK, chunks, join, run
 from ctrplan.pipeline.installed import range_notes
+from ctrplan.planning.planner import plan
+from ctrplan.plans.plan import Plan
 from ctrplan.robot.robot import Robot, nesting_violation
 from ctrplan.storage.toml_document import override_names
 from ctrplan.storage.toml_faults import unit_of
+from ctrplan.studies.child_process import ChildExecutor
 
 if TYPE_CHECKING:
+    from ctrplan.base.long_work import Progress
     from ctrplan.mechanics.accuracy import Accuracy
     from ctrplan.mechanics.shapes import Bounds
+    from ctrplan.scenario.scenario import Scenario
 
 MOST_POINTS = 1_000_000
 FURTHEST = 1e12  # of any unit; keys of the robot file have ranges of their own
@@ -106,6 +123,7 @@ def _values(parts: list[str], text: str) -> Array:
 FEWEST_TASKS = 32  # while there are as many configurations
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class Sweep:
     """Bounds at every combination of the axes' values, the last axis running fastest."""
@@ -278,3 +296,57 @@ def _run(
 
 def _reordered(bounds: Bounds, order: NDArray[np.intp]) -> Bounds:
     return type(bounds)(*(getattr(bounds, field.name)[order] for field in fields(bounds)))
+
+
+SCENARIO = Made("Scenario")
+
+
+@checked(seed=SEED, time_s=SEARCH_TIME, executor=EXECUTOR, progress=PROGRESS)
+def plan_many(
+    scenarios: Iterable[Scenario],
+    *,
+    seed: int = 0,
+    time_s: float | None = None,
+    executor: Executor | None = None,
+    progress: Progress | None = None,
+) -> list[Plan | CtrplanError]:
+    """A plan for each scenario in their order, or the error that says why there is none; see `ctrplan.plan`.
+
+    Each is done on one thread by `executor`, which has the interface of concurrent.futures, by default by as many
+    processes as there are cores. `progress` is told the finished share. Raises InputError for what is no scenario.
+    """
+    asked = list(scenarios)
+    for k, scenario in enumerate(asked):
+        require(f"scenarios[{k}]", scenario, SCENARIO)
+    with ExitStack() as stack:
+        chosen = executor or stack.enter_context(ChildExecutor())
+        futures = [_submitted(chosen, scenario, seed, time_s) for scenario in asked]
+        stack.callback(lambda: [future.cancel() for future in futures])
+        results = []
+        for future in futures:
+            results.append(_result(future))
+            if progress is not None:
+                progress(len(results) / len(futures))
+    return results
+
+
+def _submitted(executor: Executor, scenario: Scenario, seed: int, time_s: float | None) -> Any:
+    try:
+        return executor.submit(_plan, scenario, seed, time_s)
+    except RuntimeError as error:  # of all executors of concurrent.futures
+        raise InputError(f"takes no tasks ({error})", key="executor", value=executor) from error
+
+
+def _result(future: Any) -> Plan | CtrplanError:
+    try:
+        result: Plan = future.result()
+        return result
+    except CtrplanError as error:
+        return error
+    except Exception as error:  # of the process that should have planned
+        return NoAnswerError(f"no plan: {' '.join(str(error).split()) or type(error).__name__}")
+
+
+def _plan(scenario: Scenario, seed: int, time_s: float | None) -> Plan:
+    with one_core():
+        return plan(scenario, seed=seed, time_s=time_s)

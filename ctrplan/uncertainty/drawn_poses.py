@@ -24,7 +24,7 @@ from ctrplan.base.arrays import Array
 from ctrplan.base.long_work import cores
 from ctrplan.errors import SolverError
 from ctrplan.mechanics.history import History, HistoryState
-from ctrplan.robot.observer_state import ObservedHistory
+from ctrplan.robot.observer import ObservedHistory
 from ctrplan.scenario.prediction import FrictionStart, predict, rows_to_simulate, start_states
 from ctrplan.uncertainty.parameters import UncertainParameters
 from ctrplan.uncertainty.target import Misses, TargetPose

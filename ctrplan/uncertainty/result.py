@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
+from ctrplan.base.package import shown
 from ctrplan.uncertainty.body_clearance import BodyClearance, alike, allowance_samples, bodies_at, body_at
 from ctrplan.uncertainty.parameters import UncertainParameters
 from ctrplan.uncertainty.worst_case import (
@@ -50,6 +51,7 @@ class TurnMiss:
     sentence: str
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class GoalMiss:
     """Distances of the tip from a target's; for one in joint values, from where the frictionless tip shall be."""
@@ -198,6 +200,7 @@ class ParameterInterval:
     unit: str
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class Uncertainty:
     """Worst cases and chances at the targets, and where the motion comes nearest to the anatomy."""

@@ -1,5 +1,7 @@
 """Meshes are read alike from every format, repaired where the meaning is plain, else refused in one sentence."""
 
+import gzip
+import json
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +11,7 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from phantoms import part_of
 
 from ctrplan.anatomy import mesh_file as mesh_input
 from ctrplan.anatomy.mesh_file import load_mesh
@@ -315,3 +318,79 @@ def test_damaged_files_never_raise_anything_else(suffix: str, tmp_path: Path) ->
         assert np.isfinite(vertices).all() and faces.max() < len(vertices)
 
     check()
+
+
+def test_a_packed_mesh_is_named_so(tmp_path: Path) -> None:
+    path = written(tmp_path, ball())
+    path.write_bytes(gzip.compress(path.read_bytes()))
+    with pytest.raises(InputError, match="is packed by gzip: unpack it first"):
+        load_mesh(path)
+
+
+def test_gltf_is_in_metres_with_y_up_by_its_specification_and_may_be_said_otherwise(tmp_path: Path) -> None:
+    mesh: trimesh.Trimesh = trimesh.creation.box((0.01, 0.03, 0.02)).apply_translation((0.005, 0.015, -0.01))
+    path = written(tmp_path, mesh, ".glb")
+    upright = [[0, 0, 0], [0.01, 0.02, 0.03]]
+    vertices, _ = load_mesh(path)
+    np.testing.assert_allclose([vertices.min(axis=0), vertices.max(axis=0)], upright, atol=1e-8)
+    as_stored, _ = load_mesh(path, up="z")
+    np.testing.assert_allclose(as_stored.min(axis=0), [0, 0, -0.02], atol=1e-8)
+    part = part_of(tmp_path, None, kind="mesh", file=path.name)
+    np.testing.assert_allclose(part.box, upright, atol=1e-8)
+    note = "is glTF, by its specification in metres and with y up, and was turned so that z is up (key up)"
+    assert note in part.shape.notes
+    assert part_of(tmp_path, None, kind="mesh", file=path.name, unit="m", up="y").shape.notes == ()
+    assert part_of(tmp_path, None, kind="surface", file=path.name).shape.notes == (note,)
+    said = part_of(tmp_path, None, kind="mesh", file=path.name, unit="cm", up="z")
+    np.testing.assert_allclose(np.ptp(said.box, axis=0), [1e-4, 3e-4, 2e-4], atol=1e-8)
+
+
+def test_other_files_are_turned_where_it_is_said_and_need_a_unit(tmp_path: Path) -> None:
+    path = written(tmp_path, trimesh.creation.box((10, 30, 20)).apply_translation((0, 15, 0)), ".obj")
+    turned = part_of(tmp_path, None, kind="mesh", file=path.name, unit="mm", up="y")
+    np.testing.assert_allclose(np.array(turned.box) * 1e3, [[-5, -10, 0], [5, 10, 30]], atol=1e-6)
+    with pytest.raises(InputError, match="anatomy.1.unit: is missing: the file does not say whether"):
+        part_of(tmp_path, None, kind="mesh", file=path.name)
+    with pytest.raises(InputError, match="anatomy.1.up = 'x': must be one of y, z"):
+        part_of(tmp_path, None, kind="mesh", file=path.name, unit="mm", up="x")
+
+
+def glb(path: Path, change: Any) -> Path:
+    """A box whose JSON was changed."""
+    data = trimesh.Scene(box()).export(file_type="glb")
+    size = int.from_bytes(data[12:16], "little")
+    content = json.loads(data[20 : 20 + size])
+    change(content)
+    text = json.dumps(content).encode()
+    text += b" " * (-len(text) % 4)
+    rest = data[20 + size :]
+    path.write_bytes(
+        data[:8]
+        + (20 + len(text) + len(rest)).to_bytes(4, "little")
+        + len(text).to_bytes(4, "little")
+        + b"JSON"
+        + text
+        + rest
+    )
+    return path
+
+
+@pytest.mark.parametrize(
+    ("change", "phrase"),
+    [
+        ({"extensionsRequired": ["KHR_draco_mesh_compression"]}, "needs glTF's extension KHR_draco_mesh_compression"),
+        ({"extensionsRequired": ["KHR_mesh_quantization"]}, "needs glTF's extension KHR_mesh_quantization"),
+        ({"buffers": [{"uri": "a.bin", "byteLength": 4}]}, "has its vertices in another file"),
+    ],
+)
+def test_what_gltf_needs_and_the_reader_passes_over_is_refused(change: Any, phrase: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=phrase):
+        load_mesh(glb(tmp_path / "a.glb", lambda content: content.update(change)), "mm")
+    path = glb(tmp_path / "b.glb", lambda content: content.update(extensionsRequired=["KHR_materials_unlit"]))
+    assert len(load_mesh(path, "mm")[1]) == 12
+
+
+def test_gltf_of_version_1_and_other_files_of_that_name_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "a.glb").write_bytes(b"glTF\x01\0\0\0" + bytes(40))
+    with pytest.raises(InputError, match="is no binary glTF of version 2"):
+        load_mesh(tmp_path / "a.glb")

@@ -124,12 +124,13 @@ def test_groups_of_an_obj_and_nodes_of_a_glb_by_name(tmp_path: Path) -> None:
     scene.add_geometry(trimesh.creation.box((4, 6, 8)), node_name="nodule left", geom_name="n", transform=away)
     scene.export(tmp_path / "a.glb")
     for file in ("a.obj", "a.glb"):
-        part = part_of(tmp_path, None, kind="mesh", file=file, unit="mm", group="nodule left")
+        said = {"unit": "mm", "up": "z"}
+        part = part_of(tmp_path, None, kind="mesh", file=file, **said, group="nodule left")
         np.testing.assert_allclose(np.array(part.box) * 1e3, [[18, -3, -4], [22, 3, 4]], atol=1e-5)
-        whole = part_of(tmp_path, None, kind="mesh", file=file, unit="mm")
+        whole = part_of(tmp_path, None, kind="mesh", file=file, **said)
         np.testing.assert_allclose(np.array(whole.box) * 1e3, [[-5, -5, -5], [22, 5, 5]], atol=1e-5)
         with pytest.raises(InputError, match="has no group 'lung', but .*'wall'"):
-            part_of(tmp_path, None, kind="mesh", file=file, unit="mm", group="lung")
+            part_of(tmp_path, None, kind="mesh", file=file, **said, group="lung")
 
 
 def vtk_files(folder: Path, mesh: trimesh.Trimesh) -> list[str]:

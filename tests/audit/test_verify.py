@@ -19,9 +19,8 @@ from ctrplan.anatomy.parts import AnatomyPart
 from ctrplan.anatomy.shapes.capsule import Capsule
 from ctrplan.anatomy.shapes.sphere import Sphere
 from ctrplan.audit.audited_plan import ALLOWED
-from ctrplan.audit.recomputed import robots_at_ends
 from ctrplan.audit.scene import write_scene
-from ctrplan.audit.verify import Verification, verify
+from ctrplan.audit.verify import Verification, robots_at_ends, verify
 from ctrplan.certificate.certificate import Certificate
 from ctrplan.cli import main
 from ctrplan.errors import InputError

@@ -137,6 +137,22 @@ def test_a_tracker_s_frame_is_taken_out_or_found(tmp_path: Path, data: Measureme
         load(tmp_path, mapping())
 
 
+def test_an_unknown_frame_is_found_by_the_tips_that_the_robot_file_has_loads_included(tmp_path: Path) -> None:
+    """By tips without its load the frame would be millimetres off, and the load would look like a misalignment."""
+    robot = pair_robot(effects={"tip_load": {"force_x_N": 0.4, "force_y_N": -0.2}})
+    plan = waypoints(ROBOT, 8)
+    shapes = [robot.solve(plan.theta_commanded[k], plan.l_commanded[k]) for k in plan.rows.tolist()]
+    data = replace(plan, position_m=np.array([shape.tip_m for shape in shapes]), tangent=plan.tangent)
+    turn = Rotation.from_rotvec([0.3, -0.8, 1.1])
+    rows = table(data, turn.apply(data.position_m) + [0.4, -0.2, 1.5])
+    written(tmp_path / "log.txt", rows[:, :9], ";")
+    columns = {name: at for name, at in mapping()["columns"].items() if name != "tangent"}
+    content = mapping(run=[{"file": "log.txt", "frame": "unknown"}], columns=columns)
+    read = load(tmp_path, content, robot)
+    assert any("0.00 mm off (rms)" in warning for warning in read.warnings)
+    np.testing.assert_allclose(read.position_m, data.position_m, atol=1e-6)
+
+
 def test_runs_in_several_files_have_a_frame_each_that_a_fit_finds(tmp_path: Path) -> None:
     plan = waypoints(ROBOT, 16)
     data = measured(ROBOT, plan)

@@ -37,6 +37,55 @@ def test_what_is_written_is_read(tmp_path: Path) -> None:
     assert not read.is_stream and len(read.sha256) == 64
 
 
+def _text(table: Table) -> str:
+    return "\n".join(",".join(row) for row in table) + "\n"
+
+
+def _with_nan(table: Table, word: str) -> Table:
+    """The second pose's row without its pose."""
+    k = table[0].index("x_m")
+    row = [i for i, cells in enumerate(table) if i and cells[k]][1]
+    return [cells[:k] + [word] * len(cells[k:]) if i == row else cells for i, cells in enumerate(table)]
+
+
+@pytest.mark.parametrize("word", ["nan", "NaN", "NA", "null", "-nan(ind)", "", "--"])
+def test_words_of_a_missing_pose_are_one(word: str, table: Table, tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(_text(_with_nan(table, word)))
+    read = load_measurements(tmp_path / "a.csv", ROBOT)
+    assert read.count == 5 and len(read.sequence) == len(table) - 1
+    (tmp_path / "b.csv").write_text(_text([[("nan" if c == table[1][2] else c) for c in row] for row in table]))
+    with pytest.raises(InputError, match="must be a finite number"):
+        load_measurements(tmp_path / "b.csv", ROBOT)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda text: "# made by a recorder\n# 40 rows, and more\n" + text,
+        lambda text: "#\n\n  # one, two\n" + text,
+        lambda text: text + "# the end\n",
+        lambda text: "# " + text,  # numpy.savetxt
+        lambda text: "# recorded today\n#" + text,
+        lambda text: "\ufeff# recorded today\n" + text,
+    ],
+)
+def test_comments_are_passed_over_and_a_commented_header_is_one(
+    change: Callable[[str], str], table: Table, tmp_path: Path
+) -> None:
+    (tmp_path / "plain.csv").write_text(_text(table))
+    (tmp_path / "a.csv").write_text(change(_text(table)), encoding="utf-8")
+    read, plain = (load_measurements(tmp_path / name, ROBOT) for name in ("a.csv", "plain.csv"))
+    np.testing.assert_array_equal(read.position_m, plain.position_m)
+    np.testing.assert_array_equal(read.theta_commanded, plain.theta_commanded)
+
+
+def test_a_decimal_comma_is_named(table: Table, tmp_path: Path) -> None:
+    rows = [[f'"{cell.replace(".", ",")}"' for cell in row] for row in table]
+    (tmp_path / "a.csv").write_text(_text(rows))
+    with pytest.raises(InputError, match="must be a number, with a point for the decimal comma"):
+        load_measurements(tmp_path / "a.csv", ROBOT)
+
+
 def _set(row: int, column: str, text: str) -> Callable[[Table], None]:
     def change(table: Table) -> None:
         table[row][table[0].index(column)] = text

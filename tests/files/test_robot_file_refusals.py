@@ -29,14 +29,15 @@ name = "pair" -> name = "a\tb"
 name = "pair" -> nmae = "pair"
     nmae = 'pair': unknown key, did you mean name?
 name = "pair" -> "" = "pair"
-    "" = 'pair': unknown key, known ones are tube, name, contact, home, joint, execution, model_error_mm,
-    friction_memory, measurement, marker, uncertainty, effects, provenance.
+    "" = 'pair': unknown key, known ones are tube, and optional name, order, contact, home, joint, execution,
+    model_error_mm, friction_memory, measurement, marker, uncertainty, effects, provenance.
 name = "pair" -> [effects]\ntip_load = 1
     effects.tip_load = 1: must be a table.
 name = "pair" -> model_error_mm = -1
     model_error_mm = -1 mm: must be from 0 to 1000.
 poisson_ratio = 0.3 ->
-    tube.1.poisson_ratio: is missing.
+    tube.1.poisson_ratio: is missing: the torsion is said by it, or in its place by shear_modulus_GPa or
+    torsional_stiffness_Nm2.
 poisson_ratio = 0.3 -> poisson_ratio = 'x'
     tube.1.poisson_ratio = 'x': must be a number.
 poisson_ratio = 0.3 -> poisson_ratio = true
@@ -45,10 +46,10 @@ poisson_ratio = 0.3 -> poisson_ratio = 2020-01-01
     tube.1.poisson_ratio = 2020-01-01: must be a number.
 poisson_ratio = 0.3 -> poisson_ratio = nan
     tube.1.poisson_ratio = nan: must be a finite number.
-poisson_ratio = 0.3 -> poisson_ratio = 0.51
-    tube.1.poisson_ratio = 0.51: must be above -0.999 and at most 0.5.
+poisson_ratio = 0.3 -> poisson_ratio = 100
+    tube.1.poisson_ratio = 100: must be above -0.999 and at most 99.
 poisson_ratio = 0.3 -> poisson_ratio = -0.999
-    tube.1.poisson_ratio = -0.999: must be above -0.999 and at most 0.5.
+    tube.1.poisson_ratio = -0.999: must be above -0.999 and at most 99.
 poisson_ratio = 0.3 -> poison_ratio = 0.3
     tube.1.poison_ratio = 0.3: unknown key, did you mean poisson_ratio?
 length_mm = 150 -> length_mm = inf
@@ -150,7 +151,7 @@ moves = { l = [0, 1] } -> moves = { l = [1] }
 moves = { l = [0, 1] } -> moves = { l = [0, 0] }
     joint.2.moves.l = [0, 0]: must have one value per tube, 2, not all zero.
 moves = { l = [0, 1] } -> moves = { x = [0, 1] }
-    joint.2.moves.x = [0, 1]: unknown key, known ones are theta, l.
+    joint.2.moves.x = [0, 1]: unknown key, known ones, all optional, are theta, l.
 moves = { theta = [0, 1] } -> moves = { theta = [0, 0.5] }
     joint.1.moves.theta = [0, 0.5]: must be whole numbers for an unlimited rotation, else give min_deg and
     max_deg.

@@ -114,7 +114,7 @@ file = "meshes/wedge.stl" -> file = "../wedge.stl"
 file = "meshes/wedge.stl" -> file = "meshes/none.stl"
     scenario.toml: anatomy.3.file = 'meshes/none.stl': is not a file that exists.
 unit = "cm" -> unit = "inch"
-    scenario.toml: anatomy.3.unit = 'inch': must be one of mm, cm, m.
+    scenario.toml: anatomy.3.unit = 'inch': must be one of mm, cm, m, in; did you mean in?
 max_strain = 0.05 -> max_strain = 5
     scenario.toml: margins.max_strain = 5: must be above 0 and at most 1.
 mm_per_rad = 10 -> mm_per_rad = 0
@@ -128,7 +128,8 @@ goal_bias = 0.2 -> goal_bias = 1.5
 goal_bias = 0.2 -> goal_bais = 0.2
     scenario.toml: planner.goal_bais = 0.2: unknown key, did you mean goal_bias?
 goal_bias = 0.2 -> verve = 0.2
-    scenario.toml: planner.verve = 0.2: unknown key, known ones are name, time_s, settle, goal_bias, range_mm.
+    scenario.toml: planner.verve = 0.2: unknown key, known ones, all optional, are name, time_s, settle,
+    goal_bias, range_mm.
 goal_bias = 0.2 -> samples_per_batch = 10
     scenario.toml: planner.samples_per_batch = 10: does not go with name = 'RRT*'.
 time_s = 2.5 -> time_s = 3601

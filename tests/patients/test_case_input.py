@@ -21,7 +21,7 @@ import ctrplan
 from ctrplan.anatomy.parts import exact_clearance
 from ctrplan.cli import main
 from ctrplan.commands.program import parser
-from ctrplan.errors import CtrplanError
+from ctrplan.errors import CtrplanError, InputError
 from ctrplan.files.slicer_markups import read_markups
 from ctrplan.patients.case import STEPS, case
 from ctrplan.patients.request import OPTIONS, STEP_NAMES, over, request_of
@@ -92,6 +92,53 @@ def test_markups_obey_the_frame_that_they_say(folder: Path) -> None:
         old.write_text(f"# CoordinateSystem = {number}\nid,1,2,3,0,0,0,1,1,1,0,T,,\n")
         assert read_markups(old)[0].frame == frame
     old.unlink()
+
+
+def markups(path: Path, *points: dict[str, object]) -> Path:
+    body = {"type": "Fiducial", "coordinateSystem": "LPS", "coordinateUnits": "mm", "controlPoints": list(points)}
+    path.write_text(json.dumps({"markups": [body]}))
+    return path
+
+
+@pytest.mark.parametrize("status", ["undefined", "preview", "missing"])
+def test_points_that_were_not_placed_are_left_out_and_said(status: str, tmp_path: Path) -> None:
+    placed = {"label": "a", "position": [1, 2, 3], "positionStatus": "defined"}
+    open_point = {"label": "b", "position": "", "positionStatus": status}
+    (markup,) = read_markups(markups(tmp_path / "m.mrk.json", open_point, placed, {"position": [4, 5, 6]}))
+    np.testing.assert_array_equal(markup.points_mm, [[1, 2, 3], [4, 5, 6]])
+    assert markup.labels == ("a", "")
+    assert markup.notes == (f"m.mrk.json: point 1 (b) is left out, it has no place (positionStatus is {status})",)
+    with pytest.raises(InputError, match=r"markups.1.controlPoints.2.position = \[1, 2, None\]: must have three"):
+        read_markups(markups(tmp_path / "m.mrk.json", open_point, placed | {"position": [1, 2, None]}))
+    with pytest.raises(InputError, match="markups.1: has no points that were placed"):
+        read_markups(markups(tmp_path / "m.mrk.json", open_point))
+
+
+def test_an_fcsv_point_that_was_not_placed_is_left_out(tmp_path: Path) -> None:
+    path = tmp_path / "m.fcsv"
+    rows = ["0,0,0,0,0,0,0,1,1,1,0,u,,,0,0", "1,1,2,3,0,0,0,1,1,1,0,a,,,2,0"]
+    path.write_text(
+        "# CoordinateSystem = LPS\n# columns = id,x,y,z,ow,ox,oy,oz,vis,sel,lock,label,desc,associatedNodeID\n"
+        + "\n".join(rows)
+    )
+    (markup,) = read_markups(path)
+    assert markup.labels == ("a",) and markup.notes == (
+        "m.fcsv: point 1 (u) is left out, it has no place (its status is undefined)",
+    )
+
+
+def test_a_case_tells_of_points_that_were_left_out(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    points = [
+        {"label": "target 1", "position": TARGET.tolist()},
+        {"label": "target 2", "position": "", "positionStatus": "missing"},
+        {"label": "entry", "position": phantom.ENTRY.tolist()},
+    ]
+    path = markups(tmp_path / "points.mrk.json", *points)
+    said = ["case", str(folder / "lps.nrrd"), str(path), *SAID, "--robot", str(phantom.ROBOT), "--until", "scenario"]
+    assert main([*said, "-o", str(tmp_path / "case")]) == 0
+    assert "point 2 (target 2) is left out" in capsys.readouterr().err
 
 
 def test_points_are_found_by_their_labels(folder: Path, tmp_path: Path) -> None:

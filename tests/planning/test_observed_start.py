@@ -10,7 +10,7 @@ import pytest
 from places import ROBOTS, SCENARIOS
 
 import ctrplan
-from ctrplan.audit.recomputed import recomputed_differences
+from ctrplan.audit.verify import recomputed_differences
 from ctrplan.certificate.certify import certify
 from ctrplan.errors import CtrplanError, InputError
 from ctrplan.files.plan_file import load_plan
@@ -18,7 +18,7 @@ from ctrplan.files.robot_file import load_robot
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.files.trajectory_file import trajectory_formats, write_trajectory
 from ctrplan.plans.plan import write_plan_json
-from ctrplan.robot.observer_state import ObserverState
+from ctrplan.robot.observer import ObserverState
 from ctrplan.robot.robot import Robot
 from ctrplan.scenario.prediction import predict
 from ctrplan.scenario.scenario import Scenario

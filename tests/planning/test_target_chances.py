@@ -24,7 +24,7 @@ from ctrplan.files.scenario_file import load_scenario
 from ctrplan.motion.play import play_turn
 from ctrplan.plans.plan import Plan, _plain
 from ctrplan.reports.plan_page import uncertainty_section
-from ctrplan.reports.uncertainty_words import uncertainty_rows
+from ctrplan.reports.words import uncertainty_rows
 from ctrplan.scenario.prediction import start_states
 from ctrplan.scenario.scenario import Goal, Registration, Scenario
 from ctrplan.uncertainty.drawn_poses import BeyondFirstOrder, DrawnPoses

@@ -16,8 +16,8 @@ from places import ROBOTS
 from ctrplan.anatomy.mesh_repair import MeshDefect
 from ctrplan.base.surface import Surface
 from ctrplan.cli import main
-from ctrplan.reports import mesh_defect_picture
-from ctrplan.reports.mesh_defect_picture import mesh_defect_png
+from ctrplan.reports import plan_picture as mesh_defect_picture
+from ctrplan.reports.plan_picture import mesh_defect_png
 
 
 def pierced(side: float) -> trimesh.Trimesh:

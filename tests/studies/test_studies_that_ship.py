@@ -94,7 +94,7 @@ def test_the_entry_study_that_ships_tries_poses_beside_the_scenarios_own() -> No
 
 
 def test_more_friction_is_never_less_error_and_the_inner_pair_matters_most(tmp_path: Path) -> None:
-    from ctrplan.studies.study.analysis import sensitivity
+    from ctrplan.studies.study.table import sensitivity
 
     study = Study.read(STUDIES / "friction_ventricle.toml", ["draws.count=16"])
     table = study.run(tmp_path / "out", executor=Here())

@@ -21,9 +21,9 @@ from ctrplan.base.arrays import shortest_rotation
 from ctrplan.errors import InputError
 from ctrplan.files.scenario_file import load_robot_or_scenario
 from ctrplan.reports.study_page import study_report_html
-from ctrplan.studies.study.analysis import sensitivity
 from ctrplan.studies.study.sources import matching_files
 from ctrplan.studies.study.study import Study
+from ctrplan.studies.study.table import sensitivity
 
 PAIR = str(ROBOTS / "table_5_pair.toml")
 VENTRICLE = str(SCENARIOS / "ventricle.toml")

@@ -19,7 +19,7 @@ from ctrplan.cli import main
 from ctrplan.errors import InputError, NoAnswerError
 from ctrplan.files.design_file import MadeEntry, StockEntry
 from ctrplan.files.robot_file import load_robot
-from ctrplan.reports.design_page import design_report_html
+from ctrplan.reports.study_page import design_report_html
 from ctrplan.scenario.scenario import Goal
 from ctrplan.studies.child_process import ChildExecutor
 from ctrplan.studies.design.search import confirm, is_better

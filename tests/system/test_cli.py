@@ -159,7 +159,7 @@ def test_failure_is_one_sentence(
     ("arguments", "sentence"),
     [
         ([], "ctrplan: the following arguments are required: COMMAND (see ctrplan --help).\n"),
-        (["plna"], "ctrplan: COMMAND: invalid choice: 'plna' (choose from "),
+        (["plna"], "ctrplan: COMMAND: invalid choice: 'plna', did you mean plan? (choose from "),
         (["plan"], "ctrplan: the following arguments are required: SCENARIO.toml (see ctrplan plan --help).\n"),
         (["plan", "x", "--time", "soon"], "ctrplan: --time = 'soon': must be a number above 0 and at most 3600.\n"),
         (

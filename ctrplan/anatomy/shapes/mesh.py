@@ -10,10 +10,12 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ctrplan.anatomy.mesh_file import Unit, Up
 from ctrplan.anatomy.parts import TriangleTree
 from ctrplan.anatomy.patient_frame import Frame
 from ctrplan.anatomy.shape import PartEntry, PartShape, register
 from ctrplan.base.arrays import Array, lengths, numbers, read_only
+from ctrplan.base.package import shown
 from ctrplan.base.surface import Surface
 from ctrplan.errors import InputError
 from ctrplan.storage.toml_table import TomlTable
@@ -22,6 +24,7 @@ SURELY = 1 + 1e-6  # beyond rounding
 Indices = NDArray[np.int64]
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class Mesh(PartShape):
     """vertices_m (V, 3), faces (F, 3), closed and turned outward, as `load_mesh` returns them, in the anatomy's frame.
@@ -67,16 +70,17 @@ class MeshEntry(PartEntry):
     """kind = "mesh"."""
 
     file: str
-    unit: Literal["mm", "cm", "m"]
+    unit: Unit | None = None  # of glTF m, of other files to be said
+    up: Up | None = None  # the axis that is turned up to z: y of glTF, else z
     frame: Frame | None = None
     group: str | None = None
     repair: Literal["off", "holes", "caps"] = "holes"
 
     def shape(self, table: TomlTable) -> Mesh:
-        from ctrplan.anatomy.surface_file import read_body  # slow to import; many scenarios need no meshes
+        from ctrplan.anatomy.surface_file import MeshChoice, read_body  # slow to import; many scenarios need no meshes
 
         file = table.file(self.file, "file")
-        body = read_body(table, file, self.unit, self.frame, self.group, self.repair)
+        body = read_body(table, file, MeshChoice(self.unit, self.up, self.frame, self.group), self.repair)
         return Mesh(body.vertices_m, body.faces, str(file), body.notes, body.error_m)
 
 

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 from weakref import WeakKeyDictionary
 
+from ctrplan.anatomy.mesh_file import Unit, Up
 from ctrplan.anatomy.parts import TriangleTree
 from ctrplan.anatomy.patient_frame import Frame
 from ctrplan.anatomy.shape import PartEntry, register
 from ctrplan.anatomy.shapes.mesh import Mesh
 from ctrplan.base.arrays import Array
+from ctrplan.base.package import shown
 from ctrplan.storage.toml_table import TomlTable
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class Sheet(Mesh):
     """vertices_m (V, 3), faces (F, 3) of an open surface; distances to it are never negative."""
@@ -31,17 +33,18 @@ class SheetEntry(PartEntry):
     """kind = "surface"."""
 
     file: str
-    unit: Literal["mm", "cm", "m"]
+    unit: Unit | None = None  # of glTF m, of other files to be said
+    up: Up | None = None  # the axis that is turned up to z: y of glTF, else z
     frame: Frame | None = None
     group: str | None = None
 
     def shape(self, table: TomlTable) -> Sheet:
-        from ctrplan.anatomy.surface_file import read_sheet  # slow to import; many scenarios need no meshes
+        from ctrplan.anatomy.surface_file import MeshChoice, read_sheet  # slow to import; many scenarios need no meshes
 
         if self.role != "avoid":
             raise table.fault("must be 'avoid': a sheet has no inside", "role")
         file = table.file(self.file, "file")
-        result = read_sheet(table, file, self.unit, self.frame, self.group)
+        result = read_sheet(table, file, MeshChoice(self.unit, self.up, self.frame, self.group))
         return Sheet(result.vertices_m, result.faces, str(file), result.notes, result.error_m)
 
 

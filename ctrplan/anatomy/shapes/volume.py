@@ -15,12 +15,14 @@ from ctrplan.anatomy.shape import PartEntry, register
 from ctrplan.anatomy.shapes.mesh import Mesh
 from ctrplan.anatomy.structure import ImageStructure, StructureChoice, has_thin_parts, structure
 from ctrplan.base.arrays import MM_PER_M, Array
+from ctrplan.base.package import shown
 from ctrplan.storage.toml_document import Component, Distance
 from ctrplan.storage.toml_table import TomlTable
 
 Label = Annotated[int, Meta(ge=1, le=2**31 - 1)]
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class Volume(Mesh):
     """The surface of a structure between the voxels of an image, in the anatomy's frame.

@@ -97,7 +97,7 @@ def _chains(checker: MotionChecker, ends: Array) -> tuple[list[list[Array]], lis
 
 def _body(checker: MotionChecker, q: Array) -> Array:
     """(S, 3) points of the zero-clearance centreline from the tip back to the plate, evenly spaced."""
-    shape = checker.mechanics.zero_clearance(*checker.space.drive.collars(q))
+    shape = checker.mechanics.zero_clearance(*checker.space.drive.collars(q), loads=False)
     s = np.arange(shape.s_m[-1], 0.0, -STATION_MM / MM_PER_M)
     return np.stack([np.interp(s, shape.s_m, axis) for axis in shape.centreline_m.T], axis=1)
 

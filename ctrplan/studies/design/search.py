@@ -28,8 +28,15 @@ import numpy as np
 
 from ctrplan.base.arrays import Array
 from ctrplan.errors import InputError
-from ctrplan.studies.design.design_definition import Archive, DesignDefinition, EvaluatedDesign, judged
-from ctrplan.studies.design.space import Design, DesignSpace, name_of
+from ctrplan.studies.design.space import (
+    Archive,
+    Design,
+    DesignDefinition,
+    DesignSpace,
+    EvaluatedDesign,
+    judged,
+    name_of,
+)
 from ctrplan.studies.study.axes import goal_overrides
 from ctrplan.studies.study.engine import Engine, unanswered
 from ctrplan.studies.study.store import Lines, Store

@@ -11,12 +11,13 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
+from ctrplan.base.package import shown
 from ctrplan.files.design_file import DesignEntry, checked_design, read_design
 from ctrplan.files.robot_file import load_robot, write_robot
 from ctrplan.storage.output_folder import write_atomically
 from ctrplan.storage.toml_document import Document
-from ctrplan.studies.design.design_definition import Archive, DesignDefinition, EvaluatedDesign, defined
 from ctrplan.studies.design.search import PLANS, search
+from ctrplan.studies.design.space import Archive, DesignDefinition, EvaluatedDesign, defined
 from ctrplan.studies.study.axes import goal_overrides
 from ctrplan.studies.study.sources import ROBOT_PREFIX
 from ctrplan.studies.study.study import Report, Where, refuse_longer_than_a_week
@@ -76,6 +77,7 @@ class TubeDesign(DesignDefinition):
         return cls(*(getattr(made, field.name) for field in fields(made)))
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class TubeDesigns:
     """What a search found."""

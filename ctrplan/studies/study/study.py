@@ -20,12 +20,11 @@ from ctrplan.base.long_work import cores
 from ctrplan.errors import InputError
 from ctrplan.files.study_file import StudyEntry, checked_study, read_study
 from ctrplan.storage.toml_document import Document
-from ctrplan.studies.study.analysis import extreme_tasks
 from ctrplan.studies.study.engine import Engine, ExecutorEngine, PoolEngine
 from ctrplan.studies.study.engine_dask import DaskEngine, is_installed
 from ctrplan.studies.study.store import Store
 from ctrplan.studies.study.study_definition import StudyDefinition, defined
-from ctrplan.studies.study.table import StudyTable, load_study, write_table
+from ctrplan.studies.study.table import StudyTable, extreme_tasks, load_study, write_table
 from ctrplan.studies.study.task import Task, TaskNumbers
 
 MOST_TASKS = 1_000_000  # without being asked twice
@@ -335,6 +334,12 @@ class Study(StudyDefinition):
         """Does what is missing in the folder, and returns the table; see `run.run_study`. Raises CtrplanError."""
         where = Where(executor, workers, scheduler, scheduler_file)
         return run_study(self, folder, where, add=add, yes=yes, progress=progress).table
+
+    def show(self, table: StudyTable, height: int = 700) -> Any:
+        """The report of a table of this study as a page within a notebook; its `save` writes it."""
+        import ctrplan  # pages are of a package above, and stand in the public names
+
+        return ctrplan.show(self, table=table, height=height)
 
     @classmethod
     def _of(cls, entry: StudyEntry, document: Document, allow_outside: bool) -> Study:

@@ -1,0 +1,53 @@
+"""`ctrplan check`: what a file says, in numbers that a person knows, with what is most likely in another unit."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+
+from ctrplan.storage.output_folder import output_folder, write_results
+
+DESCRIPTION = (
+    "Look at a robot, a scenario, measurements or a plan: implied Young's modulus, radii, strain when straightened, "
+    "clearances, the drive's travel, the largest friction error of some configurations and how many have several "
+    "equilibria. What is most likely in another unit is marked by !, and the exit code is 1 then."
+)
+EXAMPLES = """examples:
+  ctrplan check robot.toml
+  ctrplan check robot.toml -o look          # tubes.png: the tubes to scale; bound.png: the largest friction error
+  ctrplan check scenario.toml
+  ctrplan check measurements.csv --robot robot.toml
+  ctrplan check out/plan.json --json
+"""
+OUTPUTS = ("tubes.png", "bound.png")
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Adds the command's arguments."""
+    parser.add_argument("file", metavar="FILE", help="robot, scenario, measurements (CSV or mapping file) or plan")
+    parser.add_argument("--robot", metavar="ROBOT.toml", help="that measurements are of")
+    parser.add_argument("-o", "--output", metavar="DIR", help=f"folder for {' and '.join(OUTPUTS)}")
+    parser.add_argument("--json", action="store_true", help="machine-readable output")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Runs the command; returns 1 where something is in doubt. Raises CtrplanError for what is no such file."""
+    from ctrplan.reports.check import check
+
+    folder = output_folder(arguments.output, OUTPUTS) if arguments.output is not None else None
+    result = check(arguments.file, robot=arguments.robot)
+    content = {"name": result.name, "kind": result.kind, "flags": result.flags, "notes": result.notes, **result.facts}
+    print(json.dumps(content, indent=1) if arguments.json else result.text)
+    if folder is not None:
+        write_results(folder, {f"{name}.png": _png(figure) for name, figure in result.figures().items()})
+        print(f"ctrplan: written to {folder}", file=sys.stderr)
+    return 1 if result.flags else 0
+
+
+def _png(figure: object) -> bytes:
+    import io
+
+    stream = io.BytesIO()
+    figure.savefig(stream, format="png", dpi=120)  # type: ignore[attr-defined]
+    return stream.getvalue()

@@ -1,0 +1,257 @@
+"""Files to begin with, commented and ready to run: a robot from tubes, a scenario for a robot, a mapping for a table.
+
+Texts are made of the numbers given and read again before they are written, so that what `ctrplan init` writes runs.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ctrplan.anatomy.mesh_file import usual_unit
+from ctrplan.base.arrays import MM_PER_M
+from ctrplan.errors import InputError
+from ctrplan.mechanics.shapes import Status
+from ctrplan.robot.robot import Robot
+from ctrplan.scenario.joint_space import JointSpace, retracted
+from ctrplan.storage.csv_table import CsvTable, file_name
+
+NITINOL_GPA, NITINOL_RATIO, FRICTION = 65.0, 0.3, 0.2
+COLLAR_MM = 17.0
+SPEED = {"deg": (60, 240, 2400), "mm": (10, 50, 500)}
+DRAWN = 400  # configurations among which the goal of a first scenario is chosen
+TOLERANCE_MM = 2.0
+
+
+@dataclass(frozen=True)
+class TubeChoice:
+    """A tube in mm, from the base: a straight piece, then one bent by a radius; a radius of 0 is straight, too."""
+
+    outer_mm: float
+    inner_mm: float
+    straight_mm: float
+    bent_mm: float
+    radius_mm: float
+
+    @property
+    def length_mm(self) -> float:
+        """From base to tip."""
+        return self.straight_mm + self.bent_mm
+
+
+USUAL = (TubeChoice(2.64, 2.39, 0.0, 150.0, 265.0), TubeChoice(2.305, 1.95, 17.0, 150.0, 265.0),
+         TubeChoice(1.825, 1.60, 184.0, 86.4, 55.0))  # fmt: skip
+
+
+def tube_choice(text: str) -> TubeChoice:
+    """A tube from "2.64x2.39,0,150,265": diameters, straight and bent length, radius [mm]. Raises InputError."""
+    parts = re.split(r"[x,\s]+", text.strip())
+    try:
+        numbers = [float(part) for part in parts]
+    except ValueError:
+        numbers = []
+    if len(numbers) != 5 or not all(math.isfinite(x) and x >= 0 for x in numbers):
+        rule = "must be OUTERxINNER,STRAIGHT,BENT,RADIUS in mm, such as 2.64x2.39,0,150,265"
+        raise InputError(rule, key="--tube", value=text)
+    return TubeChoice(*numbers)
+
+
+def robot_text(tubes: Sequence[TubeChoice] = USUAL, name: str = "my robot") -> str:
+    """A robot file of tubes, outermost first, each turned and pushed by a joint of its own."""
+    lines = [
+        "# Written by `ctrplan init robot`. Every number is yours to change; `ctrplan check` draws what it means.",
+        f'name = "{name}"',
+    ]
+    for i, tube in enumerate(tubes):
+        lines += ["", f"[[tube]]{' ' * 24}# {'outermost' if i == 0 else 'the next one inwards'}"]
+        lines += [
+            f"outer_diameter_mm = {tube.outer_mm:g}",
+            f"inner_diameter_mm = {tube.inner_mm:g}",
+            f"youngs_modulus_GPa = {NITINOL_GPA:g}         # of nitinol; or bending_stiffness_Nm2, if you measured it",
+            f"poisson_ratio = {NITINOL_RATIO:g}             # or shear_modulus_GPa, torsional_stiffness_Nm2",
+        ]
+        if i:
+            lines.append(
+                f"collar_length_mm = {COLLAR_MM:g}           # its base stays this far behind the tube around it"
+            )
+        if tube.straight_mm:
+            lines += ["[[tube.section]]                # from the base: straight", f"length_mm = {tube.straight_mm:g}"]
+        if tube.bent_mm:
+            lines += ["[[tube.section]]                # then bent", f"length_mm = {tube.bent_mm:g}"]
+            lines += [f"radius_mm = {tube.radius_mm:g}"] if tube.radius_mm else []
+    for i in range(len(tubes) - 1):
+        lines += ["", f"[[contact]]                     # of tubes {i + 1} and {i + 2}"]
+        lines.append(f"friction_coefficient = {FRICTION:g}      # or an interval [0.15, 0.25]")
+    bases = _home_mm(tubes)
+    lines += [
+        "",
+        "[home]                          # bases when all joints are 0, behind the plate",
+        f"theta_deg = {[0] * len(tubes)}",
+        f"l_mm = {bases}",
+    ]
+    for i, tube in enumerate(tubes, start=1):
+        lines += _joint(f"rotate {i}", "theta", i, len(tubes), "deg", "")
+        travel = _travel_mm(tubes, i - 1)
+        if travel > 0:
+            lines += _joint(f"translate {i}", "l", i, len(tubes), "mm", f"min_mm = {-travel:g}\nmax_mm = 0")
+        else:
+            lines += [f"# tube {i} is not translated: {tube.length_mm:g} mm of it are in front of the plate"]
+    lines += [
+        "",
+        "# [measurement]                 # of your tracker, for ctrplan diagnose",
+        "# position_sigma_mm = 0.3",
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def _home_mm(tubes: Sequence[TubeChoice]) -> list[float]:
+    return [round(-COLLAR_MM * i, 3) for i in range(len(tubes))]
+
+
+def _travel_mm(tubes: Sequence[TubeChoice], i: int) -> float:
+    """How far a tube may be drawn back from home with its tip ahead of the one around it, which stays."""
+    if i == 0:
+        return 0.0
+    home = _home_mm(tubes)
+    ahead = (home[i] + tubes[i].length_mm) - (home[i - 1] + tubes[i - 1].length_mm)
+    return round(max(ahead, 0.0), 3)
+
+
+def _joint(name: str, kind: str, i: int, n: int, unit: str, limits: str) -> list[str]:
+    velocity, acceleration, jerk = SPEED[unit]
+    moves = [int(k == i) for k in range(1, n + 1)]
+    return [
+        "",
+        "[[joint]]",
+        f'name = "{name}"',
+        f"moves = {{ {kind} = {moves} }}",
+        *(limits.splitlines() if limits else ["# without min_deg and max_deg it turns without end"]),
+        f"max_velocity_{unit}_s = {velocity}",
+        f"max_acceleration_{unit}_s2 = {acceleration}",
+        f"max_jerk_{unit}_s3 = {jerk}",
+    ]
+
+
+def scenario_text(robot: Robot, file: str, mesh: str | None = None, unit: str | None = None) -> str:
+    """A scenario in free space, or within a mesh to avoid: from the robot drawn back to a tip that it can reach.
+
+    file: of the robot, as the scenario is to name it. Raises InputError where nothing is reached.
+    """
+    space, drive = JointSpace.of_robot(robot), robot.drive
+    start = retracted(robot)
+    drawn = space.sample(np.random.default_rng(0), DRAWN)
+    bounds = robot.mechanics.bound_many(*drive.collars(drawn))
+    sound = np.isfinite(bounds.position_m) & (bounds.status == Status.CONVERGED) & (bounds.stability > 0.5)
+    if not sound.any():
+        raise InputError("no configuration with one stable equilibrium was found to go to", file=robot.path)
+    goal = int(np.argmin(np.where(sound, bounds.position_m, np.inf)))
+    tip = np.round(bounds.tip_m[goal] * MM_PER_M, 1).tolist()
+    joints = zip(drive.joints, start.tolist(), strict=True)
+    lines = [
+        "# Written by `ctrplan init scenario`: plan it with `ctrplan plan`, then change it to your task.",
+        'name = "my task"',
+        f'robot = "{file}"{" " * 4}# relative to this file',
+        "",
+        "[start]                         # joint values, in deg and mm: here all tubes drawn back",
+        *(f'"{joint.name}" = {value / joint.si_per_unit + 0.0:.6g}' for joint, value in joints),
+        "",
+        "[goal]                          # the tip in the frame of the anatomy, millimetres",
+        f"tip_mm = {tip}",
+        f"tolerance_mm = {TOLERANCE_MM:g}",
+        "# direction = [0, 0, 1]         # optional, with direction_tolerance_deg",
+        "",
+        "# [base]                        # optional: where the front plate is in the frame of the anatomy",
+        "# position_mm = [0, 0, 0]",
+        "# look_at = [0, 0, 100]",
+        "",
+    ]
+    if mesh is None:
+        lines += [
+            '# [[anatomy]]                   # what to avoid, or role = "inside": what to stay inside',
+            '# kind = "mesh"',
+        ]
+        lines += ['# file = "organ.stl"', '# unit = "mm"', '# role = "avoid"', "# margin_mm = 1.0"]
+    else:
+        lines += ["[[anatomy]]", 'kind = "mesh"', f'file = "{mesh}"', f'unit = "{unit or usual_unit(Path(mesh))}"']
+        lines += ['role = "avoid"                  # or "inside": a lumen that the robot stays in', "margin_mm = 1.0"]
+    return "\n".join([*lines, ""])
+
+
+WORDS = {  # of column names, by what they most likely are; the unit stands behind
+    "theta": r"(?:theta|rot|alpha|angle|ang|phi|a|r)_?(\d)",
+    "l": r"(?:l|beta|trans|lin|ext|ins|d|t)_?(\d)",
+    "position": r"(?:tip_?|pos_?|p_?)?([xyz])",
+    "tangent": r"(?:t|tan|dir|d|n)_?([xyz])",
+}
+TIME, SEQUENCE = r"(?:time|t|stamp|timestamp)", r"(?:sequence|seq|run|s|trial)"
+UNIT = r"(?:_?(?:\(|\[)?(rad|deg|degrees|mm|m|s|ms)(?:\)|\])?)?"
+
+
+def mapping_text(table: str | os.PathLike[str], robot: Robot) -> str:
+    """A mapping file for a CSV table whose columns are guessed by their names; what was not found is said in it."""
+    name = file_name(table, "a CSV file")
+    columns = CsvTable(name, "file of measurements").header
+    guessed = {key: _guessed(columns, pattern) for key, pattern in WORDS.items()}
+    theta, l = (_tubes(guessed[key], robot.n) for key in ("theta", "l"))  # noqa: E741
+    position = [guessed["position"].get(axis) for axis in "xyz"]
+    lines = [
+        f"# Written by `ctrplan init mapping` for {Path(name).name}: columns were guessed, look at each.",
+        f"# The columns there are: {', '.join(columns)}",
+        "",
+        "[[run]]",
+        f'file = "{Path(name).name}"',
+        "# frame = \"unknown\"             # where nobody knows the robot's place in the tracker's frame",
+        "",
+        "[columns]                       # one for each tube, outermost first",
+        f"theta = {_toml_list(theta)}",
+        f"l = {_toml_list(l)}",
+        f"position = {_toml_list(position)}",
+    ]
+    tangent = [guessed["tangent"].get(axis) for axis in "xyz"]
+    if all(tangent):
+        lines.append(f"tangent = {_toml_list(tangent)}")
+    for key, pattern in (("time", TIME), ("sequence", SEQUENCE)):
+        if column := next((c for c in columns if re.fullmatch(pattern + UNIT, c, re.IGNORECASE)), None):
+            lines.append(f'{key} = "{column}"')
+    lines += [
+        "",
+        "[units]",
+        f'theta = "{_unit(theta, {"deg": "deg", "degrees": "deg"}, "rad")}"    # rad, deg or turns',
+        f'l = "{_unit(l, {"mm": "mm"}, "m")}"        # m or mm',
+        f'position = "{_unit(position, {"mm": "mm"}, "m")}"',
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def _guessed(columns: Sequence[str], pattern: str) -> dict[str, str]:
+    """Columns by the number or axis in their names."""
+    matches = ((re.fullmatch(pattern + UNIT, column, re.IGNORECASE), column) for column in columns)
+    result = dict[str, str]()
+    for match, column in matches:
+        if match:
+            result.setdefault(match[1].lower(), column)
+    return result
+
+
+def _tubes(guessed: dict[str, str], n: int) -> list[str | None]:
+    """A column for each tube, whose numbers may begin with 0."""
+    first = 0 if "0" in guessed and str(n) not in guessed else 1
+    return [guessed.get(str(first + k)) for k in range(n)]
+
+
+def _toml_list(columns: Sequence[str | None]) -> str:
+    said = ", ".join(f'"{column or "COLUMN"}"' for column in columns)
+    return f"[{said}]" + ("   # say those called COLUMN" if None in columns else "")
+
+
+def _unit(columns: Sequence[str | None], units: dict[str, str], usual: str) -> str:
+    named = [re.search(r"(rad|degrees|deg|mm|m)\W*$", column or "", re.IGNORECASE) for column in columns]
+    return next((units[match[1].lower()] for match in named if match and match[1].lower() in units), usual)

@@ -1,0 +1,130 @@
+"""Places and parts of a scenario that are most likely in another unit, by the robot's own length and by each other.
+
+A goal cannot be much nearer to the base than the robot is long, nor farther; lumens hold the goals. Where the same
+numbers in another unit are where they can be, that unit is named.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ctrplan.anatomy.parts import AnatomyPart
+from ctrplan.base.arrays import Array
+from ctrplan.robot.magnitudes import IN_WORDS, UNITS_M, reach_m
+from ctrplan.robot.robot import Robot
+
+NEAR = 0.01  # share of the robot's length: a tip that is nearer to the base lies in the plate
+PLAUSIBLE = 0.05, 1.05  # shares of it at which goals are
+LARGEST_PART = 25.0  # lengths of the robot
+USUAL_PART = 0.02, 5.0  # of a part that is meant to be next to it
+
+
+class SizeDoubt(NamedTuple):
+    """unit: the likely one. rule: the end of a sentence about the number. is_sure: whether nothing else explains it."""
+
+    unit: str
+    rule: str
+    is_sure: bool = True
+    key: str = "unit"
+
+
+def place_doubt(
+    robot: Robot, tip_m: Array, base_m: Array, read_in: str, parts: Sequence[AnatomyPart] = ()
+) -> SizeDoubt | None:
+    """What speaks against the unit of a place (3,) [m] that the tip is to reach, its base at (3,) [m]; None: nothing.
+
+    Only where another unit explains it: what is merely out of reach, or outside all lumens among the parts, is for
+    whoever looks for a way.
+    """
+    length, away = reach_m(robot), float(np.linalg.norm(tip_m - base_m))
+    lumens = [part for part in parts if part.role == "inside"]
+    outside = bool(lumens) and away < PLAUSIBLE[0] * length and not _in_one(lumens, tip_m)
+    if NEAR * length <= away <= length * PLAUSIBLE[1] and not outside:
+        return None
+    for unit in _others(read_in):
+        moved = tip_m * UNITS_M[unit] / UNITS_M[read_in]
+        if not PLAUSIBLE[0] * length <= float(np.linalg.norm(moved - base_m)) <= PLAUSIBLE[1] * length:
+            continue
+        if lumens and not _in_one(lumens, moved):
+            continue
+        sure = outside or unit in ("m", "mm", "um")
+        where = " and outside all lumens" if outside else ""
+        return SizeDoubt(unit, _away(away, length, f"are these in {IN_WORDS[unit]}?", where), sure)
+    return None
+
+
+def base_doubt(robot: Robot, tips_m: Sequence[Array], base_m: Array) -> SizeDoubt | None:
+    """What speaks against the unit [mm] of a base's position (3,) [m] whose goals (3,) [m] are all beyond reach."""
+    length = reach_m(robot)
+    away = [float(np.linalg.norm(tip - base_m)) for tip in tips_m]
+    if not away or min(away) <= length * PLAUSIBLE[1] or not base_m.any():
+        return None
+    for unit in _others("mm"):
+        moved = [float(np.linalg.norm(tip - base_m * UNITS_M[unit] / UNITS_M["mm"])) for tip in tips_m]
+        if all(PLAUSIBLE[0] * length <= one <= PLAUSIBLE[1] * length for one in moved):
+            return SizeDoubt(unit, _away(min(away), length, f"is the base in {IN_WORDS[unit]}?"))
+    return None
+
+
+def part_doubts(robot: Robot, parts: Sequence[AnatomyPart], tips_m: Sequence[Array]) -> Iterator[tuple[int, SizeDoubt]]:
+    """Parts, by number from 0, that are out of all proportion to the robot, or lumens that hold none of the goals."""
+    length, thinnest = reach_m(robot), robot.tubes[-1].outer_diameter_m
+    lumens = [part for part in parts if part.role == "inside"]
+    lost = bool(lumens) and not any(_in_one(lumens, tip) for tip in tips_m)
+    for k, part in enumerate(parts):
+        if (
+            part.role == "avoid"
+            and tips_m
+            and part.shape.kind != "surface"
+            and all(_holds(part, t, 1.0) for t in tips_m)
+        ):
+            rule = 'holds every goal, which nothing may enter: is it a lumen (role = "inside"), or the target itself?'
+            yield k, SizeDoubt("", rule, False, "role")
+        if part.shape.kind not in ("mesh", "surface"):
+            continue
+        size = float(np.ptp(np.array(part.shape.box()), axis=0).max())
+        said = f"is {size * 1e3:.3g} mm across, the robot {length * 1e3:.3g} mm long"
+        small, large = size < thinnest / 2, size > LARGEST_PART * length
+        likely = [
+            words
+            for words, factor in _factors()
+            if USUAL_PART[0] <= size * factor / length <= USUAL_PART[1]
+            and (part.role != "inside" or not tips_m or any(_holds(part, tip, factor) for tip in tips_m))
+        ]
+        if likely and (small or large or (lost and part.role == "inside" and tips_m)):
+            where = " and none of the goals is in it" if lost and part.role == "inside" else ""
+            yield k, SizeDoubt(likely[0], f"{said}{where}: is it {' or '.join(likely)}?", bool(where))
+
+
+def _factors() -> Iterator[tuple[str, float]]:
+    """By how much numbers are too small or too large that are read in the wrong one of two units, and its words."""
+    for name, factor in (("1000", 1e3), ("25.4", 25.4), ("10", 10.0)):
+        units = {"1000": "m read as mm", "25.4": "inches read as mm", "10": "cm read as mm"}[name]
+        yield f"{name} times too small ({units})", factor
+        reverse = {"1000": "mm read as m", "25.4": "mm read as inches", "10": "mm read as cm"}[name]
+        yield f"{name} times too large ({reverse})", 1 / factor
+
+
+def _in_one(lumens: Sequence[AnatomyPart], tip_m: Array) -> bool:
+    """Whether a place (3,) [m] is in any of the lumens."""
+    return any(_holds(part, tip_m, 1.0) for part in lumens)
+
+
+def _holds(part: AnatomyPart, tip_m: Array, factor: float) -> bool:
+    """Whether a place is in a part whose numbers are multiplied by a factor."""
+    low, high = part.shape.box()
+    at = tip_m / factor
+    if not (np.all(low <= at) and np.all(at <= high)):
+        return False
+    return float(part.shape.distance(at[None])[0]) <= 0
+
+
+def _others(read_in: str) -> list[str]:
+    return [unit for unit in UNITS_M if unit != read_in]
+
+
+def _away(away_m: float, length_m: float, question: str, where: str = "") -> str:
+    return f"lies {away_m * 1e3:.3g} mm from the base{where}, the robot is {length_m * 1e3:.3g} mm long: {question}"

@@ -1,0 +1,122 @@
+"""`ctrplan init` writes files that run as they are, and nothing over what is there."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from measured_data import measured, pair_robot, waypoints, write_csv
+
+import ctrplan
+from ctrplan.cli import main
+from ctrplan.commands.init import CATALOGUE
+from ctrplan.errors import InputError
+from ctrplan.files.robot_file import load_robot, write_robot
+from ctrplan.files.starting_files import mapping_text, robot_text, tube_choice
+from ctrplan.mechanics.shapes import Status
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("init")
+    assert main(["init", "robot", str(folder / "robot.toml")]) == 0
+    return folder
+
+
+@pytest.mark.parametrize(
+    "tubes",
+    [
+        (),
+        ("2.64x2.39,0,150,265", "1.825x1.60,100,86,55"),
+        ("2.64 x 2.39 20 100 200", "1.825x1.60,60,80,40", "1.4x1.15,140,60,30"),
+        ("1.6x1.2,80,40,0",),
+    ],
+)
+def test_a_robot_is_read_nothing_is_in_doubt_and_its_bound_is_solved(tubes: tuple[str, ...], tmp_path: Path) -> None:
+    said = [word for tube in tubes for word in ("--tube", tube)]
+    assert main(["init", "robot", str(tmp_path / "r.toml"), *said, "--name", "mine"]) == 0
+    robot = load_robot(tmp_path / "r.toml")
+    assert robot.name == "mine" and robot.n == (len(tubes) or 3) and robot.warnings == ()
+    result = ctrplan.check(robot)
+    assert result.flags == ()
+    home = robot.bound(robot.drive.home_theta_rad, robot.drive.home_l_m)
+    assert home.frictionless.status == Status.CONVERGED and np.isfinite(home.position_m)
+
+
+def test_catalogue_tubes_make_a_robot() -> None:
+    assert len(CATALOGUE) == 12
+    for text in CATALOGUE:
+        outer, inner = map(float, text.split("x"))
+        assert 0 < inner < outer
+
+
+@pytest.mark.parametrize("text", ["2.64x2.39", "a,b,c,d,e", "1,2,3,4,-5", "2.64x2.39,0,150,nan", ""])
+def test_what_is_no_tube_is_refused(text: str) -> None:
+    with pytest.raises(InputError, match="--tube = .*: must be OUTERxINNER,STRAIGHT,BENT,RADIUS in mm"):
+        tube_choice(text)
+
+
+def test_tubes_that_do_not_fit_are_refused_and_nothing_is_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    said = ["--tube", "1.8x1.6,0,100,80", "--tube", "2.6x2.4,0,150,80"]
+    assert main(["init", "robot", str(tmp_path / "r.toml"), *said]) == 2
+    assert "list the outermost first" in capsys.readouterr().err and not (tmp_path / "r.toml").exists()
+
+
+def test_a_scenario_is_planned_as_it_is(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    task = folder / "task.toml"
+    assert main(["init", "scenario", str(task), "--robot", str(folder / "robot.toml")]) == 0
+    assert f"next: ctrplan plan {task} -o out" in capsys.readouterr().out
+    scenario = ctrplan.load_scenario(task)
+    assert scenario.warnings == () and ctrplan.check(task).flags == ()
+    plan = ctrplan.plan(scenario, seed=0, time_s=2.0)
+    assert plan.certificate.valid
+    assert main(["init", "scenario", str(task), "--robot", str(folder / "robot.toml")]) == 2
+    assert "is there already" in capsys.readouterr().err
+
+
+def test_a_scenario_around_a_mesh(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    trimesh.creation.box((20, 20, 20)).apply_translation((150, 0, 100)).export(folder / "organ.stl")
+    said = ["--robot", str(folder / "robot.toml"), "--mesh", str(folder / "organ.stl")]
+    assert main(["init", "scenario", str(folder / "organ.toml"), *said]) == 0
+    (part,) = ctrplan.load_scenario(folder / "organ.toml").anatomy
+    assert part.role == "avoid" and part.shape.name == "organ.stl"
+    shutil.copy(folder / "organ.stl", folder.parent / "outside.stl")
+    said[-1] = str(folder.parent / "outside.stl")
+    capsys.readouterr()
+    assert main(["init", "scenario", str(folder / "other.toml"), *said]) == 2
+    assert "must lie in the folder of other.toml or below: copy it there" in capsys.readouterr().err
+
+
+def test_a_mapping_file_reads_the_table_that_it_was_made_for(tmp_path: Path) -> None:
+    robot = pair_robot()
+    data = measured(robot, waypoints(robot, 4))
+    write_csv(tmp_path / "plain.csv", data)
+    header, *rows = (tmp_path / "plain.csv").read_text().splitlines()
+    names = {"theta_1_rad": "rot1", "theta_2_rad": "rot2", "l_1_m": "trans1", "l_2_m": "trans2"}
+    names |= {"x_m": "tip_x", "y_m": "tip_y", "z_m": "tip_z"}
+    named = ",".join(names.get(name, name) for name in header.split(","))
+    (tmp_path / "log.csv").write_text("\n".join([named, *rows]))
+    write_robot(tmp_path / "robot.toml", dict(robot.content))
+    said = ["--table", str(tmp_path / "log.csv"), "--robot", str(tmp_path / "robot.toml")]
+    assert main(["init", "mapping", str(tmp_path / "map.toml"), *said]) == 0
+    read = ctrplan.load_measurements(tmp_path / "map.toml", robot)
+    np.testing.assert_allclose(read.position_m, data.position_m)
+    np.testing.assert_allclose(read.tangent[0], data.tangent[0], atol=1e-9)
+
+
+def test_columns_that_were_not_found_are_left_to_be_said(tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_text("alpha0_deg,alpha1_deg,beta0_mm,beta1_mm,px,py,foo\n1,2,3,4,5,6,7\n")
+    text = mapping_text(tmp_path / "log.csv", pair_robot())
+    assert 'theta = ["alpha0_deg", "alpha1_deg"]' in text and 'l = ["beta0_mm", "beta1_mm"]' in text
+    assert 'position = ["px", "py", "COLUMN"]   # say those called COLUMN' in text
+    assert 'theta = "deg"' in text and 'l = "mm"' in text
+
+
+def test_a_robot_s_text_explains_its_keys() -> None:
+    text = robot_text()
+    assert text.count("[[tube]]") == 3 and text.count("#") > 15

@@ -1,0 +1,162 @@
+"""Numbers in another unit are named by the robot's own length, and by what they would mean."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+from measured_data import measured, pair_robot, waypoints, write_csv
+from places import ROBOTS, SCENARIOS
+
+import ctrplan
+from ctrplan.base.arrays import are_degrees
+from ctrplan.cli import main
+from ctrplan.errors import InputError
+from ctrplan.files.measurement_file import load_measurements
+from ctrplan.files.robot_file import load_robot
+from ctrplan.files.scenario_file import load_scenario, scenario_from_dict
+from ctrplan.robot.magnitudes import likely_unit
+
+THREE = ROBOTS / "three_tube.toml"
+START = {"rotate outer": 20, "rotate middle": -60, "rotate inner": 80, "translate inner": -86.4}
+
+
+@pytest.mark.parametrize("file", sorted(SCENARIOS.glob("*.toml")), ids=lambda file: file.stem)
+def test_no_shipped_scenario_is_in_doubt(file: Path) -> None:
+    told = load_scenario(file, allow_outside=True).warnings
+    assert not [text for text in told if "robot is" in text or "?" in text]
+
+
+@pytest.mark.parametrize(
+    ("said", "phrase"),
+    [
+        ("tube.1.section.1.curvature_y_per_m=0.00377", r"0.032 deg over its length: is its curvature in 1/mm\?"),
+        ("tube.1.section.1.curvature_y_per_m=265", r"is 265 its radius in mm \(radius_mm\)\?"),
+        ("tube.3.section.2.curvature_y_per_m=55", r"272 deg over its length: is 55 its radius in mm"),
+        ("tube.1.bending_stiffness_Nm2=50700", r"Young's modulus would be 6.5e\+16 Pa: is it in N mm\^2\?"),
+        ("joint.1.max_deg=3.1416;joint.1.min_deg=-3.1416", "are its limits in radians"),
+        ("joint.4.min_mm=-0.0864", "travels 0.0864 mm: are its limits in metres"),
+        ("measurement={position_sigma_mm=0.0004}", "is no noise of a tracker: is it in metres"),
+        ("tube.1.density_kg_m3=6.45", r"is no density of a tube: is it in g/cm\^3\?"),
+        ("model_error_mm=0", ""),
+    ],
+)
+def test_numbers_of_a_robot_by_what_they_would_mean(said: str, phrase: str) -> None:
+    told = load_robot(THREE, said.split(";")).warnings
+    if not phrase:
+        assert told == ()
+        return
+    (warning,) = told
+    assert str(THREE) in warning and "\n" not in warning
+    assert re.search(phrase, warning)
+
+
+def test_many_doubts_are_one_line_that_says_how_many_more_there_are() -> None:
+    (warning,) = load_robot(THREE, [f"tube.{i}.bending_stiffness_Nm2=50700" for i in (1, 2, 3)]).warnings
+    assert f"(2 more numbers in doubt: ctrplan check {THREE})" in warning
+
+
+def test_a_goal_in_another_unit_is_refused_by_name(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"goal.tip_mm = .*: lies 0.176 mm from the base.*: are these in metres"):
+        load_scenario(SCENARIOS / "vessel.toml", ["goal.tip_mm=[0.051, 0.002, 0.168]"])
+    with pytest.raises(InputError, match=r"goal.tip_mm = .*: lies .* mm from the base.*: are these in micrometres"):
+        scenario(tmp_path, goal={"tip_mm": [3e4, 1e4, 9e4]})
+
+
+def scenario(tmp_path: Path, **keys: Any) -> Any:
+    content = {"robot": str(THREE), "start": START, "goal": {"tip_mm": [30.0, 10.0, 150.0]}} | keys
+    return scenario_from_dict(content, file=str(tmp_path / "s.toml"), allow_outside=True)
+
+
+def test_several_targets_a_line_and_a_base_in_metres(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"target.2.tip_mm = .*are these in metres"):
+        scenario(tmp_path, goal=None, target=[{"tip_mm": [30, 10, 150]}, {"tip_mm": [0.03, 0.01, 0.15]}])
+    with pytest.raises(InputError, match=r"goal.line_mm.1.*are these in metres"):
+        scenario(tmp_path, goal={"line_mm": [[0.03, 0.01, 0.14], [0.03, 0.01, 0.15]]})
+    with pytest.raises(InputError, match=r"base.position_mm = .*: lies 1.02e\+03 mm .*: is the base in metres"):
+        scenario(tmp_path, base={"position_mm": [0.5, 0.2, 0.7]}, goal={"tip_mm": [530.0, 210.0, 850.0]})
+    assert scenario(tmp_path, goal={"tip_mm": [500.0, 10.0, 850.0]}).warnings == ()  # merely out of reach
+
+
+def tunnel(folder: Path, size_mm: float, factor: float) -> str:
+    box = trimesh.creation.box((size_mm, size_mm, 400)).apply_translation((0, 0, 100)).apply_scale(factor)
+    box.export(folder / "lumen.stl")
+    return "lumen.stl"
+
+
+@pytest.mark.parametrize(
+    ("factor", "name"),
+    [(1e-3, "1000 times too small (m read as mm)"), (1 / 25.4, "25.4 times too small (inches read as mm)")]
+    + [(0.1, "25.4 times too small (inches read as mm) or 10 times too small (cm read as mm)"), (4.99, "")],
+)
+def test_a_lumen_that_holds_no_goal_is_named_with_the_factor_that_would(
+    factor: float, name: str, tmp_path: Path
+) -> None:
+    lumen = {"kind": "mesh", "file": tunnel(tmp_path, 80, factor), "unit": "mm", "role": "inside"}
+    if not name:
+        assert scenario(tmp_path, anatomy=[lumen]).warnings == ()
+        return
+    with pytest.raises(InputError) as caught:
+        scenario(tmp_path, anatomy=[lumen])
+    assert "anatomy.1.unit = 'mm': is " in str(caught.value) and f"none of the goals is in it: is it {name}?" in str(
+        caught.value
+    )
+
+
+def test_an_obstacle_out_of_all_proportion_is_warned_about(tmp_path: Path) -> None:
+    part = {"kind": "mesh", "file": tunnel(tmp_path, 30, 1e-3), "unit": "mm", "margin_mm": 0.0}
+    (warning,) = scenario(tmp_path, anatomy=[part]).warnings
+    assert "anatomy.1.unit = 'mm': is 0.4 mm across, the robot 270 mm long: is it 1000 times too small" in warning
+
+
+def test_points_for_the_tip_in_python_and_on_the_command_line(capsys: pytest.CaptureFixture[str]) -> None:
+    robot = load_robot(THREE)
+    with pytest.raises(InputError, match=r"tip_m = \[34.0, -47.0, 200.0\] m: lies .* are these in millimetres"):
+        ctrplan.inverse_kinematics(robot, [34, -47, 200])
+    assert main(["ik", str(THREE), "--tip-mm", "0.034", "-0.047", "0.2"]) == 2
+    assert "--tip-mm = [0.034, -0.047, 0.2] mm: lies 0.208 mm from the base" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("theta", "is_so"), [([0, 90, 180], True), ([0.5, 90.5, 200.0], True), ([0, 1, 2], False)])
+@pytest.mark.parametrize("name", ["bound", "solve", "zero_clearance", "bound_many"])
+def test_degrees_given_for_radians_are_warned_about(name: str, theta: list[float], is_so: bool) -> None:
+    robot = load_robot(THREE)
+    l_b = [0.0, -0.017, -0.05]  # noqa: E741
+    arguments = ([theta], [l_b]) if name == "bound_many" else (theta, l_b)
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        getattr(robot, name)(*arguments)
+    assert bool(told) == is_so
+    if is_so:
+        assert "theta_b" in str(told[0].message) and "degrees" in str(told[0].message)
+        assert told[0].filename == __file__
+
+
+def test_millimetres_given_for_metres_of_joints_are_named() -> None:
+    robot = load_robot(THREE)
+    with pytest.raises(InputError, match=r"are these millimetres\?"):
+        robot.bound([0, 0, 0], [0, -17, -50])
+    with pytest.raises(InputError, match=r"are these millimetres\?"):
+        robot.mechanics.solve([0, 0, 0], [0, -17, -50])
+
+
+@pytest.mark.parametrize(("factor", "word"), [(1e3, "millimetres"), (1 / 25.4e-3, "inches"), (100.0, "centimetres")])
+def test_measured_tips_by_the_length_of_the_robot(factor: float, word: str, tmp_path: Path) -> None:
+    robot = pair_robot()
+    data = measured(robot, waypoints(robot, 3))
+    write_csv(tmp_path / "a.csv", replace(data, position_m=data.position_m * factor))
+    with pytest.raises(InputError, match=f"are these {word}"):
+        load_measurements(tmp_path / "a.csv", robot)
+
+
+def test_the_rules_themselves() -> None:
+    assert likely_unit(200.0, "m", 0.1, 0.3) == "mm" and likely_unit(7.9, "m", 0.1, 0.3) == "in"
+    assert likely_unit(0.2e-3, "mm", 0.1, 0.3) == "m" and likely_unit(0.5, "m", 0.1, 0.3) is None
+    assert are_degrees([0, 30.0]) and not are_degrees([6.0]) and not are_degrees([6.5]) and not are_degrees([])
+    assert not are_degrees([np.nan]) and are_degrees([400.3])
