@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -14,6 +15,7 @@ from ctrplan.base.package import __version__
 from ctrplan.calibration.estimates import CI95, estimates
 from ctrplan.calibration.least_squares import Fit, fit
 from ctrplan.effects.effect import Effect, Parameter
+from ctrplan.errors import CtrplanError
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.pipeline.chain import taken_along
 from ctrplan.pipeline.parametric_chain import ParametricChain
@@ -155,8 +157,47 @@ def calibrated_content(
     if uncertainty := uncertainty_table(result, effects, before):
         content["uncertainty"] = uncertainty
     content["model_error_mm"] = _rounded(model_error_m * 1e3)
+    memory = friction_memory(chain.installed_at(result.p), data, result.noise.position_m)
+    if memory is not None:
+        content["friction_memory"] = _rounded(memory)
     content["provenance"] = _provenance(chain, data)
     return content
+
+
+ERASED = 0.1  # of the bound: less than that the model leaves of two approaches to one configuration
+LEAST_PAIRS = 6  # of poses, from which a share is estimated
+
+
+def friction_memory(robot: Robot, data: Measurements, position_sigma_m: float) -> float | None:
+    """Share of the friction bound that contacts keep after slip that erases all in the model; None where data are few.
+
+    Of poses of one configuration, reached in two ways after which the simulated robot stands at one place: the rms of
+    half their distance over the bound, noise and what the model leaves taken out in squares.
+    """
+    group = data.configuration
+    repeated = [rows for rows in (np.flatnonzero(group == g) for g in np.unique(group)) if len(rows) > 1]
+    if not repeated or np.any(data.seen_marker) or robot.n < 2 or data.of_collars:
+        return None
+    collars = robot.collars(data.theta_commanded, data.l_commanded)
+    predicted = np.full((len(data.sequence), 3), np.nan)
+    for run in np.unique(data.sequence):
+        rows = np.flatnonzero(data.sequence == run)
+        try:
+            predicted[rows] = robot.history().follow(collars[0][rows], collars[1][rows]).position_m
+        except CtrplanError:
+            continue
+    squares = []
+    for poses in repeated:
+        row = data.rows[poses[0]]
+        bound_m = robot.bound(collars[0][row], collars[1][row]).position_m
+        for a, b in itertools.combinations(poses.tolist(), 2):
+            model_m = np.linalg.norm(predicted[data.rows[a]] - predicted[data.rows[b]])
+            apart_m = np.linalg.norm(data.position_m[a] - data.position_m[b])
+            if model_m / 2 < ERASED * bound_m and np.isfinite(apart_m) and bound_m > 2 * position_sigma_m:
+                squares.append((apart_m**2 - model_m**2 - 6 * position_sigma_m**2) / (2 * bound_m) ** 2)
+    if len(squares) < LEAST_PAIRS:
+        return None
+    return float(min(np.sqrt(max(np.mean(squares), 0.0)), 1.0))
 
 
 def _si(t: Term, name: str) -> float:
