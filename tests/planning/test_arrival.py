@@ -250,3 +250,18 @@ def test_simulate_reads_the_trajectory_as_it_is(planned: ctrplan.Plan, tmp_path:
     assert planned.certificate.arrival is not None
     erasing = planned.certificate.arrival.erased[0].leg
     assert erasing is not None and set(table["leg"][table["erases"] == 1]) == {erasing + 1}
+
+
+def test_a_path_of_someone_elses_leads_from_start_to_goal() -> None:
+    """Paths that began elsewhere, ended elsewhere or missed the direction were certified."""
+    case = load_scenario(SCENARIOS / "pair_free.toml")
+    there = replace(case, start=START, goal=replace(case.goal, joints=GOAL))
+    assert ctrplan.reorder(PATH, there).certificate.valid
+    for path, words in ((PATH + [0.1, 0, 0], "must begin at the scenario's start"), (PATH[:2], "must end at the")):
+        with pytest.raises(ctrplan.InputError, match=words):
+            ctrplan.reorder(path, there)
+    aimed = replace(pair(), start=START)
+    direction = np.array([0.0, 1.0, 0.0])
+    aimed = replace(aimed, goal=replace(aimed.goal, direction=direction, direction_tolerance_rad=0.05))
+    with pytest.raises(ctrplan.InputError, match="deg off"):
+        ctrplan.reorder(PATH, aimed)

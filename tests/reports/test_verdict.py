@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from ctrplan.certificate.arrival import ArrivalCauses
 from ctrplan.certificate.certificate import FIGURES
 from ctrplan.commands.plan import _summary
 from ctrplan.plans.plan import Plan
@@ -32,49 +33,61 @@ def changed(plan: Plan, max_error_goal_m: float | None = None, **certificate: An
     return replace(plan, scenario=scenario, certificate=replace(plan.certificate, **certificate))
 
 
+def arriving(plan: Plan, error_m: float, **certificate: Any) -> Plan:
+    """The plan with an arrival error, all of it by registration."""
+    arrival = plan.certificate.arrival
+    assert arrival is not None
+    causes = ArrivalCauses(registration_m=error_m)
+    return changed(plan, arrival=replace(arrival, error_m=error_m, by_cause=causes), **certificate)
+
+
 def test_certified_plan_is_said_in_one_sentence(plan: Plan) -> None:
-    figures = {
-        "goal_bound_m": 0.42e-3,
-        "goal_predicted_m": 0.11e-3,
-        "worst_bound_m": 1.3e-3,
-        "goal_tip_error_m": 0.2e-3,
-    }
-    good = changed(plan, min_clearance_m=1.8e-3, **figures)
+    figures = {"goal_bound_m": 3.42e-3, "goal_predicted_m": 0.11e-3, "worst_bound_m": 4.3e-3}
+    good = arriving(plan, 0.62e-3, min_clearance_m=1.8e-3, **figures)
     assert is_acceptable(good) and standing(good) == "good"
     assert verdict(good) == (
-        "Certified: at worst the tip ends 0.62 mm from the target, within the tolerance of 1.00 mm "
-        "(0.20 mm without friction, 0.42 mm by it), 0.11 mm predicted by its history, "
-        "worst case at most 1.30 mm along the path, "
-        "smallest clearance 1.80 mm beyond the margins."
+        "Certified: by the model, arrives within 0.62 mm of the target from any friction state before it, tolerance "
+        "1.00 mm; moved on from there, friction can push it by up to 3.42 mm, worst case at most 4.30 mm along the "
+        "path, smallest clearance 1.80 mm beyond the margins."
     )
+    stated = replace(good, scenario=replace(good.scenario, robot=replace(good.scenario.robot, friction_memory=0.2)))
+    assert verdict(stated).startswith("Certified: arrives within")  # what contacts keep is stated, and counted
 
 
 def test_target_that_may_be_missed_is_never_green(plan: Plan) -> None:
-    """Friction and play count, not only the tip without friction."""
-    reached = {"goal_tip_error_m": 0.72e-3, "goal_bound_m": 3.48e-3, "min_clearance_m": 1e-3}
-    missed = changed(plan, **reached)
+    """All that is stated counts, not only the tip without friction."""
+    missed = arriving(plan, 4.2e-3, min_clearance_m=1e-3)
     assert is_acceptable(missed) and standing(missed) == "caution"
     assert verdict(missed).startswith(
-        "Certified, but the target may be missed: at worst the tip ends 4.20 mm from the target, "
-        "above the tolerance of 1.00 mm (0.72 mm without friction, 3.48 mm by it)"
+        "Certified, but the target may be missed: by the model, may end 4.20 mm from the target from any friction "
+        "state before it, tolerance 1.00 mm: 4.20 mm by registration"
     )
     row = next(row for row in certificate_rows(missed) if row.caution)
     assert row.value == "4.20 mm" and row.requirement == "tolerance 1.00 mm" and row.met is None
-    for colour, chosen in (("CAUTION", missed), ("LIMIT", changed(plan, valid=False, problems=("x",), **reached))):
+    broken = arriving(plan, 4.2e-3, valid=False, problems=("x",))
+    for colour, chosen in (("CAUTION", missed), ("LIMIT", broken)):
         assert COLOURS[standing(chosen)] == getattr(looks, colour)
-    assert standing(changed(plan, goal_tip_error_m=0.3e-3, goal_bound_m=0.3e-3, goal_play_m=0.5e-3)) == "caution"
-    assert standing(changed(plan, goal_tip_error_m=math.nan, goal_bound_m=0.0)) != "good"
+    assert standing(arriving(plan, math.nan)) != "good" and standing(changed(plan, arrival=None)) != "good"
+
+
+def test_a_tip_that_may_be_turned_is_never_green(plan: Plan) -> None:
+    arrival = arriving(plan, 0.5e-3).certificate.arrival
+    assert arrival is not None
+    aimed = replace(plan.scenario.goal, direction=[0, 0, 1], direction_tolerance_rad=math.radians(5))
+    for error_deg, kind in ((4.0, "good"), (6.0, "caution"), (math.nan, "caution")):
+        turned = changed(plan, arrival=replace(arrival, error_rad=math.radians(error_deg)))
+        turned = replace(turned, scenario=replace(turned.scenario, goal=aimed))
+        assert standing(turned) == kind
+        assert ("may be turned by" in verdict(turned)) == (kind == "caution")
 
 
 @pytest.mark.parametrize("order", [1, -1])
 def test_of_several_targets_the_one_farthest_beyond_its_tolerance_is_said(plan: Plan, order: int) -> None:
     """Once it was the first: 1.5 mm of a tour that may end 16 mm off."""
-    goal, at = plan.scenario.goal, plan.certificate.targets[-1]
-    near, far = (
-        replace(at, bound_m=2e-3, tip_error_m=0.0, play_m=0.0),
-        replace(at, bound_m=9e-3, tip_error_m=0.0, play_m=0.0),
-    )
-    tour = changed(plan, targets=(*[near, far][::order], at), goal_bound_m=1.5e-3)
+    goal, at, arrival = plan.scenario.goal, plan.certificate.targets[-1], plan.certificate.arrival
+    assert arrival is not None
+    near, far = (replace(at, arrival=replace(arrival, error_m=error_m)) for error_m in (2e-3, 9e-3))
+    tour = changed(plan, targets=(*[near, far][::order], at))
     tour = replace(tour, scenario=replace(tour.scenario, via=(replace(goal, name="a"), replace(goal, name="b"))))
     assert f"9.00 mm from target {2 if order > 0 else 1}" in verdict(tour)
 

@@ -15,6 +15,7 @@ from ctrplan.motion.checker import MotionChecker
 from ctrplan.planning.goal_states import goal_states
 from ctrplan.planning.search.insertion_chains import retreat_roadmap
 from ctrplan.planning.search.roadmap_search import RoadmapSearch
+from ctrplan.scenario.scenario import Goal
 
 FILES = sorted((ROOT / "scenarios").glob("*.toml"))
 
@@ -77,9 +78,11 @@ def test_advancing_a_nearly_straight_robot_follows_its_leader() -> None:
     scenario = load_scenario(ROOT / "scenarios" / "deploy.toml")
     free = replace(scenario, anatomy=())
     out = np.array([*scenario.start[:3], -0.09, scenario.start[4]])
-    off = ctrplan.reorder(np.array([scenario.start, out]), free).follow_the_leader_m
+    there = replace(free, goal=Goal(out, None, 1e-3))
+    off = ctrplan.reorder(np.array([scenario.start, out]), there).follow_the_leader_m
     ends = [scenario.robot.solve(*scenario.robot.drive.collars(q)).centreline_m for q in (scenario.start, out)]
     aside = np.abs(ends[1][:, :2]).max()
     assert off is not None and off <= aside + 1e-3
     turned = out + np.array([0.2, 0.2, 0.2, 0, 0])
-    assert ctrplan.reorder(np.array([out, turned]), free).follow_the_leader_m is None
+    there = replace(free, start=out, goal=Goal(turned, None, 1e-3))
+    assert ctrplan.reorder(np.array([out, turned]), there).follow_the_leader_m is None
