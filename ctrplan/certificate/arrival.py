@@ -351,7 +351,8 @@ def _execution(robot: Robot, joints: Array, leg: NDArray[np.int_], prediction: P
             runs.append((kept[row], np.vstack([beyond, joints[row], after])))
         for joint in {int(moving[0]), int(moving[-1])} if len(moving) > 1 and row - 1 in kept else ():
             late = joints[row] - np.where(np.arange(len(way)) == joint, way, 0.0)
-            runs.append((kept[row - 1], np.vstack([late, joints[row], after])))
+            if space.allowed(late):
+                runs.append((kept[row - 1], np.vstack([late, joints[row], after])))
     with ThreadPoolExecutor(cores()) as pool:
         tips = list(pool.map(lambda run: _end_of(robot, *run), runs))
     away = np.linalg.norm(np.array(tips).reshape(-1, 3) - prediction.tip_m[0, -1], axis=1)

@@ -176,10 +176,10 @@ def _print_levers(arguments: argparse.Namespace, plan: Plan, interrupted: thread
     given += [word for override in arguments.overrides for word in ("--set", override)]
     helpful = sorted((lever for lever in results if lever.error_m < worst.error_m), key=lambda lever: lever.error_m)
     table = worst_table(plan, worst)
-    enough_mm = math.ceil(worst.error_m * 1e5) / 100
-    tolerance = Lever("another tolerance", worst.error_m, ("--set", f"{table}={enough_mm:g}"))
+    enough_mm = math.ceil(worst.error_m * 1e5) / 100 if math.isfinite(worst.error_m) else math.inf
+    tolerance = [Lever("another tolerance", worst.error_m, _set([f"{table}={enough_mm:g}"]))]
     print(f"  what would bring it below {worst.error_m * 1e3:.2f} mm, computed:")
-    for lever in (*helpful, tolerance):
+    for lever in (*helpful, *(tolerance if math.isfinite(worst.error_m) else ())):
         is_command = lever.options[0].startswith("ctrplan ")
         line = f"{lever.options[0]} ..." if is_command else shlex.join([*given, *lever.options])
         print(f"    {lever.error_m * 1e3:8.2f} mm  {lever.what}: {line}")
