@@ -104,7 +104,7 @@ def target_arrivals(plan: Plan) -> tuple[TargetArrival, ...]:
             continue
         is_last = goal is scenario.goal
         name = "the target" if is_last else f"target {number}{f' ({goal.name})' if goal.name else ''}"
-        compensation = plan.compensation if is_last else None
+        corrected = plan.compensation if is_last and plan.compensation and plan.compensation.correction.any() else None
         results.append(
             TargetArrival(
                 target=name,
@@ -114,7 +114,7 @@ def target_arrivals(plan: Plan) -> tuple[TargetArrival, ...]:
                 bound_m=certificate.goal_bound_m if is_last else at.bound_m,
                 start=certificate.start_friction,
                 by_model=not scenario.robot.friction_memory,
-                corrected_from_m=compensation.error_without_m if compensation and not compensation.note else None,
+                corrected_from_m=corrected and corrected.error_without_m,
             )
         )
     return tuple(results)
