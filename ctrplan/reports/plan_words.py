@@ -114,7 +114,7 @@ def target_arrivals(plan: Plan) -> tuple[TargetArrival, ...]:
                 bound_m=certificate.goal_bound_m if is_last else at.bound_m,
                 start=certificate.start_friction,
                 by_model=not scenario.robot.friction_memory,
-                corrected_from_m=corrected and corrected.error_without_m,
+                corrected_from_m=corrected.error_without_m if corrected else None,
             )
         )
     return tuple(results)
