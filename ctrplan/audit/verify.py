@@ -21,7 +21,7 @@ from ctrplan.base.long_work import Progress, StageProgress, interrupt_event, par
 from ctrplan.base.package import shown
 from ctrplan.certificate.certificate import SAME, SHARE, Certificate, Difference, Settling, joined_certificates
 from ctrplan.certificate.certify import certify
-from ctrplan.drive.trajectory import PERIOD_S, time_parameterise
+from ctrplan.drive.trajectory import PERIOD_S, remade_trajectory
 from ctrplan.errors import CtrplanError
 from ctrplan.files.plan_file import WrittenPlan, load_plan
 from ctrplan.files.robot_file import robot_from_dict
@@ -45,7 +45,9 @@ def recomputed_differences(plan: WrittenPlan, progress: Progress | None = None) 
     legs = list(zip(plan.waypoints[:-1], plan.waypoints[1:], strict=True))
     drive = plan.scenario.robot.drive
     rests = [target["leg"] + 1 for target in plan.certificate["targets"]]
-    trajectory = time_parameterise(plan.waypoints, drive, _period(plan), rests=rests)
+    said = (plan.content.get("trajectory") or {}).get("duration_s")
+    durations_s = [float(plan.time_s[-1]), *([float(said)] if isinstance(said, (int, float)) else [])]
+    trajectory = remade_trajectory(plan.waypoints, drive, _period(plan), rests, durations_s)
     again = Plan(
         scenario=plan.scenario,
         seed=0,

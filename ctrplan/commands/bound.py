@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from ctrplan.commands.options import add_joint_options, add_set_option, configuration
-from ctrplan.commands.terminal import PATIENCE_S, ProgressBar, finite, warn
+from ctrplan.commands.terminal import PATIENCE_S, ProgressBar, finite, tell_next, warn
 from ctrplan.errors import InputError, NoAnswerError, SolverError
 from ctrplan.storage.output_folder import DEFAULT, output_folder, write_results
 
@@ -204,6 +204,8 @@ def run(arguments: argparse.Namespace) -> int:
         raise SolverError(_no_bound(result))
     if result.frictionless.status is Status.UNSTABLE:
         raise NoAnswerError("the configuration is elastically unstable: the robot snaps away, no bound is promised.")
+    if not arguments.json:
+        tell_next(f"ctrplan view {arguments.robot}, a slider for every joint; ctrplan ik, to bring the tip to a point")
     return 0
 
 
@@ -272,9 +274,9 @@ def _bound_text(bound: Bound, play_mm: float) -> str:
         f"  frictionless    {_tip(free)}, stability {free.stability:.2f}",
     ]
     for phi, shape in _corners(bound):
-        signs = " ".join("+" if sign > 0 else "-" for sign in phi) or "none"
+        signs = " ".join("+" if sign > 0 else "\u2212" for sign in phi) or "none"
         apart_mm = math.dist(shape.tip_m, free.tip_m) * 1e3
-        lines.append(f"  phi = {signs:9} {_tip(shape)}, {apart_mm:.3f} mm from the frictionless tip")
+        lines.append(f"  corner {signs:8} {_tip(shape)}, {apart_mm:.3f} mm from the frictionless tip")
     if play_mm:
         lines.append(f"  play of the drive may move it by {play_mm:.3f} mm besides")
     if not math.isfinite(bound.position_m):

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from ctrplan.base.long_work import INTERRUPTED, interrupt_event
 from ctrplan.commands.options import add_output_option, add_set_option
-from ctrplan.commands.terminal import ProgressBar, warn
+from ctrplan.commands.terminal import ProgressBar, tell_next, warn
 from ctrplan.storage.output_folder import output_folder, written_together
 
 if TYPE_CHECKING:
@@ -78,6 +78,7 @@ def run(arguments: argparse.Namespace) -> int:
             result = replace(result, confirmations=confirmed)
         _write(folder, result)
         print(summary(folder, result))
+        tell_next(f"open {folder}/report.html; ctrplan check {folder}/robot.toml, the model with what was found in it")
         return INTERRUPTED if result.interrupted else 0
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from ctrplan.base.arguments import LONGEST_MM, SEED, Number, Whole
 from ctrplan.commands.options import add_allow_outside_option, add_number, add_set_option
-from ctrplan.commands.terminal import aligned, finite, warn
+from ctrplan.commands.terminal import aligned, finite, tell_next, warn
 from ctrplan.errors import InputError, NoAnswerError
 from ctrplan.storage.output_folder import output_folder, write_results
 
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from ctrplan.scenario.scenario import Scenario
 
 DIRECTION_TOLERANCE_DEG = 5.0
+MOST_SHOWN = 10  # configurations in the table
 OUTPUTS = ("report.html",)
 DESCRIPTION = (
     "Inverse kinematics: distinct configurations whose frictionless tip reaches a point, sorted by the "
@@ -47,6 +48,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add_number(parser, "--starts", Whole(1, 100_000), default=400, help="random starts (default: %(default)s)")
     add_number(parser, "--seed", SEED, default=0, help="of the random starts (default: %(default)s)")
     parser.add_argument("-o", "--output", metavar="DIR", help=f"folder for {OUTPUTS[0]}, the ways drawn and in a table")
+    parser.add_argument("--all", action="store_true", help=f"list all configurations, not the best {MOST_SHOWN}")
     parser.add_argument("--json", action="store_true", help="machine-readable output")
     add_allow_outside_option(parser)
     add_set_option(parser, "a key of the file", "robot.tube.2.poisson_ratio=0.28")
@@ -80,12 +82,14 @@ def run(arguments: argparse.Namespace) -> int:
     print(
         json.dumps(_json(scenario, outcome, branches), indent=1)
         if arguments.json
-        else _text(scenario, outcome, branches)
+        else _text(scenario, outcome, branches, shown=len(branches) if arguments.all else MOST_SHOWN)
     )
     if not outcome.configurations:
         raise NoAnswerError(f"--tip-mm: {_unreached(scenario, outcome, arguments)}.")
     if folder is not None:
         _write(folder, scenario, outcome, branches)
+    if not arguments.json:
+        tell_next("joint values of a row as [goal] joints = {...} of a scenario, and ctrplan plan")
     return 0
 
 
@@ -106,20 +110,36 @@ def _check_direction(arguments: argparse.Namespace) -> None:
         raise InputError("must not be zero", key="--direction", value=arguments.direction)
 
 
-def _text(scenario: Scenario, reach: Reach, branches: list[int]) -> str:
+def _text(scenario: Scenario, reach: Reach, branches: list[int], shown: int) -> str:
+    """A table of the best `shown` of them, the best of each branch before others, and how many more there are."""
     count, names = len(reach.configurations), scenario.robot.drive.names
     many = f"{count} configurations" if count != 1 else "1 configuration"
     in_branches = len(set(branches))
     head = (
-        f"{scenario.name}: {many} in {in_branches} {'branch' if in_branches == 1 else 'branches'}, lowest bound first"
+        f"{scenario.name}: {many} in {in_branches} {'branch' if in_branches == 1 else 'branches'}, by branch, lowest "
+        f"worst-case error first"
     )
     if not count:
         return f"{scenario.name}: no configuration"
     units = [joint.unit for joint in scenario.robot.drive.joints]
     header = ["branch", *(f"{n} ({u})" for n, u in zip(names, units, strict=True))]
-    header += ["bound (mm)", "bound (deg)", "stability", "clearance (mm)", "tip error (mm)"]
-    rows = [_row(scenario, c, b) for c, b in zip(reach.configurations, branches, strict=True)]
-    return "\n".join([head, *aligned([header, *rows])])
+    header += ["worst case (mm)", "(deg)", "stability", "clearance (mm)", "tip error (mm)"]
+    chosen = _best(branches, shown)
+    rows = [_row(scenario, reach.configurations[k], branches[k]) for k in chosen]
+    left = count - len(chosen)
+    more = [f"and {left} more: --all lists them, -o DIR draws them"] if left else []
+    return "\n".join([head, *aligned([header, *rows]), *more])
+
+
+def _best(branches: list[int], shown: int) -> list[int]:
+    """Numbers of the configurations that are shown, branch by branch: the best of each, then the next of each.
+
+    Configurations come lowest bound first.
+    """
+    rank = [branches[:k].count(branch) for k, branch in enumerate(branches)]
+    kept = sorted(range(len(branches)), key=lambda k: (rank[k], k))[:shown]
+    first = {branch: branches.index(branch) for branch in set(branches)}
+    return sorted(kept, key=lambda k: (first[branches[k]], k))
 
 
 def _row(scenario: Scenario, c: Configuration, branch: int) -> list[str]:

@@ -22,7 +22,7 @@ from ctrplan.commands.options import (
     add_output_option,
     add_set_option,
 )
-from ctrplan.commands.terminal import ProgressBar, amber, warn
+from ctrplan.commands.terminal import ProgressBar, amber, tell_next, warn
 from ctrplan.errors import CtrplanError
 from ctrplan.storage.output_folder import output_folder
 
@@ -108,6 +108,7 @@ def run(arguments: argparse.Namespace) -> int:
         result.save(folder, arguments.formats)
         warn(plan_range_notes(scenario.robot, result.waypoints))
         print(_summary(folder, result, formats))
+        tell_next(f"open {folder}/report.html; ctrplan verify {folder}/plan.json")
         warn(f"{folder / name} is of an earlier plan." for name in left_over(folder, formats))
         if interrupted.is_set():
             return INTERRUPTED

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import sys
+import time
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +13,7 @@ if TYPE_CHECKING:
     from ctrplan.planning.search.stage_search import Progress
 
 AMBER, PLAIN = "\033[33m", "\033[0m"
+EVERY_S = 10.0  # between lines of progress where no bar can be
 PATIENCE_S = 1.0  # before a progress bar of what mostly takes less shows up
 
 
@@ -19,6 +21,11 @@ def warn(sentences: Iterable[str]) -> None:
     """Prints warnings on standard error."""
     for sentence in sentences:
         print(f"ctrplan: warning: {sentence}", file=sys.stderr)
+
+
+def tell_next(command: str) -> None:
+    """Prints on standard error what to do with a result."""
+    print(f"ctrplan: next: {command}", file=sys.stderr)
 
 
 def finite(value: float) -> float | None:
@@ -43,14 +50,19 @@ def amber(text: str) -> str:
 
 
 class ProgressBar:
-    """One bar per stage, gone from the terminal when the stage is over; none for stages shorter than `patience_s`."""
+    """One bar per stage, gone from the terminal when the stage is over; none for stages shorter than `patience_s`.
+
+    Where standard error is no terminal it says instead, in a line every EVERY_S, how far the stage is.
+    """
 
     def __init__(self, *, quiet: bool = False, patience_s: float = 0.0) -> None:
-        """quiet: show nothing at all; nor is anything shown where standard error is no terminal."""
-        self.quiet = quiet or sys.stderr is None or not sys.stderr.isatty()
+        """quiet: show nothing at all."""
+        self.quiet = quiet or sys.stderr is None
+        self.in_lines = not self.quiet and not sys.stderr.isatty()
         self.patience_s = patience_s
         self.bar: Any = None
         self.stage = ""
+        self.said_s = self.begun_s = time.monotonic()
 
     def __enter__(self) -> ProgressBar:
         """The bar itself, empty until the first stage."""
@@ -70,12 +82,24 @@ class ProgressBar:
         """Moves the bar to a stage's fraction."""
         if self.quiet:
             return
+        if self.in_lines:
+            self._say(stage, fraction, note)
+            return
         if stage != self.stage:
             self._begin(stage)
         self.bar.n = fraction
         if note:
             self.bar.set_postfix_str(note, refresh=False)
         self.bar.update(0)
+
+    def _say(self, stage: str, fraction: float, note: str) -> None:
+        """A line, unless the last one was a moment ago."""
+        now = time.monotonic()
+        if now - self.said_s < EVERY_S:
+            return
+        self.said_s = now
+        more = f", {note}" if note else ""
+        print(f"ctrplan: {stage} {100 * fraction:.0f} %{more}, {now - self.begun_s:.0f} s", file=sys.stderr, flush=True)
 
     def _begin(self, stage: str) -> None:
         from tqdm import tqdm

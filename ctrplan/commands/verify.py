@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from ctrplan.base.arguments import SEED, Number
 from ctrplan.base.long_work import INTERRUPTED, interrupt_event
 from ctrplan.commands.options import add_number, add_output_option, add_plan_arguments, read_plan
-from ctrplan.commands.terminal import ProgressBar
+from ctrplan.commands.terminal import ProgressBar, tell_next
 from ctrplan.storage.output_folder import output_folder
 
 if TYPE_CHECKING:
@@ -74,6 +74,10 @@ def run(arguments: argparse.Namespace) -> int:
                 interrupted=interrupted,
             )
         print("\n".join(_report(result)))
+        if result.is_kept:
+            tell_next(
+                f"ctrplan render {arguments.plan} -o motion.gif; ctrplan export {arguments.plan} --to slicer -o scene"
+            )
         if (outcome := result.counterexample) is not None:
             commands = write_scene(folder, result, outcome)
             print(

@@ -3,6 +3,11 @@
 Every leg is driven from rest to rest on the straight line q(s) = A + s (B - A), s from 0 to 1. On that line the limits
 of the joints are limits of the one coordinate s: |s'| <= min_j v_j / |B_j - A_j|, and likewise for s'' and s'''.
 
+A controller that joins samples by cubics (of positions and velocities) or quintics (of accelerations too) drives this
+motion where jerk changes at samples only; changing in between it is exceeded by three quarters (test). `joinable`
+motions are so: each phase of a leg is as long as the shortest motion's, rounded up to whole periods, with the jerk that
+ends the leg in that time, by which speed, acceleration and jerk all become less, never more.
+
 Why one path coordinate and not ruckig's Synchronization.Phase: where the limits that bind belong to different joints
 (one is short of velocity, another of jerk), Phase silently falls back to Time synchronisation and leaves the line. The
 profile of s is the shortest of all motions that stay on the line; where Phase does stay on it, the duration is the
@@ -21,7 +26,7 @@ import numpy as np
 import ruckig
 from numpy.typing import ArrayLike, NDArray
 
-from ctrplan.base.arguments import Made, Number, checked
+from ctrplan.base.arguments import Flag, Made, Number, checked
 from ctrplan.base.arrays import Array, numbers
 from ctrplan.base.package import shown
 from ctrplan.drive.legs import distance_from_leg, merge_legs, rounding
@@ -34,6 +39,7 @@ if TYPE_CHECKING:
 QUANTITIES = ("velocity", "acceleration", "jerk")
 RATIO_TOLERANCE = 1e-9  # relative excess of a limit that counts as rounding
 RANGE_TOLERANCE = 1e-9  # rad or m by which rounding may carry a waypoint out of its joint's range
+END_TOLERANCE = 1e-10  # of s, by which rounding may leave the end of a leg
 LINE_TOLERANCE = 1e-12  # rad or m by which a sample may leave its leg, rounding apart
 MAX_SAMPLES = 1_000_000
 PERIOD_S = 0.01
@@ -48,8 +54,8 @@ class Trajectory:
     Joint values are continuous (an unlimited rotation keeps its winding), in rad for rotations and m for translations;
     derivatives are per s, s^2, s^3. Samples stand at k * period_s, k = 0, 1, ..., and at the exact end of the motion;
     the last interval lasts between a half and one and a half periods (less only if the whole motion does). Stops fall
-    between samples; leg_end_s has their exact instants. Jerk is piecewise constant: a sample has the value that holds
-    from it on, the last one 0.
+    between samples, of joinable motions on them; leg_end_s has their exact instants. Jerk is piecewise constant: a
+    sample has the value that holds from it on, the last one 0.
     """
 
     names: tuple[str, ...]
@@ -65,21 +71,34 @@ class Trajectory:
     marks: Mapping[str, NDArray[np.int_]] = field(default_factory=dict)  # (T,) columns that a table carries besides
 
 
-@checked(drive=Made("Drive"), period_s=PERIOD)
+@checked(drive=Made("Drive"), period_s=PERIOD, joinable=Flag())
 def time_parameterise(
-    waypoints: ArrayLike, drive: Drive, period_s: float = PERIOD_S, *, rests: Sequence[int] = ()
+    waypoints: ArrayLike,
+    drive: Drive,
+    period_s: float = PERIOD_S,
+    *,
+    rests: Sequence[int] = (),
+    joinable: bool = False,
 ) -> Trajectory:
     """Fastest motion along the straight legs between waypoints (K, m) [rad, m] within the drive's limits.
 
     Collinear consecutive legs are merged and passed at speed; the drive stops where the direction changes, and at the
-    waypoints whose numbers are in `rests`. A single waypoint, or several equal ones, give one sample at rest. Raises
+    waypoints whose numbers are in `rests`. `joinable`: jerk changes at samples only, of PERIOD_S at the most, for which
+    a leg takes up to seven periods longer. A single waypoint, or several equal ones, give one sample at rest. Raises
     InputError for malformed waypoints, waypoints out of a joint's range, useless limits or period; SolverError where no
     profile was found or one failed its check.
     """
     _check_drive(drive)
     corners = _corners(_checked_waypoints(waypoints, drive), rests)
-    knots = [_leg_knots(end - start, drive) for start, end in pairwise(corners)]
-    leg_end_s = np.cumsum([leg[-1, 0] for leg in knots], dtype=np.float64)
+    deltas = [end - start for start, end in pairwise(corners)]
+    if joinable:
+        grid_s = period_s / max(1, math.ceil(period_s / PERIOD_S - RATIO_TOLERANCE))
+        steps = [_whole_steps(delta, drive, grid_s) for delta in deltas]
+        knots = [_knots_of_steps(each, grid_s) for each in steps]
+        leg_end_s = np.cumsum([each.sum() for each in steps], dtype=np.float64) * grid_s
+    else:
+        knots = [_leg_knots(delta, drive) for delta in deltas]
+        leg_end_s = np.cumsum([leg[-1, 0] for leg in knots], dtype=np.float64)
     duration_s = float(leg_end_s[-1]) if knots else 0.0
     if duration_s >= MAX_SAMPLES * PERIOD_S:
         raise _too_slow(corners, drive, duration_s)
@@ -90,6 +109,20 @@ def time_parameterise(
     verify_limits(trajectory, drive)
     _verify_on_legs(trajectory, corners)
     return trajectory
+
+
+def remade_trajectory(
+    waypoints: ArrayLike, drive: Drive, period_s: float, rests: Sequence[int], durations_s: Sequence[float]
+) -> Trajectory:
+    """The trajectory of waypoints as a plan made it: joinable, unless what it says or played lasts as the other one.
+
+    durations_s: those that are said or were played. Raises what `time_parameterise` does.
+    """
+    for joinable in (True, False):
+        made = time_parameterise(waypoints, drive, period_s, rests=rests, joinable=joinable)
+        if any(math.isclose(made.duration_s, said, rel_tol=RATIO_TOLERANCE, abs_tol=1e-9) for said in durations_s):
+            return made
+    return time_parameterise(waypoints, drive, period_s, rests=rests, joinable=True)
 
 
 def verify_limits(trajectory: Trajectory, drive: Drive) -> dict[str, dict[str, float]]:
@@ -139,6 +172,41 @@ def _leg_knots(delta: Array, drive: Drive) -> Array:
     return knots
 
 
+def _whole_steps(delta: Array, drive: Drive, grid_s: float) -> NDArray[np.int_]:
+    """(7,) how many steps of grid_s each phase of a leg with joint differences delta (m,) lasts, within limits."""
+    with np.errstate(divide="ignore", over="ignore"):  # a joint that hardly moves bounds nothing
+        speed, acceleration, jerk = (_limits(drive) / np.abs(delta)).min(axis=1).tolist()
+    ramp, hold, cruise = _shortest_phases(speed, acceleration, jerk)
+    steps = np.ceil(np.array([ramp, hold, cruise]) / grid_s - RATIO_TOLERANCE).astype(np.int64)
+    a, b, c = max(1, int(steps[0])), max(0, int(steps[1])), max(0, int(steps[2]))
+    return np.array([a, b, a, c, a, b, a])
+
+
+def _shortest_phases(speed: float, acceleration: float, jerk: float) -> tuple[float, float, float]:
+    """Durations [s] of growing and of constant acceleration, and of constant speed, of the shortest way from 0 to 1."""
+    ramp = min(acceleration / jerk, math.sqrt(speed / jerk))
+    hold = max(speed / (jerk * ramp) - ramp, 0.0)
+    if (way := speed * (2 * ramp + hold)) <= 1:
+        return ramp, hold, (1 - way) / speed
+    ramp = acceleration / jerk
+    hold = (math.sqrt(ramp * ramp + 4 / acceleration) - 3 * ramp) / 2
+    return (ramp, hold, 0.0) if hold >= 0 else ((1 / (2 * jerk)) ** (1 / 3), 0.0, 0.0)
+
+
+def _knots_of_steps(steps: NDArray[np.int_], grid_s: float) -> Array:
+    """Rows t, s, s', s'', s''' (8, 5) of the leg whose phases last so many steps (7,)."""
+    ramp, hold, cruise = (steps[[0, 1, 3]] * grid_s).tolist()
+    knots = np.zeros((8, 5))
+    knots[:, 0] = np.concatenate([[0], np.cumsum(steps)]) * grid_s
+    knots[:7, 4] = np.array([1, 0, -1, 0, -1, 0, 1]) / (ramp * (ramp + hold) * (2 * ramp + hold + cruise))
+    for k, h in enumerate((steps * grid_s).tolist()):
+        _, s, v, a, j = knots[k]
+        knots[k + 1, 1:4] = s + h * (v + h * (a / 2 + h * j / 6)), v + h * (a + h * j / 2), a + h * j
+    if abs(knots[-1, 1] - 1) > END_TOLERANCE:
+        raise SolverError(f"the profile of {int(steps.sum())} steps ends at {knots[-1, 1]:.9g} of its leg.")
+    return knots
+
+
 def _ruckig_profile(limits: Array) -> tuple[ruckig.Profile, float]:
     """Shortest profile from rest at s = 0 to rest at s = 1 within limits (3,) of s', s'' and s''', and its duration."""
     request, answer = ruckig.InputParameter(1), ruckig.Trajectory(1)
@@ -155,7 +223,8 @@ def _ruckig_profile(limits: Array) -> tuple[ruckig.Profile, float]:
 
 def _path_coordinate(knots: Array, time_s: Array) -> Array:
     """s, s', s'', s''' (4, T) at time_s (T,) since the start of the leg: exact, a cubic between knots."""
-    section = np.searchsorted(knots[:, 0], time_s, side="right") - 1
+    slack = RATIO_TOLERANCE * knots[-1, 0]  # instants are rounded: at a knot the piece holds that begins there
+    section = np.searchsorted(knots[:, 0], time_s + slack, side="right") - 1
     begin, s, v, a, j = knots[section].T
     h = time_s - begin
     return np.stack([np.clip(s + h * (v + h * (a / 2 + h * j / 6)), 0, 1), v + h * (a + h * j / 2), a + h * j, j])

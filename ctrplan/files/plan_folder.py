@@ -15,7 +15,7 @@ import numpy as np
 
 from ctrplan.certificate.arrival import Arrival
 from ctrplan.certificate.certificate import Certificate, CertificateSamples, Settling
-from ctrplan.drive.trajectory import PERIOD_S, Trajectory, time_parameterise
+from ctrplan.drive.trajectory import PERIOD_S, Trajectory, remade_trajectory
 from ctrplan.errors import InputError
 from ctrplan.files.plan_file import WrittenPlan, load_plan, played_samples
 from ctrplan.plans.plan import Plan
@@ -95,8 +95,8 @@ def _trajectory(written: WrittenPlan, file: Path) -> Trajectory:
     drive, content = written.scenario.robot.drive, written.content
     rests = [target["leg"] + 1 for target in content["certificate"]["targets"]]
     period_s = content["trajectory"]["period_s"] or PERIOD_S
-    made = time_parameterise(written.waypoints, drive, period_s, rests=rests)
     time_s, position = played_samples(file, drive)
+    made = remade_trajectory(written.waypoints, drive, period_s, rests, [float(time_s[-1])])
     is_same = len(time_s) == len(made.time_s) and np.abs(time_s - made.time_s).max() <= SAME_S
     if not is_same or np.abs(position - made.position).max() > SAME:
         raise InputError("is not the trajectory of the plan's legs: write it again", file=str(file))

@@ -372,7 +372,7 @@ def assemble(
         **_compared(scenario, stages[-1], ways[-1]),
     )
     try:
-        trajectory = time_parameterise(driven, drive, period_s, rests=rests.tolist())
+        trajectory = time_parameterise(driven, drive, period_s, rests=rests.tolist(), joinable=True)
     except InputError as error:  # the drive is that of the robot file
         file = scenario.robot.path if (error.key or "").startswith("joint.") else None
         raise InputError(error.rule, file=file, key=error.key, value=error.value, unit=error.unit) from None

@@ -189,9 +189,11 @@ class Robot:
     def solve(
         self, theta_b: ArrayLike, l_b: ArrayLike, phi: ArrayLike = 0.0, *, accuracy: Accuracy = "search"
     ) -> Shape:
-        """Shape with clearance and friction at collars (n,) [rad], (n,) [m]; phi in [-1, 1], scalar or (n - 1,).
+        """Shape with clearance and friction at collars (n,) [rad], (n,) [m].
 
-        See `Mechanics.solve`.
+        phi: share of the Coulomb limit in [-1, 1], a number or one for each pair of tubes (n - 1,); +1 where the inner
+        tube was last rotated counterclockwise against the outer one, 0 without friction. accuracy: of the mesh.
+        `status` of the result says whether it is one stable equilibrium. Raises InputError for collars that don't nest.
         """
         _warn_of_degrees(theta_b)
         return self.mechanics.solve(theta_b, l_b, phi, accuracy=accuracy)
@@ -205,7 +207,13 @@ class Robot:
         corners: Literal["all", "extreme"] | None = None,
         progress: Progress | None = None,
     ) -> Bound:
-        """Largest friction-induced deviations with collars at (n,) [rad], (n,) [m]. See `Mechanics.bound`."""
+        """How far friction may move the tip with collars at (n,) [rad], (n,) [m], and along the body.
+
+        The largest distances between the shape without friction and those at the corners, friction at its limit one way
+        or the other in each pair of tubes. corners: "all" of them, of at most 10 tubes, or those "extreme" ones that a
+        search finds; by default all of at most 8 tubes. `progress` is told the finished share, 0 to 1. Raises
+        InputError for collars that do not nest, SolverError where nothing is solved.
+        """
         _warn_of_degrees(theta_b)
         return self.mechanics.bound(theta_b, l_b, accuracy=accuracy, corners=corners, progress=progress)
 
@@ -221,7 +229,9 @@ class Robot:
     ) -> Bounds:
         """Bounds of K configurations of the collars, (K, n) [rad], (K, n) [m], on every core or an executor's workers.
 
-        `progress` is told the finished share, 0 to 1. See `Mechanics.bound_many`.
+        threads: 0 for every core. executor: any with the interface of concurrent.futures, whose tasks are chunks of
+        half a second or so. `progress` is told the finished share, 0 to 1. Raises InputError, with the row, before
+        anything is solved.
         """
         _warn_of_degrees(theta_b)
         return self.mechanics.bound_many(
@@ -229,7 +239,7 @@ class Robot:
         )
 
     def walker(self, *, accuracy: Accuracy = "search") -> Walker:
-        """Bounds along a path of the collars, step by step, each from the one before. See `Walker`."""
+        """Bounds along a path of the collars: each call of its `bound` starts from the solution of the call before."""
         from ctrplan.mechanics.core import Walker
 
         return Walker(self.mechanics.core_walker(accuracy), self.n)
@@ -237,7 +247,10 @@ class Robot:
     def history(
         self, start: Start = "released", *, accuracy: Accuracy = "search", options: HistoryOptions | None = None
     ) -> History:
-        """A simulation along a path of the collars, friction included. See `History`."""
+        """A simulation along a path of the collars, friction followed step by step: `advance` leads it on.
+
+        start: "released", without friction, or the signs of a corner, friction fully loaded. options: lengths of steps.
+        """
         from ctrplan.mechanics.history import History
 
         return History(self.mechanics, start, accuracy=accuracy, options=options)
@@ -252,7 +265,7 @@ class Robot:
         seed: int = 0,
         accuracy: Accuracy = "search",
     ) -> Observer:
-        """Follows the robot by commanded joints and measured tips, from friction that nobody knows. See `Observer`.
+        """Follows the robot by commanded joints and measured tips, from friction that nobody knows.
 
         noise: of the tracker, or its standard deviation [m] of each coordinate; by default the robot file's
         [measurement]. offset: what no friction state explains changes slowly, by default nothing is. slow: numbers of

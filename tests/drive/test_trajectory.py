@@ -391,3 +391,60 @@ def test_trajectories_are_checked(monkeypatch: pytest.MonkeyPatch, quantity: int
     monkeypatch.setattr(ctrplan.drive.trajectory, "_sample", wrong)
     with pytest.raises(SolverError, match=rule):
         time_parameterise([[0.0, 0.0], [3.0, 0.02]], PAIR)
+
+
+def joined(trajectory: Trajectory, order: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Largest speed, acceleration and jerk (m,) of the pieces by which a controller joins samples: 3 or 5."""
+    worst = [np.zeros(trajectory.position.shape[1]) for _ in range(3)]
+    h = np.diff(trajectory.time_s)
+    for k, step in enumerate(h.tolist()):
+        ends = [(trajectory.position[i], trajectory.velocity[i], trajectory.acceleration[i]) for i in (k, k + 1)]
+        given = [x for end in ends for x in end[: 2 if order == 3 else 3]]
+        rows = [
+            [math.perm(n, d) * t ** (n - d) if n >= d else 0.0 for n in range(order + 1)]
+            for t in (0.0, 1.0)
+            for d in range(2 if order == 3 else 3)
+        ]
+        scaled = [x * step ** (i % (len(given) // 2)) for i, x in enumerate(given)]
+        c = np.linalg.solve(np.array(rows), np.array(scaled))
+        t = np.linspace(0, 1, 21)
+        for d in range(1, 4):
+            powers = np.array(
+                [[math.perm(n, d) * x ** (n - d) if n >= d else 0.0 for n in range(order + 1)] for x in t]
+            )
+            worst[d - 1] = np.maximum(worst[d - 1], np.abs(powers @ c).max(axis=0) / step**d)
+    return worst[0], worst[1], worst[2]
+
+
+@pytest.mark.parametrize("order", [3, 5])
+@pytest.mark.parametrize("seed", range(4))
+def test_samples_of_a_joinable_motion_may_be_joined_by_polynomials(order: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    drive = random_drive(rng) if seed else PAIR
+    waypoints = random_waypoints(rng, drive, 4) if seed else np.array([[0, 0], [1, 0.05], [0.2, 0.1]])
+    trajectory = time_parameterise(waypoints, drive, joinable=True)
+    limits = drive.max_velocity, drive.max_acceleration, drive.max_jerk
+    for worst, limit in zip(joined(trajectory, order), limits, strict=True):
+        assert (worst <= limit * (1 + 1e-5)).all()
+
+
+def test_without_it_quintics_leave_the_limit_of_jerk() -> None:
+    """Why plans are joinable."""
+    trajectory = time_parameterise([[0, 0], [1, 0.05], [0.2, 0.1]], PAIR)
+    assert (joined(trajectory, 5)[2] / PAIR.max_jerk).max() > 1.1
+
+
+def test_a_joinable_motion_is_little_longer_and_as_good() -> None:
+    rng = np.random.default_rng(5)
+    for _ in range(40):
+        drive = random_drive(rng)
+        waypoints = random_waypoints(rng, drive, 3)
+        shortest = time_parameterise(waypoints, drive)
+        made = time_parameterise(waypoints, drive, joinable=True)
+        legs = len(made.leg_end_s)
+        assert shortest.duration_s - 1e-9 <= made.duration_s <= shortest.duration_s + 7 * 0.01 * legs + 1e-9
+        verify_limits(made, drive)
+        np.testing.assert_allclose(made.leg_end_s / 0.01, np.round(made.leg_end_s / 0.01), atol=1e-6)
+        np.testing.assert_array_equal(made.position[-1], shortest.position[-1])
+        at_rest = np.round(made.leg_end_s[:-1] / 0.01).astype(int)
+        assert np.abs(made.velocity[at_rest]).max(initial=0.0) < 1e-9

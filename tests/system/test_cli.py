@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -16,11 +17,12 @@ import yaml
 from csv_columns import csv_columns
 from interruptible import INTERRUPTIBLE
 from jsonschema import Draft202012Validator
-from places import SCENARIOS
+from places import ROBOTS, SCENARIOS
 
 import ctrplan
 from ctrplan.base.arguments import SEARCH_TIME, SEED
 from ctrplan.cli import main
+from ctrplan.commands import terminal
 from ctrplan.commands.terminal import ProgressBar
 from ctrplan.errors import InputError
 from ctrplan.files.scenario_file import load_scenario
@@ -260,3 +262,47 @@ def test_ctrl_c_keeps_the_best_plan_so_far(tmp_path: Path, monkeypatch: pytest.M
         signal.signal(signal.SIGINT, previous)
     content = json.loads((tmp_path / "plan.json").read_text())
     assert pressed and content["interrupted"] and content["certificate"]["valid"] is True
+
+
+def test_ik_shows_ten_by_branch_and_says_how_many_more_there_are(capsys: pytest.CaptureFixture[str]) -> None:
+    said = ["ik", str(ROBOTS / "three_tube.toml"), "--tip-mm", "34", "-47", "200"]
+    assert main(said) == 0
+    told = capsys.readouterr()
+    rows = [line for line in told.out.splitlines() if re.match(r"\s+\d+\s", line)]
+    branches = [int(row.split()[0]) for row in rows]
+    assert len(rows) == 10 and len(set(branches)) == 2, "the best of each branch is among them"
+    worst = [float(row.split()[5]) for row in rows]
+    for branch in set(branches):
+        own = [w for w, b in zip(worst, branches, strict=True) if b == branch]
+        assert own == sorted(own)
+    more = re.search(r"^and (\d+) more: --all lists them", told.out, re.MULTILINE)
+    assert more is not None and "ctrplan: next: " in told.err
+    assert main([*said, "--all"]) == 0
+    assert len([r for r in capsys.readouterr().out.splitlines() if re.match(r"\s+\d+\s", r)]) == 10 + int(more[1])
+
+
+def test_corners_are_called_so(capsys: pytest.CaptureFixture[str]) -> None:
+    said = ["--theta-deg", "0", "180", "180", "--l-mm", "0", "-17", "-60"]
+    assert main(["bound", str(ROBOTS / "three_tube.toml"), *said]) == 0
+    told = capsys.readouterr().out
+    assert [line.split("tip (")[0].strip() for line in told.splitlines()[2:]] == [
+        "corner + +", "corner + \u2212", "corner \u2212 +", "corner \u2212 \u2212",
+    ]  # fmt: skip
+    assert "phi" not in told
+
+
+def test_progress_without_a_terminal_is_a_line_every_ten_seconds(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    clock = [100.0]
+    monkeypatch.setattr(terminal.time, "monotonic", lambda: clock[0])
+    with terminal.ProgressBar() as bar:
+        for second in range(31):
+            clock[0] = 100.0 + second
+            bar.show("search", second / 31, "best cost 3.1 mm")
+    lines = capsys.readouterr().err.splitlines()
+    assert lines == [f"ctrplan: search {100 * s / 31:.0f} %, best cost 3.1 mm, {s} s" for s in (10, 20, 30)]
+    with terminal.ProgressBar(quiet=True) as bar:
+        clock[0] += 60
+        bar.show("search", 0.5)
+    assert capsys.readouterr().err == ""

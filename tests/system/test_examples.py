@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import importlib.util
+import json
 import os
 import re
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 from places import ROOT
@@ -38,3 +41,51 @@ def test_example(name: str, tmp_path: Path) -> None:
     assert found is not None, done.stdout
     assert float(found[1]) == pytest.approx(golden, abs=tolerance)
     assert not list(tmp_path.iterdir())
+
+
+NOTEBOOKS = sorted(EXAMPLES.glob("*.ipynb"))
+
+
+def notebooks() -> Any:
+    spec = importlib.util.spec_from_file_location("notebooks", ROOT / "tools" / "notebooks.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def texts(cell: dict[str, Any]) -> str:
+    """What a cell prints, and shows as text."""
+    parts = [out.get("text") or out["data"]["text/plain"] for out in cell["outputs"]]
+    return "".join("".join(part) for part in parts)
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_a_notebook_runs_and_shows_what_is_kept_in_it(path: Path, tmp_path: Path) -> None:
+    kept = json.loads(path.read_text(encoding="utf-8"))
+    made = notebooks().run(kept, path.parent)
+    cells = [(old, new) for old, new in zip(kept["cells"], made["cells"], strict=True) if old["cell_type"] == "code"]
+    assert len(cells) >= 4 and kept["cells"][0]["cell_type"] == "markdown"
+    for old, new in cells:
+        assert bool(old["outputs"]) == bool(new["outputs"]), "".join(old["source"])
+        if path.stem.startswith("06"):  # whose numbers no clock decides on
+            assert texts(old) == texts(new)
+    pictures = [out for old, _ in cells for out in old["outputs"] if "image/png" in out.get("data", {})]
+    assert len(path.read_text()) < 600_000 and (pictures or "diagnosis" in path.stem)
+
+
+def test_there_are_three_notebooks() -> None:
+    assert len(NOTEBOOKS) == 3
+
+
+def test_recipes_run_one_after_the_other(tmp_path: Path) -> None:
+    text = (ROOT / "docs" / "recipes.md").read_text(encoding="utf-8")
+    blocks = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    assert len(blocks) == 6
+    code = "\n".join(blocks).replace('"tubes.png"', repr(str(tmp_path / "tubes.png")))
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, timeout=120)
+    assert done.returncode == 0, done.stderr
+    found = re.search(r"bound: ([\d.]+) mm before, ([\d.]+) mm after (\d+) evaluations", done.stdout)
+    assert found is not None, done.stdout
+    assert float(found[1]) > 15 and float(found[2]) < 1 and int(found[3]) < 60
+    assert (tmp_path / "tubes.png").stat().st_size > 10_000
