@@ -84,15 +84,8 @@ def residuals(
     data: Measurements, prediction: SensorPrediction, noise: Noise, group: Sequence[int] | NDArray[np.int_]
 ) -> Residuals:
     """Residuals of all poses; `group` (K,) numbers the configurations."""
+    r, J = differences(data, prediction, noise)
     given = data.given
-    measured, plane = compared(prediction.tangent, data.tangent)
-    sigma_m = noise.position_m * data.over_tip
-    position = np.where(given[:, :3], (data.position_m - prediction.position_m) / sigma_m, 0.0)
-    tangent = np.where(given[:, 3:], _tangent_error(prediction.tangent, measured, plane) / noise.tangent_rad, 0.0)
-    position_by = prediction.position_by / sigma_m[:, :, None] * given[:, :3, None]
-    tangent_by = np.einsum("kcx,kxp->kcp", plane, prediction.tangent_by) / noise.tangent_rad * given[:, 3:, None]
-    r = np.hstack([position, tangent])
-    J = np.concatenate([position_by, tangent_by], axis=1)
     shares = np.repeat([MODEL_POSITION_M / noise.position_m, MODEL_TANGENT_RAD / noise.tangent_rad], [3, 2])
     r, J = _unsound(r, J, prediction.sound, given)
     raw_norm = np.linalg.norm(r, axis=1)
@@ -102,6 +95,18 @@ def residuals(
     if noise.discrepancy is not None:
         r, J = noise.discrepancy.whitened(r), noise.discrepancy.whitened(J)
     return Residuals(r, J, _weight(np.linalg.norm(r, axis=1)), raw_norm, given)
+
+
+def differences(data: Measurements, prediction: SensorPrediction, noise: Noise) -> tuple[Array, Array]:
+    """Measured minus predicted numbers over the noise, r (K, 5), and derivatives of the prediction J (K, 5, P)."""
+    given = data.given
+    measured, plane = compared(prediction.tangent, data.tangent)
+    sigma_m = noise.position_m * data.over_tip
+    position = np.where(given[:, :3], (data.position_m - prediction.position_m) / sigma_m, 0.0)
+    tangent = np.where(given[:, 3:], _tangent_error(prediction.tangent, measured, plane) / noise.tangent_rad, 0.0)
+    position_by = prediction.position_by / sigma_m[:, :, None] * given[:, :3, None]
+    tangent_by = np.einsum("kcx,kxp->kcp", plane, prediction.tangent_by) / noise.tangent_rad * given[:, 3:, None]
+    return np.hstack([position, tangent]), np.concatenate([position_by, tangent_by], axis=1)
 
 
 def _weight(norm: Array) -> Array:
