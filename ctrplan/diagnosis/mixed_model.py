@@ -230,9 +230,16 @@ class MixedModel:
                 result[g.poses, c] = alpha[g.poses, c] / np.sqrt(np.maximum(np.diag(inverse) - less, 1e-12))
         return result
 
-    def variance(self, sizes: Sizes) -> dict[str, float]:
-        """Mean variance over the noise's of each part."""
-        return dict(zip(self.names, [*sizes.kernels.tolist(), *sizes.loaded.tolist()], strict=True))
+    def mean_variance(self, sizes: Sizes) -> float:
+        """Of all parts together over the stated noise's, over all numbers that were given."""
+        share = {kind: self.given[:, list(c)].sum() / max(self.count, 1) for kind, c in CHANNELS.items()}
+        of_kernels = sum(s * share[k.kind] for s, k in zip(sizes.kernels.tolist(), self.kernels, strict=True))
+        return float(of_kernels + sizes.loaded.sum())
+
+    def mean_variance_of_noise(self, sizes: Sizes) -> float:
+        """Over the stated one, over all numbers that were given."""
+        share = [self.given[:, list(c)].sum() / max(self.count, 1) for c in CHANNELS.values()]
+        return float(np.dot(share, 1 + sizes.noise))
 
     def _flat(self, values: Array) -> Array:
         """(N, ...) group after group, channel after channel."""

@@ -25,7 +25,7 @@ from ctrplan.pipeline.term import SensorPrediction, Term
 from ctrplan.robot.robot import Robot
 
 JOINT_MEMORIES_RAD = (0.6, 1.0, 1.8)  # of errors smooth in the joints: of branches, of a gear's period, of a workspace
-MM_PER_RAD = 20.0  # translations that count as a radian: a bend of 50 mm radius turns the tip as far
+MM_PER_RAD = 20.0, 60.0  # translations that count as a radian: bends of 20 and of 60 mm radius turn the tip as far
 PIECE_M = 0.012  # of a tube along which its precurvature varies: shorter ones move no tip
 LEFT_OUT = 0.01  # of a process' variance that its columns may miss
 MOST_COLUMNS = 24  # of a factor
@@ -241,13 +241,20 @@ class _Made:
         self.smooth("time: drifts", np.exp(-((apart / (span / 4)) ** 2) / 2))
         for memory in JOINT_MEMORIES_RAD:
             self.smooth(f"smooth in the joints, {memory:g} rad,", _gaussian(self._joints(), memory))
+            if self.pairs:
+                self.smooth(f"smooth in relative rotations, {memory:g} rad,", _gaussian(self._relative(), memory))
         number = self.data.configuration
         if len(np.unique(number)) < 0.9 * len(number):
             self.smooth("own errors of configurations", (number[:, None] == number).astype(float))
 
     def _joints(self) -> Array:
         """(K, 3 n) rotations as chords, translations over 20 mm."""
-        return np.hstack([np.cos(self.theta), np.sin(self.theta), self.l * 1e3 / MM_PER_RAD])
+        return np.hstack([np.cos(self.theta), np.sin(self.theta), self.l * 1e3 / MM_PER_RAD[0]])
+
+    def _relative(self) -> Array:
+        """(K, 3 n - 2) relative rotations as chords, translations over 60 mm: what the shape depends on."""
+        turns = np.diff(self.theta, axis=1)
+        return np.hstack([np.cos(turns), np.sin(turns), self.l * 1e3 / MM_PER_RAD[1]])
 
 
 def _probe(on: Target, n: int) -> Term:
