@@ -18,7 +18,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
-from ctrplan.calibration.discrepancy import Discrepancy
 from ctrplan.errors import InputError
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.pipeline.term import SensorPrediction
@@ -32,14 +31,10 @@ UNSOUND = 20.0  # norm given to a pose that the model could not solve
 
 @dataclass(frozen=True)
 class Noise:
-    """Standard deviations of a coordinate of the position and of a small rotation of the tangent about an axis.
-
-    Where poses have a discrepancy besides, `discrepancy` is that of the poses that are asked about, in their order.
-    """
+    """Standard deviations of a coordinate of the position and of a small rotation of the tangent about an axis."""
 
     position_m: float
     tangent_rad: float
-    discrepancy: Discrepancy | None = None
 
     @property
     def floor_m(self) -> float:
@@ -92,8 +87,6 @@ def residuals(
     trust = _weight(raw_norm)[:, None] * given
     alike = np.asarray(group) * (int(data.seen_marker.max(initial=0)) + 1) + data.seen_marker
     r, J = _whitened(r, alike, shares, trust), _whitened(J, alike, shares[:, None], trust)
-    if noise.discrepancy is not None:
-        r, J = noise.discrepancy.whitened(r), noise.discrepancy.whitened(J)
     return Residuals(r, J, _weight(np.linalg.norm(r, axis=1)), raw_norm, given)
 
 

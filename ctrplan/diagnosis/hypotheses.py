@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
-from ctrplan.calibration.fit_warnings import PHYSICAL_POISSON
+from ctrplan.calibration.fit_warnings import PHYSICAL_POISSON, too_many
+from ctrplan.calibration.least_squares import Fit, fit
 from ctrplan.calibration.parameters import ABSOLUTE_STIFFNESS, BaseParameters
 from ctrplan.calibration.residuals import Noise, differences
 from ctrplan.diagnosis.mixed_model import MixedModel, Posterior, Sizes
@@ -24,18 +25,18 @@ from ctrplan.effects.effect import CATALOGUE, DEGREE, MILLIMETRE, Effect, Parame
 from ctrplan.errors import InputError
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.pipeline.followed_runs import followed, friction_correction
-from ctrplan.pipeline.parametric_chain import ParametricChain
+from ctrplan.pipeline.parametric_chain import DRIVEN_ALREADY, ParametricChain
 from ctrplan.pipeline.term import SensorPrediction, Term, term
 from ctrplan.robot.robot import Robot
 
 PRIOR_OF_EFFECT = 0.03  # probability of each effect before any data: about one of thirty acts on a robot
 UNSOLVED = 4.0  # deviations that each number of a pose without a solution counts as
-ROUNDS = 6  # of generalised least squares
+ROUNDS, FREE_ROUNDS = 10, 4  # of generalised least squares, of which the first may lead away from the best place
 LONGEST_STEP = 2.5  # of a parameter in a round, in deviations of its prior
 CONVERGED = 0.2  # log-units that another round promises
 OUTLYING = 20.0  # times the noise that a pose may be off that went wrong
 PRIOR_OF_OUTLIER = 0.01  # probability that a pose went wrong
-MOST_OUTLIERS = 0.1  # of the poses; more are a misfit
+MOST_WIDENINGS = 3  # of priors of effects that are larger than they
 FIRST_FRICTION = 0.2  # with which histories of a continuous motion are simulated
 
 Key = tuple[str, str]  # effect, parameter
@@ -99,6 +100,12 @@ class Hypothesis:
     evidence: float  # log density of the data, all parameters integrated out
     prior: float  # log odds of the set before any data
     sizes: Sizes
+    parts: tuple[str, ...]  # whose sizes these are
+
+    @property
+    def named_sizes(self) -> dict[str, float]:
+        """Variance over the noise's of each part that nobody has named."""
+        return dict(zip(self.parts, self.sizes.vector[:-2].tolist(), strict=True))
 
     @property
     def score(self) -> float:
@@ -134,7 +141,7 @@ class Bench:
     sound: NDArray[np.bool_]  # (K,) poses that are asked about
     phi: Array | None  # (K, n - 1) friction states of a simulated history
     unnamed: Processes
-    start: Array  # (B,) calibration, by a robust fit without anything else
+    robust: Fit  # calibration without anything else
     corrections: dict[str, tuple[Array, Array] | None] = field(default_factory=dict)
 
     @property
@@ -146,13 +153,17 @@ class Bench:
         """Ordinary calibration; the stiffness of tube 1 only where something else than stiffness carries forces."""
         return base_term(self.robot, terms)
 
-    def chain(self, terms: Sequence[Term]) -> ParametricChain:
-        """Calibration and effects along these poses."""
-        chain = ParametricChain(self.robot, self.data, [self.base(terms), *terms])
+    def chain(self, terms: Sequence[Term], base: Term | None = None) -> ParametricChain:
+        """Calibration, ordinary if nothing else is given, and effects along these poses."""
+        chain = ParametricChain(self.robot, self.data, [self.base(terms) if base is None else base, *terms])
         if self.rubs(terms):
             chain.followed_phi = self.phi
             chain.correction = self.corrections.get("rest")
         return chain
+
+    def without(self, out: NDArray[np.bool_]) -> Bench:
+        """The same without some poses (K,)."""
+        return bench(self.robot, self.data, self.noise, self.variants, left_out=out) if out.any() else self
 
     def rubs(self, terms: Sequence[Term]) -> bool:
         """Whether friction acts."""
@@ -168,21 +179,28 @@ class Bench:
         return turned(r, self.axes), turned(J, self.axes)
 
     def log_prior(self, terms: Sequence[Term]) -> float:
-        """Log odds of a set, an effect's share divided among its variants."""
+        """Log odds of a set, an effect's share divided among its variants; built terms are charged where they are."""
         count = Counter(t.name for t in self.variants)
         odds = np.log(PRIOR_OF_EFFECT / (1 - PRIOR_OF_EFFECT))
-        return float(sum(odds - np.log(count[t.name]) for t in terms))
+        return float(sum(odds - np.log(count[t.name]) for t in terms if count[t.name]))
 
     def fitted(
-        self, terms: Sequence[Term], near: Mapping[Key, float], sizes: Sizes, steps: tuple[int, int] = (6, 2)
+        self,
+        terms: Sequence[Term],
+        near: Mapping[Key, float],
+        sizes: Sizes,
+        steps: tuple[int, int] = (6, 2),
+        base: Term | None = None,
     ) -> Hypothesis:
         """The set of effects, from values `near` where it has them, else from the priors' centres.
 
-        steps: of Newton's method for the sizes, in the first round and in later ones.
+        steps: of Newton's method for the sizes, in the first round and in later ones; base: calibration that is known
+        otherwise.
         """
-        chain = self.chain(terms)
+        chain = self.chain(terms, base)
         p = np.clip(started(chain, near), chain.lower, chain.upper)
-        best: tuple[float, Array, Posterior] | None = None
+        best: tuple[float, Array, Posterior, Array] | None = None  # with the step from there
+        shorter = 1.0
         for number in range(ROUNDS + 1):
             try:
                 r, J = self.linearised(chain, p)
@@ -192,22 +210,54 @@ class Bench:
             here = (p - chain.neutral) / chain.prior
             scaled = J * chain.prior
             result = self.model.posterior(r + scaled @ here, scaled, sizes, steps[min(number, 1)])
-            sizes, value = result.sizes, result.at(here)
+            value = result.at(here)
+            step = np.clip(result.parameters - here, -LONGEST_STEP, LONGEST_STEP)
+            if best is None or value > best[0] or number < FREE_ROUNDS:
+                shorter, sizes = 1.0, result.sizes
+            else:  # it leads away: less far from the best place
+                shorter *= 0.4
             if best is None or value > best[0]:
-                best = value, p, result
-            if number and result.evidence - value < CONVERGED:
+                best = value, p, result, step
+            if number and (result.evidence - value < CONVERGED or shorter < 0.1):
                 break
             if self.rubs(terms) and number == 1 and not self.data.is_stream and "rest" not in self.corrections:
                 self.corrections["rest"] = friction_correction(chain, p)
                 chain.correction, best = self.corrections["rest"], None
-            step = np.clip(result.parameters - here, -LONGEST_STEP, LONGEST_STEP)
-            p = np.clip(p + chain.prior * (step if number < 4 else 0.6 * step), chain.lower, chain.upper)
+            if shorter < 1.0 and best is not None:
+                p = best[1] + shorter * chain.prior * best[3]
+            else:
+                p = p + chain.prior * step
+            p = np.clip(p, chain.lower, chain.upper)
         if best is None:
             raise InputError("has values that no robot has", key=" and ".join(t.name for t in terms))
-        value, p, result = best
+        value, p, result, _ = best
         inverse = np.linalg.inv(result.precision)
         covariance: Array = np.asarray(inverse * np.outer(chain.prior, chain.prior), dtype=np.float64)
-        return Hypothesis(tuple(terms), chain, p, covariance, value, self.log_prior(terms), result.sizes)
+        return Hypothesis(
+            tuple(terms), chain, p, covariance, value, self.log_prior(terms), result.sizes, self.model.names
+        )
+
+    def sized(self, h: Hypothesis) -> Hypothesis:
+        """The same effects with priors as wide as their estimates are large, and the evidence that it had.
+
+        Priors say where to look. The size of an effect that is there is for the data to say: a prior that it exceeds
+        would draw it in and make its interval too narrow.
+        """
+        for _ in range(MOST_WIDENINGS):
+            places = dict(zip([t.key for t in h.chain.terms], h.chain.slices(), strict=True))
+            terms = [_widened(t, h.p[places[t.key]]) for t in h.terms]
+            if all(a is b for a, b in zip(terms, h.terms, strict=True)):
+                break
+            h = replace(self.fitted(terms, h.values, h.sizes), evidence=h.evidence)
+        return h
+
+
+def _widened(t: Term, p: Array) -> Term:
+    """Priors in proportion to the largest parameter, where that exceeds its own by a tenth."""
+    largest = max(abs(v / q.si - q.neutral) / q.prior for q, v in zip(t.parameters, p.tolist(), strict=True))
+    if largest < 1.1:
+        return t
+    return Term(t.effect, tuple(replace(q, prior=q.prior * largest) for q in t.parameters))
 
 
 def turned(values: Array, axes: Array) -> Array:
@@ -247,7 +297,8 @@ def bench(
     """For these poses, without those that went wrong, `left_out` (K,)."""
     out = np.zeros(data.count, bool) if left_out is None else left_out
     chain = ParametricChain(robot, data, [base_term(robot, [])])
-    p = _robust_fit(chain, noise, ~out)
+    robust = _robust_fit(chain, noise, ~out)
+    p = robust.p
     prediction = chain.predict(p, derivatives=False)
     axes, sound = smooth_axes(prediction, data), prediction.sound & ~out
     phi = _simulated(robot, data, p)
@@ -267,7 +318,8 @@ def bench(
 
     states = friction_states(data, phi)
     unnamed = processes(robot, data, noise, sound, states, linearised, arc)
-    return Bench(robot, data, noise, tuple(variants), axes, sound, None if phi is None else states, unnamed, p)
+    seen = None if phi is None else states
+    return Bench(robot, data, noise, tuple(variants), axes, sound, seen, unnamed, robust)
 
 
 def _simulated(robot: Robot, data: Measurements, p: Array) -> Array | None:
@@ -281,27 +333,35 @@ def _simulated(robot: Robot, data: Measurements, p: Array) -> Array | None:
     return np.asarray(path.phi)
 
 
-def _robust_fit(chain: ParametricChain, noise: Noise, asked: NDArray[np.bool_]) -> Array:
-    """(B,) ordinary calibration by Huber's loss: where processes and slopes are asked."""
-    from ctrplan.calibration.least_squares import fit
-
+def _robust_fit(chain: ParametricChain, noise: Noise, asked: NDArray[np.bool_]) -> Fit:
+    """Ordinary calibration by Huber's loss: where processes and slopes are asked."""
     kept = np.flatnonzero(asked)
     data = chain.data.subset(kept)
     some = ParametricChain(chain.robot, data, chain.terms)
-    return fit(some, noise, np.arange(data.count)).p
+    return fit(some, noise, np.arange(data.count))
 
 
-def outliers(bench: Bench, best: Hypothesis) -> NDArray[np.bool_]:
-    """(K,) poses that probably went wrong: mixture of the model and of one as wide as OUTLYING, pose by pose."""
-    r, J = bench.linearised(best.chain, best.p)
-    here = (best.p - best.chain.neutral) / best.chain.prior
-    scaled = J * best.chain.prior
-    off = bench.model.standardised(r + scaled @ here, scaled, best.sizes)
-    count = bench.model.given.sum(axis=1)
+def outliers(whole: Bench, some: Bench, best: Hypothesis, suspected: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """(K,) poses that probably went wrong, of all poses, by a hypothesis that was fitted to those not `suspected`.
+
+    Pose by pose a mixture of the model, with the sizes of the hypothesis, and of one as wide as OUTLYING.
+    """
+    wrong = np.where(suspected, _odds(whole, best) > 0, _odds(some, best) > 0)
+    return suspected if too_many(wrong, whole.sound) else wrong
+
+
+def _odds(whole: Bench, best: Hypothesis) -> Array:
+    """(K,) logarithm of the odds that each pose went wrong."""
+    model = whole.model
+    sizes = model.named(best.named_sizes, best.sizes.noise)
+    chain = whole.chain(best.terms)
+    r, J = whole.linearised(chain, best.p)
+    scaled = J * chain.prior
+    off = model.standardised(r + scaled @ ((best.p - chain.neutral) / chain.prior), scaled, sizes)
+    count = model.given.sum(axis=1)
     square = (off**2).sum(axis=1) * (1 - OUTLYING**-2)
     odds = 0.5 * square - count * np.log(OUTLYING) + np.log(PRIOR_OF_OUTLIER / (1 - PRIOR_OF_OUTLIER))
-    wrong = (odds > 0) & (count > 0)
-    return wrong if wrong.sum() <= MOST_OUTLIERS * len(wrong) else np.zeros_like(wrong)
+    return np.where(count > 0, odds, -np.inf)
 
 
 def slips(robot: Robot, data: Measurements, most: int) -> list[Term]:
@@ -315,3 +375,34 @@ def slips(robot: Robot, data: Measurements, most: int) -> list[Term]:
     )
     effect = Slip(sorted(set(kept.tolist())))
     return [term(effect, names, robot) for names in effect.variants(robot, data)]
+
+
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """Variants of every testable effect, and the reasons why the rest is not testable."""
+
+    terms: tuple[Term, ...]
+    not_testable: Mapping[str, str]
+
+
+def reduced(catalogue: Mapping[str, Effect], without: Sequence[str], *, key: str = "without") -> dict[str, Effect]:
+    """The catalogue without some of its effects. Raises InputError, about `key`, for a name that it does not have."""
+    for name in without:
+        if name not in catalogue:
+            raise InputError(f"must be an effect of the catalogue: {', '.join(catalogue)}", key=key, value=name)
+    return {name: effect for name, effect in catalogue.items() if name not in without}
+
+
+def candidates(robot: Robot, data: Measurements, catalogue: Mapping[str, Effect] = CATALOGUE) -> Candidates:
+    """Everything in the catalogue, sorted into testable and not."""
+    terms: list[Term] = []
+    reasons: dict[str, str] = {}
+    for name, effect in catalogue.items():
+        driven = data.of_collars and effect.stage == "drive"
+        if reason := DRIVEN_ALREADY if driven else effect.untestable(robot, data):
+            reasons[name] = reason
+        elif name in robot.effects:
+            reasons[name] = "is in the robot file already"
+        else:
+            terms += [term(effect, names, robot) for names in effect.variants(robot, data) if names]
+    return Candidates(tuple(terms), reasons)

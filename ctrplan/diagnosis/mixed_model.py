@@ -13,7 +13,7 @@ few columns, which the matrix inversion lemma adds. A step of Newton's method co
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -150,6 +150,11 @@ class MixedModel:
     def start(self, size: float = 0.1) -> Sizes:
         """Every part of the same size, and the noise as stated."""
         return Sizes(np.full(len(self.kernels), size), np.full(len(self.loaded), size), np.zeros(2))
+
+    def named(self, known: Mapping[str, float], noise: Array) -> Sizes:
+        """Sizes of parts by their names, 0 of others."""
+        sizes = np.array([known.get(name, 0.0) for name in self.names])
+        return Sizes(sizes[: len(self.kernels)], sizes[len(self.kernels) :], noise)
 
     def only(self, kept: NDArray[np.bool_], sizes: Sizes) -> tuple[MixedModel, Sizes]:
         """The model of some of the parts, a mask in the order of `names`, and their sizes."""
@@ -380,15 +385,20 @@ def _moved(sizes: Sizes, step: Array, free: NDArray[np.bool_]) -> Sizes:
 
 
 def _log_prior(sizes: Sizes) -> float:
-    """Of the sizes: half-Cauchy on a part's deviation over the noise's, log-Cauchy on the noise's own variance."""
+    """Of the sizes: half-Cauchy on a part's deviation over the noise's; of the noise, log-Cauchy above what is stated.
+
+    Below it is log-normal: poses that lie nearer than their noise are a sign of parts that follow it.
+    """
     parts = -np.log1p(np.concatenate([sizes.kernels, sizes.loaded])).sum()
-    return float(parts - np.log1p((np.log1p(sizes.noise) / NOISE_SPREAD) ** 2).sum())
+    ratio = np.log1p(sizes.noise) / NOISE_SPREAD
+    return float(parts - np.where(ratio > 0, np.log1p(ratio**2), ratio**2).sum())
 
 
 def _log_prior_slope(sizes: Sizes) -> Array:
     parts = -1 / (1 + np.concatenate([sizes.kernels, sizes.loaded]))
     ratio = np.log1p(sizes.noise) / NOISE_SPREAD
-    return np.concatenate([parts, -2 * ratio / (1 + ratio**2) / NOISE_SPREAD / (1 + sizes.noise)])
+    slope = np.where(ratio > 0, -2 * ratio / (1 + ratio**2), -2 * ratio)
+    return np.concatenate([parts, slope / NOISE_SPREAD / (1 + sizes.noise)])
 
 
 def _groups(given: NDArray[np.bool_]) -> list[_Group]:

@@ -6,9 +6,8 @@ are fitted. The posterior of an effect is its share of the probability of all se
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,9 +21,15 @@ MOST_EFFECTS = 5
 ASKED = 6  # sets that are fitted after each screening
 PAIRS = 3  # of effects that hide one another, at first
 WINDOW = 8.0  # log-units behind the best that a set may be to be asked: e^-8 of its probability
+WORTH_ANOTHER = 2.0  # log-units that another fit of a set has to promise
+TIE = 4  # decimals of a log posterior, beyond which it is the arithmetic's
 WIDEST_OF_PAIR = 70  # parameters of a pair that is screened
 
-Tell = Callable[[str], None]
+Tell = Callable[[str], None]  # a step begins; may raise Interrupted
+
+
+class Interrupted(Exception):
+    """Ctrl-C between two fits."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +39,7 @@ class Answer:
     bench: Bench
     hypotheses: tuple[Hypothesis, ...]
     posterior: Array  # (H,) sums to 1
+    interrupted: bool = False
 
     @property
     def best(self) -> Hypothesis:
@@ -67,7 +73,7 @@ class Answer:
 
 def answer(bench: Bench, hypotheses: Sequence[Hypothesis]) -> Answer:
     """Posterior probabilities of hypotheses about the same data."""
-    ordered = sorted(hypotheses, key=lambda h: -h.score)
+    ordered = sorted(hypotheses, key=lambda h: -round(h.score, TIE))
     weights = np.exp(np.array([h.score for h in ordered]) - ordered[0].score)
     return Answer(bench, tuple(ordered), weights / weights.sum())
 
@@ -80,15 +86,32 @@ class _Search:
         self.asked: dict[frozenset[str], Hypothesis | None] = {}
 
     def ask(self, terms: Sequence[Term], near: Mapping[Key, float], sizes: Sizes) -> Hypothesis | None:
-        """The fit of a set, once."""
+        """The fit of a set; once more from another place where that promises more, for fits end in valleys."""
         key = frozenset(t.key for t in terms)
-        if key not in self.asked:
+        known = self.asked.get(key)
+        if key not in self.asked or (known is not None and self._promises_more(known, near)):
             self.tell(" and ".join(t.name for t in terms) or "calibration")
             try:
-                self.asked[key] = self.bench.fitted(terms, near, sizes)
+                again = self.bench.fitted(terms, near, sizes)
             except (InputError, np.linalg.LinAlgError):  # no robot has these values
-                self.asked[key] = None
+                again = None
+            if known is None or (again is not None and again.score > known.score):
+                self.asked[key] = again
         return self.asked[key]
+
+    def _promises_more(self, known: Hypothesis, near: Mapping[Key, float]) -> bool:
+        """Whether one step from another place leads higher than a fit has come."""
+        chain = known.chain
+        p = np.clip(started(chain, near), chain.lower, chain.upper)
+        if np.all(np.abs(p - known.p) < 0.5 * np.sqrt(np.diag(known.covariance))):
+            return False
+        try:
+            r, J = self.bench.linearised(chain, p)
+        except InputError:
+            return False
+        scaled = J * chain.prior
+        y = r + scaled @ ((p - chain.neutral) / chain.prior)
+        return self.bench.model.posterior(y, scaled, known.sizes, steps=0).evidence > known.evidence + WORTH_ANOTHER
 
     @property
     def known(self) -> list[Hypothesis]:
@@ -105,31 +128,35 @@ class _Promise:
     near: Mapping[Key, float]
 
 
-def search(bench: Bench, tell: Tell = lambda _: None, *, budget_s: float = np.inf) -> Answer:
-    """Posterior probabilities over sets of the bench's variants; no new set is asked after so many seconds."""
-    begun = time.process_time()
+def search(bench: Bench, tell: Tell = lambda _: None) -> Answer:
+    """Posterior probabilities over sets of the bench's variants; what was asked until then where it is interrupted."""
     asked = _Search(bench, tell)
-    here = bench.fitted([], {}, bench.model.start(), (14, 4))
-    asked.asked[frozenset()] = here
+    base = bench.fitted([], {}, bench.model.start(), (14, 4))
+    asked.asked[frozenset()] = base
+    try:
+        _climbed(asked, base)
+    except Interrupted:
+        return replace(answer(bench, asked.known), interrupted=True)
+    return answer(bench, asked.known)
+
+
+def _climbed(asked: _Search, here: Hypothesis) -> None:
+    """Asks sets along the way to the most probable one, and those with another effect in the place of each of its."""
+    bench = asked.bench
     for level in range(MOST_EFFECTS):
-        promised = screened(bench, here, pairs=level == 0)
-        for one in _varied(promised, here.score if level else -np.inf):
-            if time.process_time() - begun < budget_s:
-                asked.ask(one.terms, one.near, here.sizes)
+        for one in _varied(screened(bench, here, pairs=level == 0), here.score if level else -np.inf):
+            asked.ask(one.terms, one.near, here.sizes)
         for t in here.terms:
             asked.ask([s for s in here.terms if s is not t], here.values, here.sizes)
-        best = max(asked.known, key=lambda h: h.score)
-        if best is here or time.process_time() - begun > budget_s:
+        best = max(asked.known, key=lambda h: round(h.score, TIE))
+        if best is here:
             break
         here = best
-    for t in here.terms:  # swaps: another effect in the place of each
+    for t in here.terms if len(here.terms) > 1 else ():
         rest = asked.ask([s for s in here.terms if s is not t], here.values, here.sizes)
-        if rest is None or len(here.terms) < 2 or time.process_time() - begun > budget_s:
-            continue
-        for one in screened(bench, rest, pairs=False)[:ASKED]:
+        for one in screened(bench, rest, pairs=False)[:ASKED] if rest is not None else ():
             if one.score > here.score - WINDOW:
-                asked.ask(one.terms, one.near, rest.sizes)
-    return answer(bench, asked.known)
+                asked.ask(one.terms, one.near, here.sizes)
 
 
 def _varied(promised: Sequence[_Promise], least: float) -> list[_Promise]:
@@ -199,7 +226,7 @@ def screened(bench: Bench, here: Hypothesis, *, pairs: bool) -> list[_Promise]:
     for t in bench.variants:
         if not t.effect.is_linear and t.name not in here.names and _complete((*here.terms, t)):
             results += _tried(bench, here, t)
-    return sorted(results, key=lambda one: -one.score)
+    return sorted(results, key=lambda one: -round(one.score, TIE))  # of equals the first, as of slips the earliest
 
 
 def _tried(bench: Bench, here: Hypothesis, t: Term) -> list[_Promise]:

@@ -293,7 +293,8 @@ class _Pieces(Effect):
 
 
 def _cut(robot: Robot) -> tuple[Robot, list[list[float]]]:
-    """The robot with its tubes cut into pieces, and the middles [m] of these along each tube."""
+    """The robot without effects, its tubes cut into pieces, and the middles [m] of these along each tube."""
+    robot = replace(robot.ideal or robot, effects={}, ideal=None)
     tubes, places = [], []
     for tube in robot.tubes:
         sections, where, start = [], [], 0.0

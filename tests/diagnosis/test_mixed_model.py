@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ctrplan.base.arrays import Array
-from ctrplan.diagnosis.mixed_model import Kernel, Loaded, MixedModel, Sizes
+from ctrplan.diagnosis.mixed_model import NOISE_SPREAD, Kernel, Loaded, MixedModel, Sizes
 
 K, P = 9, 3
 
@@ -52,7 +52,8 @@ def dense(model: MixedModel, J: Array, sizes: Sizes) -> Array:
 
 def prior(sizes: Sizes) -> float:
     parts = np.concatenate([sizes.kernels, sizes.loaded])
-    return float(-np.log1p(parts).sum() - np.log1p((np.log1p(sizes.noise) / 0.3) ** 2).sum())
+    ratio = np.log1p(sizes.noise) / NOISE_SPREAD
+    return float(-np.log1p(parts).sum() - np.where(ratio > 0, np.log1p(ratio**2), ratio**2).sum())
 
 
 @pytest.mark.parametrize("missing", [True, False])
