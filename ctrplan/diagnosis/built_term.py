@@ -80,19 +80,17 @@ def _of_stage(
     if whole < 1e-12 or not candidates:
         return None
     for _ in range(MOST_PIECES):
-        best: tuple[float, TermPiece, Array] | None = None
+        tried = []
         for piece, columns in candidates:
-            if piece in chosen:
-                continue
-            both = np.column_stack([design, columns])
-            rest = _rest(both, error[there])
-            if best is None or rest < best[0]:
-                best = rest, piece, both
-        before = _rest(design, error[there])
-        if best is None or before - best[0] < WORTH_A_PIECE * whole:
+            if piece not in chosen:
+                both = np.column_stack([design, columns])
+                tried.append((_rest(both, error[there]), piece, both))
+        least = min((rest for rest, _, _ in tried), default=np.inf)
+        if _rest(design, error[there]) - least < WORTH_A_PIECE * whole:
             break
-        chosen.append(best[1])
-        design = best[2]
+        alike = [one for one in tried if one[0] < least + WORTH_A_PIECE * whole]
+        _, piece, design = min(alike, key=lambda one: (one[2].shape[1], one[0]))  # a slope before a spline
+        chosen.append(piece)
     if not chosen:
         return None
     terms = _terms(bench, chosen)

@@ -109,7 +109,7 @@ class _Made:
         self.turning = [i for i in range(n) if np.ptp(self.theta[:, i]) > MOVES_RAD]
         self.sliding = [i for i in range(n) if np.ptp(self.l[:, i]) > MOVES_M]
         self.pairs = [i for i in range(1, n) if np.ptp(self.theta[:, i] - self.theta[:, i - 1]) > MOVES_RAD]
-        self.travel = [_rbf(_standard(self.l[:, i])) for i in self.sliding]
+        self.travel = [_along(self.l[:, i]) for i in self.sliding]
         self.time = _standard(clock(data) + 1e-9 * np.arange(data.count))
         targets = [Target(kind, i + 1) for kind in ("theta", "l") for i in range(n) if not data.of_collars]
         self.curved = [i for i, tube in enumerate(robot.tubes) if any(s.curvature_per_m for s in tube.sections)]
@@ -152,7 +152,7 @@ class _Made:
         self.add(
             "drive: rotations by other angles", crossed + [(self.column("theta", i), f) for i in turning for f in turns]
         )
-        slopes = {j: _standard(theta[:, j])[:, None] for j in turning}
+        slopes = {j: _proportional(theta[:, j]) for j in turning}
         self.add(
             "drive: rotations by other rotations' size",
             [(self.column("theta", i), slopes[j]) for i in turning for j in turning if i != j],
@@ -188,7 +188,7 @@ class _Made:
         for j in range(1, self.robot.n) if self.sliding else []:
             overlap = values(f"overlap_{j}", at)
             if overlap is not None and np.ptp(overlap) > 0.5:
-                inputs.append(_rbf(_standard(overlap)))
+                inputs.append(_along(overlap))
         words = {"curvature": "precurvature", "bend": "precurvature across its plane", "stiffness": "stiffness"}
         for kind, word in words.items():
             mine = [i for i in range(self.robot.n) if (kind, i + 1) in self.by]
@@ -319,9 +319,17 @@ def _gaussian(x: Array, length: float) -> Array:
     return np.asarray(np.exp(-apart / (2 * length**2)))
 
 
-def _rbf(x: Array) -> Array:
-    """(K, R) factor of a Gaussian of length 1 of standardised values (K,)."""
-    return _factor(_gaussian(x[:, None], 1.0))
+def _along(x: Array) -> Array:
+    """(K, R) factor of a function of values (K,) that is smooth over their deviation, and one in proportion to them.
+
+    Screws and overlaps act in proportion to travel from home, which is a slope and a constant in one.
+    """
+    return np.column_stack([_factor(_gaussian(_standard(x)[:, None], 1.0)), _proportional(x)])
+
+
+def _proportional(x: Array) -> Array:
+    """(K, 1) values over the largest one."""
+    return np.asarray(x[:, None] / max(float(np.abs(x).max()), 1e-9))
 
 
 def _wave_kernel(x: Array, orders: Sequence[int]) -> Array:
