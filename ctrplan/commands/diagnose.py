@@ -148,7 +148,7 @@ def _write(folder: Path, diagnosis: Diagnosis) -> None:
 
 def summary(folder: Path, diagnosis: Diagnosis) -> str:
     """What a person wants to know first."""
-    from ctrplan.diagnosis.sentences import effect_lines, verdict_sentence
+    from ctrplan.diagnosis.sentences import effect_lines, other_lines, verdict_sentence
 
     gap = diagnosis.gap
     read = [reading.sentence for reading in diagnosis.readings]
@@ -159,6 +159,7 @@ def summary(folder: Path, diagnosis: Diagnosis) -> str:
         f"{gap.after.rms_m * 1e3:.2f} mm with the effects, 95 % within {gap.radius_m * 1e3:.2f} mm, noise "
         f"{gap.floor_m * 1e3:.2f} mm"
     )
+    lines += [f"  {line}" for line in other_lines(diagnosis)]
     lines += [f"  {diagnosis.place.sentence}", f"  next: {diagnosis.next_experiment}"]
     lines += [f"  {confirmation.sentence}" for confirmation in diagnosis.confirmations]
     lines += [f"  note: {note}" for note in diagnosis.notes]

@@ -73,11 +73,17 @@ def _built(diagnosis: Diagnosis) -> str:
 
 
 def effect_lines(diagnosis: Diagnosis) -> list[str]:
-    """Per effect its parameters with intervals; then what is built, what may be, and what nobody has named."""
+    """Per effect its parameters with intervals."""
     lines = []
     for t in diagnosis.listed:
         values = (f"{name} = {e.shown} ({e.shown_ci95})" for name, e in estimates(diagnosis.chosen.fit, t).items())
         lines.append(f"{t.name} ({t.effect.stage}): {', '.join(values)}")
+    return lines
+
+
+def other_lines(diagnosis: Diagnosis) -> list[str]:
+    """What may act besides, what is built, and what nobody has named."""
+    lines = []
     if possible := diagnosis.judgement.possible:
         told = ", ".join(f"{name} {probability(p)}" for name, p in list(possible.items())[:4])
         lines.append(f"not certain enough to be named: {told}")

@@ -118,6 +118,8 @@ def diagnose(
     far = np.zeros_like(far) if too_many(far, usable) else far
     answer, out = _answered(whole, far[asked], teller)
     judgement = judge(answer)
+    if answer.interrupted:
+        judgement = replace(judgement, verdict="unexplained")
     base = calibrated(answer.bench, answer.base)
     noise, told = _noise_shown(answer.bench.noise, judgement)
     there = _There(data, aside if len(aside) else selection, block, far, noise, bool(len(aside)))
