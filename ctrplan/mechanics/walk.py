@@ -54,6 +54,11 @@ class PathSamples:
     shape_max_strain: Array = field(default_factory=no_shapes)  # (K, 1 + C)
     bodies: tuple[Array, ...] = ()  # per sample: (N, 4) points of all shapes and their outer radius [m]
 
+    def at_end(self) -> PathSamples:
+        """The last sample alone, without bodies."""
+        rows = {entry.name: getattr(self, entry.name)[-1:].copy() for entry in fields(self) if entry.name != "bodies"}
+        return PathSamples(**rows)
+
 
 @checked(
     rotation_rad=Number(SHORTEST_STEP, LONGEST_STEP, "rad"),

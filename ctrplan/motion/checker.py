@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, get_args
 
 import numpy as np
@@ -48,8 +50,13 @@ class Motion:
     length_mm: float
     error_integral_mm: float  # integral of the error over the joint length, per mm_per_rad of length
     end_bound_m: float  # whatever the history
-    end_error_m: float  # what friction leaves at its end that no compensation knows, by the friction law
+    left_m: Callable[[], float]  # `end_error_m`, which is asked for at goals only
     legs: int = 0  # the drive stops after each
+
+    @cached_property
+    def end_error_m(self) -> float:
+        """What friction leaves at its end that no compensation knows, by the friction law."""
+        return self.left_m()
 
 
 class MotionChecker:
@@ -161,7 +168,7 @@ class MotionChecker:
         samples = self.walk(q, self.density, self.limits)
         reason = breach(samples, self.limits)
         bound = float(samples.position_m[-1])
-        return invalid(reason) if reason else Motion(True, "", 0.0, 0.0, bound, bound), samples
+        return invalid(reason) if reason else Motion(True, "", 0.0, 0.0, bound, lambda: bound), samples
 
     def forbid(self, a: Array, b: Array, reason: str) -> None:
         """Remembers that the motion from a to b failed a stricter check."""
@@ -177,10 +184,8 @@ class MotionChecker:
             return invalid(reason)
         error = self.errors(corners, samples)
         length, integral = self.price(corners, samples, error)
-        left, bound = (
-            left_at_end(self.scenario.robot, corners, samples, float(error[-1])),
-            float(samples.position_m[-1]),
-        )
+        bound, last = float(samples.position_m[-1]), samples.at_end()
+        left = partial(left_at_end, self.scenario.robot, corners, last, float(error[-1]))
         return Motion(True, "", length, integral, bound, left, count_legs(corners))
 
     def walk(self, corners: Array, density: PathDensity, limits: PathLimits) -> PathSamples:
@@ -278,7 +283,7 @@ def count_legs(corners: Array) -> int:
 
 def invalid(reason: str) -> Motion:
     """A motion that must not be made."""
-    return Motion(False, reason, np.inf, np.inf, np.inf, np.inf)
+    return Motion(False, reason, np.inf, np.inf, np.inf, lambda: np.inf)
 
 
 def left_at_end(
@@ -291,7 +296,7 @@ def left_at_end(
     """
     before = np.ones(robot.n - 1) if load is None else load
     left = friction_law(robot).unknown_after(before, *robot.drive.collars(corners))
-    last = replace(samples, **{name: getattr(samples, name)[-1:] for name in ("corner_tip_m", "tip_m", "position_m")})
+    last = samples.at_end()
     unknown = float(released_error(last, left[None])[0])
     return min(unknown + COEFFICIENTS * loaded_m, float(last.position_m[0]))
 

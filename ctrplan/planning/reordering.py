@@ -294,7 +294,7 @@ def _summed(motions: list[Motion]) -> Motion:
         sum(motion.length_mm for motion in motions),
         sum(motion.error_integral_mm for motion in motions),
         sum(motion.end_bound_m for motion in motions),
-        sum(motion.end_error_m for motion in motions),
+        lambda: sum(motion.end_error_m for motion in motions),
         sum(motion.legs for motion in motions),
     )
 
