@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -109,13 +109,13 @@ class WalkedLegs:
         """Pieces driven without a stop."""
         return len(merge_legs(self.corners)) - 1
 
-    @property
+    @cached_property
     def unknown_m(self) -> float:
         """What friction leaves of the tip's error at the end that no compensation knows [m], by the friction law."""
         robot, loaded_m = self.scenario.robot, float(self.samples.released_m[-1])
         return left_at_end(robot, self.corners, self.pieces[-1].samples, loaded_m, start_load(self.scenario))
 
-    @property
+    @cached_property
     def cost_mm(self) -> float:
         """By the scenario's weights."""
         samples = self.samples
