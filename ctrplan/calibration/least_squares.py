@@ -32,7 +32,6 @@ class Fit:
     p: Array
     residuals: Residuals
     converged: bool
-    posterior: Array | None = None  # (P, P) covariance where it is known otherwise, as beside correlated errors
 
     @property
     def precision(self) -> Array:
@@ -53,7 +52,7 @@ class Fit:
     @property
     def covariance(self) -> Array:
         """(P, P) of the parameters."""
-        return inverse(self.information) if self.posterior is None else self.posterior
+        return inverse(self.information)
 
     @property
     def at_bound(self) -> NDArray[np.bool_]:

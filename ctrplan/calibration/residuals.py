@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
+from ctrplan.calibration.discrepancy import Discrepancy
 from ctrplan.errors import InputError
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.pipeline.term import SensorPrediction
@@ -31,10 +32,14 @@ UNSOUND = 20.0  # norm given to a pose that the model could not solve
 
 @dataclass(frozen=True)
 class Noise:
-    """Standard deviations of a coordinate of the position and of a small rotation of the tangent about an axis."""
+    """Standard deviations of a coordinate of the position and of a small rotation of the tangent about an axis.
+
+    Where poses have a discrepancy besides, `discrepancy` is that of the poses that are asked about, in their order.
+    """
 
     position_m: float
     tangent_rad: float
+    discrepancy: Discrepancy | None = None
 
     @property
     def floor_m(self) -> float:
@@ -79,19 +84,6 @@ def residuals(
     data: Measurements, prediction: SensorPrediction, noise: Noise, group: Sequence[int] | NDArray[np.int_]
 ) -> Residuals:
     """Residuals of all poses; `group` (K,) numbers the configurations."""
-    r, J = differences(data, prediction, noise)
-    given = data.given
-    shares = np.repeat([MODEL_POSITION_M / noise.position_m, MODEL_TANGENT_RAD / noise.tangent_rad], [3, 2])
-    r, J = _unsound(r, J, prediction.sound, given)
-    raw_norm = np.linalg.norm(r, axis=1)
-    trust = _weight(raw_norm)[:, None] * given
-    alike = np.asarray(group) * (int(data.seen_marker.max(initial=0)) + 1) + data.seen_marker
-    r, J = _whitened(r, alike, shares, trust), _whitened(J, alike, shares[:, None], trust)
-    return Residuals(r, J, _weight(np.linalg.norm(r, axis=1)), raw_norm, given)
-
-
-def differences(data: Measurements, prediction: SensorPrediction, noise: Noise) -> tuple[Array, Array]:
-    """Measured minus predicted numbers over the noise, r (K, 5), and derivatives of the prediction J (K, 5, P)."""
     given = data.given
     measured, plane = compared(prediction.tangent, data.tangent)
     sigma_m = noise.position_m * data.over_tip
@@ -99,7 +91,17 @@ def differences(data: Measurements, prediction: SensorPrediction, noise: Noise) 
     tangent = np.where(given[:, 3:], _tangent_error(prediction.tangent, measured, plane) / noise.tangent_rad, 0.0)
     position_by = prediction.position_by / sigma_m[:, :, None] * given[:, :3, None]
     tangent_by = np.einsum("kcx,kxp->kcp", plane, prediction.tangent_by) / noise.tangent_rad * given[:, 3:, None]
-    return np.hstack([position, tangent]), np.concatenate([position_by, tangent_by], axis=1)
+    r = np.hstack([position, tangent])
+    J = np.concatenate([position_by, tangent_by], axis=1)
+    shares = np.repeat([MODEL_POSITION_M / noise.position_m, MODEL_TANGENT_RAD / noise.tangent_rad], [3, 2])
+    r, J = _unsound(r, J, prediction.sound, given)
+    raw_norm = np.linalg.norm(r, axis=1)
+    trust = _weight(raw_norm)[:, None] * given
+    alike = np.asarray(group) * (int(data.seen_marker.max(initial=0)) + 1) + data.seen_marker
+    r, J = _whitened(r, alike, shares, trust), _whitened(J, alike, shares[:, None], trust)
+    if noise.discrepancy is not None:
+        r, J = noise.discrepancy.whitened(r), noise.discrepancy.whitened(J)
+    return Residuals(r, J, _weight(np.linalg.norm(r, axis=1)), raw_norm, given)
 
 
 def _weight(norm: Array) -> Array:

@@ -46,7 +46,6 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     help_starts = "starts of the fit (default: %(default)s)"
     add_number(parser, "--starts", Whole(1, 100), default=1, metavar="N", help=help_starts)
     add_number(parser, "--seed", SEED, default=0, help="of the starts and of what is kept aside")
-    parser.add_argument("--as-read", action="store_true", help="fit the file as it stands, although it seems misread")
     add_output_option(parser)
     add_set_option(parser, "the robot's key")
 
@@ -54,7 +53,6 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Runs the command; returns its exit code. Raises CtrplanError when there is nothing to write."""
     from ctrplan.calibration.calibrate import calibrate
-    from ctrplan.diagnosis.workflow import refuse_misread
     from ctrplan.files.measurement_file import load_measurements
     from ctrplan.files.robot_file import load_robot, write_robot
     from ctrplan.reports.calibration_page import calibration_report_html
@@ -62,8 +60,6 @@ def run(arguments: argparse.Namespace) -> int:
 
     robot = load_robot(arguments.robot, arguments.overrides)
     data = load_measurements(arguments.measurements, robot)
-    if not arguments.as_read:
-        refuse_misread(robot, data)
     folder = output_folder(arguments.output, OUTPUTS)
     result = calibrate(
         robot,

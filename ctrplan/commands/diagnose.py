@@ -15,8 +15,6 @@ from ctrplan.storage.output_folder import output_folder, written_together
 
 if TYPE_CHECKING:
     from ctrplan.diagnosis import Diagnosis
-    from ctrplan.diagnosis.workflow import Misread
-    from ctrplan.measurement.measurements import Measurements
 
 OUTPUTS = ("diagnosis.json", "robot.toml", "report.html")
 
@@ -29,8 +27,6 @@ EXAMPLES = """examples:
   ctrplan diagnose robot.toml measurements.csv -o out
   ctrplan diagnose robot.toml measurements.csv -o out --without friction --without backlash
   ctrplan diagnose robot.toml monday.csv --confirm tuesday.csv -o out
-  ctrplan diagnose robot.toml monday.csv --propose commanded.csv -o out
-  ctrplan diagnose robot.toml monday.csv --decide measured.csv -o out
   ctrplan bound out/robot.toml --theta-deg 0 90 180 --l-mm 0 -17 -62.8
 """
 
@@ -57,19 +53,6 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="runs that nothing reads until the verdict is given, then once: confirmed or not, effect by effect; "
         "repeatable",
     )
-    parser.add_argument(
-        "--propose",
-        metavar="COMMANDED.csv",
-        help="write the poses that tell most, to be measured and given to --decide",
-    )
-    parser.add_argument(
-        "--decide",
-        metavar="MEASURED.csv",
-        action="append",
-        default=[],
-        help="poses that were proposed and measured since: they decide, none is kept aside; repeatable",
-    )
-    parser.add_argument("--as-read", action="store_true", help="fit the file as it stands, although it seems misread")
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
     add_set_option(parser, "the robot's key")
 
@@ -79,58 +62,24 @@ def run(arguments: argparse.Namespace) -> int:
     with interrupt_event() as interrupted:
         from ctrplan.diagnosis import CATALOGUE, diagnose
         from ctrplan.diagnosis.confirmation import confirm
-        from ctrplan.diagnosis.hypotheses import reduced
-        from ctrplan.diagnosis.next_experiment import write_proposals
-        from ctrplan.diagnosis.workflow import Misread
+        from ctrplan.diagnosis.workbench import reduced
         from ctrplan.files.measurement_file import load_measurements
         from ctrplan.files.robot_file import load_robot
 
         reduced(CATALOGUE, arguments.without, key="--without")
         robot = load_robot(arguments.robot, arguments.overrides)
         data = load_measurements(arguments.measurements, robot)
-        others, deciding = (
-            [load_measurements(p, robot) for p in given] for given in (arguments.confirm, arguments.decide)
-        )
+        others = [load_measurements(path, robot) for path in arguments.confirm]
         folder = output_folder(arguments.output, OUTPUTS)
         warn([*robot.warnings, *data.warnings])
-        try:
-            with ProgressBar(quiet=arguments.quiet) as bar:
-                result = diagnose(
-                    robot,
-                    data,
-                    bar.show,
-                    without=arguments.without,
-                    interrupted=interrupted,
-                    as_read=arguments.as_read,
-                    deciding=deciding,
-                )
-                confirmed = tuple(confirm(result, other) for other in others if not result.interrupted)
-                result = replace(result, confirmations=confirmed)
-        except Misread as misread:
-            _write_reading(folder, misread, data)
-            raise
+        with ProgressBar(quiet=arguments.quiet) as bar:
+            result = diagnose(robot, data, bar.show, without=arguments.without, interrupted=interrupted)
+            confirmed = tuple(confirm(result, other) for other in others if not result.interrupted)
+            result = replace(result, confirmations=confirmed)
         _write(folder, result)
-        if arguments.propose is not None:
-            write_proposals(arguments.propose, result.proposals, robot.n)
         print(summary(folder, result))
         tell_next(f"open {folder}/report.html; ctrplan check {folder}/robot.toml, the model with what was found in it")
         return INTERRUPTED if result.interrupted else 0
-
-
-def _write_reading(folder: Path, misread: Misread, data: Measurements) -> None:
-    """diagnosis.json of a file that does not mean what it says: nothing was fitted."""
-    from ctrplan.diagnosis.result import SCHEMA_VERSION, reading_json
-    from ctrplan.storage.output_folder import write_atomically
-
-    content = {
-        "verdict": "misread",
-        "reading": reading_json(misread.readings, data),
-        "effects": [],
-        "measurements_sha256": data.sha256,
-        "schema_version": SCHEMA_VERSION,
-    }
-    with written_together(folder, OUTPUTS[:1]) as made:
-        write_atomically(made / "diagnosis.json", json.dumps(content, indent=1, allow_nan=False) + "\n")
 
 
 def _write(folder: Path, diagnosis: Diagnosis) -> None:
@@ -149,18 +98,14 @@ def _write(folder: Path, diagnosis: Diagnosis) -> None:
 
 def summary(folder: Path, diagnosis: Diagnosis) -> str:
     """What a person wants to know first."""
-    from ctrplan.diagnosis.sentences import effect_lines, other_lines, verdict_sentence
+    from ctrplan.diagnosis.sentences import effect_lines, verdict_sentence
 
     gap = diagnosis.gap
-    read = [reading.sentence for reading in diagnosis.readings]
-    lines = [*read, verdict_sentence(diagnosis), *(f"  {line}" for line in effect_lines(diagnosis))]
-    which = "kept aside" if gap.is_aside else "that were fitted"
+    lines = [verdict_sentence(diagnosis), *(f"  {line}" for line in effect_lines(diagnosis))]
     lines.append(
-        f"  on {gap.after.poses} poses {which}: {gap.before.rms_m * 1e3:.2f} mm rms calibrated, "
-        f"{gap.after.rms_m * 1e3:.2f} mm with the effects, 95 % within {gap.radius_m * 1e3:.2f} mm, noise "
-        f"{gap.floor_m * 1e3:.2f} mm"
+        f"  on {gap.after.poses} poses kept aside: {gap.before.rms_m * 1e3:.2f} mm rms calibrated, "
+        f"{gap.after.rms_m * 1e3:.2f} mm with the effects, noise {gap.floor_m * 1e3:.2f} mm"
     )
-    lines += [f"  {line}" for line in other_lines(diagnosis)]
     lines += [f"  {diagnosis.place.sentence}", f"  next: {diagnosis.next_experiment}"]
     lines += [f"  {confirmation.sentence}" for confirmation in diagnosis.confirmations]
     lines += [f"  note: {note}" for note in diagnosis.notes]

@@ -1,229 +1,266 @@
-"""One rule from posterior probabilities to a verdict.
+"""From measurements to a set of effects and a verdict, before the test set is opened.
 
-A name is given where its posterior probability is at least CERTAIN; several share a place, "A or B", where only their
-sum is. What nobody has named counts where it is larger than half the noise, and certain as well. A calibration that had
-to go where the file's tubes are not is told as that.
+The ordinary search comes first and names what leaves noise alone. Where nothing does, what holds beside a rest is asked
+for, `partly.py`. A long log of a continuous motion, in which the ordinary search takes minutes, is asked that first.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, Literal
+import threading
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ctrplan.base.arrays import MM_PER_M, Array
-from ctrplan.diagnosis.hypotheses import Bench, Hypothesis
-from ctrplan.diagnosis.posterior_search import Answer
-from ctrplan.pipeline.term import Term
+from ctrplan.base.arrays import Array
+from ctrplan.base.long_work import StageProgress
+from ctrplan.calibration.fit_warnings import gross_outliers, too_many
+from ctrplan.calibration.residuals import Noise
+from ctrplan.diagnosis.adequacy import ignored, remains, rescaled_noise
+from ctrplan.diagnosis.built_term import Built, build
+from ctrplan.diagnosis.partial_diagnosis import PartialDiagnosis, diagnose_partially
+from ctrplan.diagnosis.selection import SelectionStep, Selector
+from ctrplan.diagnosis.smooth_evidence import remaining_error
+from ctrplan.diagnosis.usable_poses import bench_of, checked_split, thinned, without_outliers
+from ctrplan.diagnosis.verdict import Finding, Judgement, judge, specific
+from ctrplan.diagnosis.workbench import Candidates, Scored, Workbench
+from ctrplan.measurement.measurements import Measurements, Split, groups
+from ctrplan.robot.robot import Robot
 
-Verdict = Literal["named", "no_missing_effect", "ambiguous", "partial", "unexplained", "wrong_tube"]
-
-CERTAIN = 0.99  # posterior probability of what is said: one wrong name in a hundred
-HALF_NOISE = 0.5  # of the noise's deviation: unnamed errors below it change no plan
-IMPLAUSIBLE = 3.0  # deviations of the prior that a tube of the file is not off by: one of 370
-MOST_ALTERNATIVES = 3  # beside a name: a sentence with more says nothing
-WORTH_TELLING = 0.02  # posterior probability of an effect that is told as possible
-
-
-@dataclass(frozen=True, eq=False)
-class Alternative:
-    """Another effect in the place of one that is listed."""
-
-    term: Term
-    probability: float
+HELD_OUT_SHARE = 0.95  # of the work done when the held-out set is asked
 
 
-@dataclass(frozen=True, eq=False)
-class Finding:
-    """An effect of the verdict with its posterior probability, and what cannot be told from it."""
-
-    term: Term
-    probability: float
-    alternatives: tuple[Alternative, ...] = ()
+class Interrupted(Exception):
+    """Ctrl-C between two fits."""
 
 
-@dataclass(frozen=True)
-class TubeFault:
-    """A tube that is not the tube of the file: a calibrated factor that no such tube has."""
+@dataclass(eq=False)
+class Teller:
+    """Names the steps to whoever watches, and stops between them when asked to."""
 
-    tube: int  # from 1
-    what: str  # "as curved", "as stiff"
-    factor: float
-    deviations: float  # of the prior
+    progress: StageProgress | None
+    interrupted: threading.Event | None
+    share: float = 0.05
 
-    @property
-    def sentence(self) -> str:
-        """In words."""
-        return f"tube {self.tube} is not the tube of the file: it is {self.factor:.2f} times {self.what}"
+    def pause(self) -> None:
+        """Where a run may stop."""
+        if self.interrupted is not None and self.interrupted.is_set():
+            raise Interrupted
 
-    def to_json(self) -> dict[str, Any]:
-        """For diagnosis.json."""
-        return {
-            "tube": self.tube,
-            "what": self.what,
-            "factor": round(self.factor, 4),
-            "deviations_of_prior": round(self.deviations, 2),
-        }
+    def __call__(self, step: str) -> None:
+        """A step begins."""
+        self.pause()
+        self.share += 0.25 * (HELD_OUT_SHARE - self.share)  # how many steps there will be is not known
+        if self.progress:
+            self.progress(step, self.share)
 
 
-@dataclass(frozen=True)
-class Unnamed:
-    """Errors that nobody has named, beside the effects of a hypothesis."""
-
-    over_noise: float  # deviation of all together over the noise's
-    log_odds: float  # evidence with them over that of noise alone
-    parts: Mapping[
-        str, float
-    ]  # process -> rms distance [m] by which it moves positions most probably, the largest first
-    noise: tuple[float, float]  # deviations over the stated ones, of position and tangent
-
-    @property
-    def is_large(self) -> bool:
-        """Whether there is more than half the noise, with certainty."""
-        return self.over_noise > HALF_NOISE and self.log_odds > math.log(CERTAIN / (1 - CERTAIN))
-
-    @property
-    def rms_m(self) -> float:
-        """Of all together."""
-        return float(np.sqrt(sum(value**2 for value in self.parts.values())))
-
-    @property
-    def sentence(self) -> str:
-        """How large, and where it acts."""
-        if not self.is_large:
-            return "What nobody has named is below half the noise."
-        told = [f"{name} ({rms_m * MM_PER_M:.2f} mm)" for name, rms_m in list(self.parts.items())[:2]]
-        size = f"What nobody has named is {self.over_noise:.1f} times the noise"
-        return f"{size}; most probably it acts as {' and '.join(told)}." if told else f"{size}."
-
-    def to_json(self) -> dict[str, Any]:
-        """For diagnosis.json."""
-        return {
-            "over_noise": round(self.over_noise, 3),
-            "log_odds": round(self.log_odds, 2),
-            "rms_mm": round(self.rms_m * MM_PER_M, 4),
-            "parts_rms_mm": {name: round(rms_m * MM_PER_M, 4) for name, rms_m in self.parts.items()},
-            "noise_over_stated": [round(x, 3) for x in self.noise],
-        }
+INTERRUPTED = "Interrupted: this is what was found until then, not a verdict."
+LONG_LOG = 400  # poses of a continuous motion, of which parts are asked for first
 
 
 @dataclass(frozen=True, eq=False)
-class Judgement:
-    """The verdict, and the probabilities behind it."""
+class Conclusion:
+    """What was found on the poses that choose; the arrays are over all poses (K,) of the data."""
 
-    verdict: Verdict
-    findings: tuple[Finding, ...]
-    possible: Mapping[str, float]  # other effects with their posterior probabilities
-    none: float  # posterior probability that no effect of the catalogue acts
-    tubes: tuple[TubeFault, ...]
-    unnamed: Unnamed
-    chosen: Hypothesis  # with the listed effects alone
-    notes: tuple[str, ...] = ()
-
-    @property
-    def probability(self) -> float:
-        """Posterior probability of all that is listed, or that nothing is to be."""
-        return (
-            float(np.prod([f.probability + sum(a.probability for a in f.alternatives) for f in self.findings]))
-            if (self.findings)
-            else self.none
-        )
+    bench: Workbench
+    path: tuple[SelectionStep, ...]
+    chosen: Scored  # with the effects of the search
+    base: Scored  # calibrated, without effects
+    judgement: Judgement
+    split: Split
+    group: NDArray[np.int_]  # (K,) poses that count as one
+    noise: Noise
+    is_rescaled: bool  # whether the noise is smaller than stated
+    wrong: NDArray[np.bool_]  # (K,) poses that went wrong
+    notes: tuple[str, ...]
+    interrupted: bool = False
+    partly: PartialDiagnosis | None = None
+    built: Built | None = None  # a term of what the effects leave
+    otherwise: Conclusion | None = None  # what is said where the built term fails on the held-out set
 
 
-def judge(answer: Answer) -> Judgement:
-    """The verdict on the poses that choose."""
-    findings = _findings(answer)
-    terms = [f.term for f in findings]
-    chosen = _with(answer, terms)
-    unnamed = unnamed_beside(answer.bench, chosen)
-    tubes = _tube_faults(chosen)
-    told = {f.term.name for f in findings} | {a.term.name for f in findings for a in f.alternatives}
-    possible = {n: p for n, p in answer.of_effects.items() if n not in told and p > WORTH_TELLING}
-    verdict = _verdict(findings, unnamed, tubes, answer.of_none)
-    return Judgement(verdict, findings, possible, answer.of_none, tubes, unnamed, chosen)
+def conclude(
+    robot: Robot, data: Measurements, usable: NDArray[np.bool_], noise: Noise, known: Candidates, teller: Teller
+) -> Conclusion:
+    """Searches what the catalogue has; `usable` (K,) are the poses to go by. Raises InputError where they are few."""
+    wrong, parts, bench = without_outliers(robot, data, usable, noise)
+    is_long = data.is_stream and int((usable & ~wrong).sum()) > LONG_LOG
+    if is_long:
+        few = thinned(parts, data)
+        nothing = _nothing(data, few, bench_of(robot, data, few, noise), wrong)
+        first = _beside_a_remainder(nothing, data, usable, noise, known, teller)
+        if first.interrupted or (first.partly and not first.partly.is_noise):
+            return _with_built(first, first, teller)
+    result = _unless_something_remains(_ordinary(data, usable, wrong, bench, parts, known, teller))
+    explained = result.judgement.verdict != "unexplained" or result.judgement.adequacy.is_adequate
+    if explained or result.interrupted or is_long:
+        return result
+    part = _beside_a_remainder(result, data, usable, noise, known, teller)
+    if whole := _explaining_all(part, known, teller):
+        return whole
+    return _with_built(part, part if part.judgement.verdict == "partial" or part.interrupted else result, teller)
 
 
-def _verdict(findings: Sequence[Finding], unnamed: Unnamed, tubes: Sequence[TubeFault], none: float) -> Verdict:
-    if findings:
-        if unnamed.is_large:
-            return "partial"
-        return "ambiguous" if any(f.alternatives for f in findings) else "named"
-    if unnamed.is_large:
-        return "unexplained"
-    if none < 1 - none:
-        return "ambiguous"
-    return "wrong_tube" if tubes else "no_missing_effect"
+def _with_built(part: Conclusion, otherwise: Conclusion, teller: Teller) -> Conclusion:
+    """What holds beside a rest with a term built of the rest; `otherwise` where there is none."""
+    if part.partly is None or part.interrupted:
+        return otherwise
+    try:
+        built = build(part.partly, teller)
+    except Interrupted:
+        return replace(otherwise, interrupted=True, notes=(*otherwise.notes, INTERRUPTED))
+    if built is None:
+        return otherwise
+    return replace(
+        part,
+        chosen=built.scored,
+        judgement=built.partly.judgement,
+        partly=built.partly,
+        built=built,
+        otherwise=otherwise,
+        path=(*part.path, *built.path, *built.partly.path),
+    )
 
 
-def _findings(answer: Answer) -> tuple[Finding, ...]:
-    """Effects of the most probable set that are certain, alone or with others in their place."""
-    shares, best = answer.of_effects, answer.best
-    sure = {name for name, share in shares.items() if share >= CERTAIN}
-    results, taken = [], set(sure)
-    for t in best.terms:
-        if t.name in sure:
-            results.append(Finding(t, shares[t.name]))
-            continue
-        names = [t.name]
-        for name in shares:
-            if name not in taken and name not in names and len(names) <= MOST_ALTERNATIVES:
-                names.append(name)
-                if answer.of_any(names) >= CERTAIN:
-                    break
-        if answer.of_any(names) < CERTAIN:
-            continue
-        taken |= set(names)
-        others = [Alternative(_variant(answer, name), shares[name]) for name in names[1:] if shares[name] > 1 - CERTAIN]
-        results.append(Finding(t, shares[t.name], tuple(others)))
-    return tuple(results)
+def _beside_a_remainder(
+    before: Conclusion,
+    data: Measurements,
+    usable: NDArray[np.bool_],
+    stated: Noise,
+    known: Candidates,
+    teller: Teller,
+) -> Conclusion:
+    """What holds although something remains; what there was before, where it is interrupted.
+
+    The noise may be smaller than stated. It is never enlarged, for the rest would hide in it.
+    """
+    noise = before.noise if before.is_rescaled else stated
+    try:
+        part = diagnose_partially(before.bench.robot, data, usable & ~before.wrong, noise, known, teller)
+    except Interrupted:
+        return replace(before, interrupted=True, notes=(*before.notes, INTERRUPTED))
+    return replace(
+        before,
+        bench=part.bench,
+        noise=noise,
+        path=(*before.path, *part.path),
+        chosen=part.chosen,
+        base=part.base,
+        judgement=part.judgement,
+        split=part.split,
+        group=part.block,
+        partly=part,
+    )
 
 
-def _variant(answer: Answer, name: str) -> Term:
-    """The most probable variant of an effect."""
-    return next(t for h in answer.hypotheses for t in h.terms if t.name == name)
+def _unless_something_remains(conclusion: Conclusion) -> Conclusion:
+    """The answer, its names taken back where what they leave has a memory: effects are at work then, but not alone."""
+    judgement = conclusion.judgement
+    if judgement.verdict not in ("named", "ambiguous") or conclusion.interrupted:
+        return conclusion
+    remains_too = remaining_error(conclusion.bench, conclusion.chosen)
+    if not remains_too:
+        return conclusion
+    kept = specific(conclusion.bench, conclusion.chosen, judgement.findings, judgement.adequacy)
+    notes = (*judgement.notes, remains_too)
+    return replace(conclusion, judgement=replace(judgement, verdict="unexplained", findings=kept, notes=notes))
 
 
-def _with(answer: Answer, terms: Sequence[Term]) -> Hypothesis:
-    """The hypothesis of these terms alone, as large as the data say."""
-    key = frozenset(t.key for t in terms)
-    known = next((h for h in answer.hypotheses if h.key == key), None)
-    return answer.bench.sized(known or answer.bench.fitted(terms, answer.best.values, answer.best.sizes))
+def _explaining_all(part: Conclusion, known: Candidates, teller: Teller) -> Conclusion | None:
+    """What was found beside a rest, judged as any other set: None where something remains after all.
+
+    Effects that hide one another are found beside a rest, where each need not leave noise alone.
+    """
+    if part.partly is None or part.interrupted or not part.judgement.findings:
+        return None
+    there = part.partly.bench
+    bench = Workbench(there.robot, there.data, part.noise, there.group, there.fold)
+    frames = [f.term for f in part.judgement.findings if f.term.name not in part.chosen.names]
+    chosen = bench.corrected(bench.scored([*part.chosen.terms, *frames], part.chosen.fit))
+    if not remains(bench, chosen).is_adequate or remaining_error(bench, chosen):
+        return None
+    selector = Selector(bench, known, teller, chosen)
+    try:
+        bench.pause = teller.pause
+        judgement = judge(selector, selector.found)
+    except Interrupted:
+        return None
+    bench.pause = lambda: None
+    if judgement.verdict not in ("named", "ambiguous"):
+        return None
+    return replace(part, bench=bench, chosen=chosen, judgement=judgement, partly=None)
 
 
-def unnamed_beside(bench: Bench, h: Hypothesis) -> Unnamed:
-    """How large the errors of each process most probably are beside a hypothesis."""
-    y, scaled = at_mode(bench, h)
-    model = bench.model
-    alone, noise = model.only(np.zeros(len(model.names), bool), h.sizes)
-    gain = model.posterior(y, scaled, h.sizes, steps=0).evidence - alone.posterior(y, scaled, noise).evidence
-    position = model.given[:, :3].any(axis=1)
-    of = {
-        name: float(np.sqrt(np.mean(np.sum(error[position, :3] ** 2, axis=1)))) * bench.noise.position_m
-        for name, error in model.explained(y, scaled, h.sizes).items()
-    }
-    parts = dict(sorted(((n, v) for n, v in of.items() if v > 1e-7), key=lambda pair: -pair[1]))
-    deviations = np.sqrt(1 + h.sizes.noise)
-    size = float(np.sqrt(model.mean_variance(h.sizes) / model.mean_variance_of_noise(h.sizes)))
-    return Unnamed(size, gain, parts, (float(deviations[0]), float(deviations[1])))
+def _nothing(data: Measurements, parts: Split, bench: Workbench, wrong: NDArray[np.bool_]) -> Conclusion:
+    """Before any search."""
+    base = bench.scored([])
+    judgement = Judgement("unexplained", (), remains(bench, base), ())
+    return Conclusion(bench, (), base, base, judgement, parts, groups(data), bench.noise, False, wrong, ())
 
 
-def at_mode(bench: Bench, h: Hypothesis) -> tuple[Array, Array]:
-    """Residuals (K, 5) at the priors' centres, linearised at a hypothesis, and columns over the priors."""
-    r, J = bench.linearised(h.chain, h.p)
-    scaled = J * h.chain.prior
-    return r + scaled @ ((h.p - h.chain.neutral) / h.chain.prior), scaled
+def _ordinary(
+    data: Measurements,
+    usable: NDArray[np.bool_],
+    wrong: NDArray[np.bool_],
+    bench: Workbench,
+    parts: Split,
+    known: Candidates,
+    teller: Teller,
+) -> Conclusion:
+    """The search for what leaves noise alone, once more without poses that something missing had hidden."""
+    selector, judgement, notes, stopped = _searched(bench, known, teller)
+    more = gross_outliers(selector.found.chosen.fit, data, usable & ~wrong)
+    if more.any() and not too_many(wrong | more, usable) and not stopped:
+        wrong = wrong | more
+        parts = checked_split(data, usable & ~wrong)
+        bench = bench_of(bench.robot, data, parts, bench.noise)
+        selector, judgement, notes, stopped = _searched(bench, known, teller)
+    selector.bench.pause = lambda: None  # what follows is short, and nothing is told without it
+    noise, result = selector.bench.noise, selector.found
+    base = selector.bench.scored([])
+    is_rescaled = noise.position_m < bench.noise.position_m
+    return Conclusion(
+        selector.bench,
+        tuple(result.path),
+        result.chosen,
+        base,
+        judgement,
+        parts,
+        groups(data),
+        noise,
+        is_rescaled,
+        wrong,
+        tuple(notes),
+        stopped,
+    )
 
 
-def _tube_faults(h: Hypothesis) -> tuple[TubeFault, ...]:
-    results = []
-    words = {"precurvature_factor": "as curved", "stiffness_factor": "as stiff"}
-    for j, q in enumerate(h.chain.terms[0].parameters):
-        away = (h.p[j] / q.si - q.neutral) / q.prior
-        stem = next((stem for stem in words if q.name.startswith(stem)), "")
-        if stem and abs(away) > IMPLAUSIBLE:
-            tube = int(q.name.removeprefix(f"{stem}_").split("_")[0])
-            results.append(TubeFault(tube, words[stem], float(h.p[j] / q.si), float(away)))
-    return tuple(results)
+def _searched(bench: Workbench, known: Candidates, teller: Teller) -> tuple[Selector, Judgement, list[str], bool]:
+    """Selection and judgement, once more with the noise that the data show if it is not the stated one."""
+    selector, notes = Selector(bench, known, teller), list[str]()
+    bench.pause = teller.pause
+    try:
+        teller("calibrating")
+        selector.run()
+        judgement = judge(selector, selector.found)
+        scaled, note = rescaled_noise(judgement.adequacy, bench.noise, *_norms(selector.found.chosen))
+        notes += [note] if note else []
+        if scaled is not None:
+            again = Workbench(bench.robot, bench.data, scaled, bench.group, bench.fold)
+            selector = Selector(again, known, teller)
+            again.pause = teller.pause
+            selector.run()
+            judgement = judge(selector, selector.found)
+    except Interrupted:
+        notes.append(INTERRUPTED)
+        chosen = selector.found.chosen
+        findings = tuple(Finding(t) for t in chosen.terms)
+        return selector, Judgement("unexplained", findings, remains(bench, chosen), ()), notes, True
+    return selector, judgement, notes, False
+
+
+def _norms(scored: Scored) -> tuple[Array, Array]:
+    """Norms of the residuals per pose, without outliers, and how many measured numbers each has."""
+    parts, kept = scored.fit.residuals, ~ignored(scored)
+    return parts.norm[kept], parts.given[kept].sum(axis=1)

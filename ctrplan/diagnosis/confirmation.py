@@ -1,39 +1,51 @@
-"""Effects found on some runs, asked once on runs that nothing has read: the same evidence, on new data.
+"""Effects found on some runs, asked once on runs that nothing has read.
 
-Calibration and effects have the posterior of the first runs as their prior; only the frames between robot and tracker
-and the zeros of another homing are free again, as they are after every mounting. Each effect is compared with a model
-that was calibrated on the first runs without it.
+Model and effects stay as they were found; only the frames between robot and tracker are found anew, as they are after
+every mounting: for each block of poses by the other blocks. An effect is confirmed where runs are predicted better with
+it than by a model that was calibrated without it, block after block.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ctrplan.base.arguments import Made, checked
+from ctrplan.base.arrays import Array
 from ctrplan.calibration.estimates import Errors, distances, summary
-from ctrplan.diagnosis.conclusion import CERTAIN
-from ctrplan.diagnosis.hypotheses import Bench, Hypothesis, Slip, bench
+from ctrplan.calibration.fit_warnings import excused, gross_outliers, too_many
+from ctrplan.calibration.least_squares import Fit, fit
+from ctrplan.calibration.residuals import Noise, residuals, robust_square
+from ctrplan.diagnosis.block_evidence import summed
+from ctrplan.diagnosis.correlated_bench import FRAMES, fixed, frames
+from ctrplan.diagnosis.cross_validation import steps_without
 from ctrplan.diagnosis.result import Diagnosis
-from ctrplan.diagnosis.usable_poses import LEAST_POSES, blocks, thinned, usable_poses
-from ctrplan.effects.effect import CATALOGUE
+from ctrplan.diagnosis.usable_poses import blocks, usable_poses
+from ctrplan.diagnosis.workbench import certainty, linear, values_by_name
 from ctrplan.errors import InputError
 from ctrplan.measurement.measurements import Measurements
-from ctrplan.pipeline.term import Term, term
-from ctrplan.robot.robot import Robot
+from ctrplan.pipeline.followed_runs import friction_correction
+from ctrplan.pipeline.parametric_chain import ParametricChain
+from ctrplan.pipeline.term import Term
 
-FRAMES = ("base_misalignment", "frame_shift", "homing_shift")  # of one mounting, found anew in the next
+CONFIRMED, CONTRADICTED = 3.0, -2.0  # standard errors over blocks
+LEAST_BLOCKS = 5
+MOST_POSES = 400  # of a continuous motion that are compared
 
 
 @dataclass(frozen=True)
 class ConfirmedEffect:
-    """One effect on the new runs: the evidence it gains over a model calibrated without it."""
+    """One effect on the new runs: the log-likelihood it gains over a model calibrated without it, and errors."""
 
     name: str
-    log_odds: float
+    gain: float
+    error: float  # standard error over blocks
+    z: float
     without: Errors
     verdict: str  # "confirmed", "not confirmed", "contradicted"
 
@@ -45,29 +57,38 @@ class Confirmation:
     file: str
     sha256: str
     poses: int
-    before: Errors  # calibrated without any effect, in frames found anew
+    blocks: int
+    calibrated: Errors  # without any effect, and in the frame that the robot file has
+    before: Errors  # the same in frames found anew
     after: Errors  # with all effects
     effects: tuple[ConfirmedEffect, ...]
 
     @property
     def sentence(self) -> str:
         """Effect by effect."""
-        errors = f"{self.before.rms_m * 1e3:.2f} mm rms without effects, {self.after.rms_m * 1e3:.2f} mm with all"
-        said = [f"{e.name} {e.verdict} (log odds {e.log_odds:.1f})" for e in self.effects] or ["no effect to confirm"]
-        return f"On {self.file or 'new runs'}, which nothing had read: {', '.join(said)}; {errors}, frames found anew."
+        calibrated, before, after = (e.rms_m * 1e3 for e in (self.calibrated, self.before, self.after))
+        errors = (
+            f"{calibrated:.2f} mm rms calibrated, {before:.2f} mm in frames found anew, {after:.2f} mm with all effects"
+        )
+        said = [f"{e.name} {e.verdict} ({e.z:.1f} standard errors)" for e in self.effects] or ["no effect to confirm"]
+        return f"On {self.file or 'new runs'}, which nothing had read: {', '.join(said)}; {errors}."
 
     def to_json(self) -> dict[str, Any]:
         """For diagnosis.json."""
         return {
             "measurements_sha256": self.sha256,
             "poses": self.poses,
+            "blocks": self.blocks,
+            "calibrated_rms_mm": round(self.calibrated.rms_m * 1e3, 4),
             "before_rms_mm": round(self.before.rms_m * 1e3, 4),
             "after_rms_mm": round(self.after.rms_m * 1e3, 4),
             "effects": [
                 {
                     "name": e.name,
                     "verdict": e.verdict,
-                    "log_odds": round(e.log_odds, 2),
+                    "gain": round(e.gain, 2),
+                    "standard_error": round(e.error, 2),
+                    "z": round(e.z, 2),
                     "without_rms_mm": round(e.without.rms_m * 1e3, 4),
                 }
                 for e in self.effects
@@ -83,58 +104,121 @@ def confirm(diagnosis: Diagnosis, data: Measurements) -> Confirmation:
     """
     if data.sha256 and data.sha256 == diagnosis.data.sha256:
         raise InputError("must be runs that the diagnosis has not read", file=data.file, key="confirm")
-    usable = np.flatnonzero(usable_poses(diagnosis.robot, data))
-    if len(usable) < LEAST_POSES:
-        raise InputError(f"has {len(usable)} usable poses, too few to confirm anything", file=data.file)
-    asked = data.subset(thinned(data, usable))
-    if data.homing is not None or diagnosis.data.homing is not None:
-        asked = replace(asked, homing=data.homings + 1)  # no run of these has the zeros of the first one there
-    there = bench(diagnosis.robot, asked, diagnosis.noise, ())
-    old, chosen = diagnosis.answer.bench, diagnosis.answer_with_built
-    kept = [t for t in chosen.terms if t.name not in FRAMES and not isinstance(t.effect, Slip)]
-    whole = _asked(there, chosen)
-    effects = []
-    for t in kept:
-        rest = old.fitted([s for s in chosen.terms if s is not t], chosen.values, chosen.sizes)
-        without = _asked(there, rest)
-        odds = whole.evidence - without.evidence
-        least = math.log(CERTAIN / (1 - CERTAIN))
-        verdict = "confirmed" if odds > least else "contradicted" if odds < -least else "not confirmed"
-        effects.append(ConfirmedEffect(t.name, odds, _errors(there, without), verdict))
-    before = _errors(there, _asked(there, diagnosis.answer.base))
-    return Confirmation(data.file or "", data.sha256, asked.count, before, _errors(there, whole), tuple(effects))
+    usable = usable_poses(diagnosis.robot, data)
+    new = _new(diagnosis, data, usable)
+    wrong = gross_outliers(new.placed(diagnosis.chosen.fit), data, usable)
+    if wrong.any() and not too_many(wrong, usable):
+        new = _new(diagnosis, data, usable & ~wrong)
+    block, count = new.block, len(np.unique(new.block))
+    whole, listed = new.predicted(diagnosis.chosen.fit), {t.key for t in (*diagnosis.listed, *diagnosis.built_terms)}
+    effects = tuple(
+        _confirmed(t, whole, new.predicted(_without(diagnosis, t)), block)
+        for t in diagnosis.chosen.fit.chain.terms
+        if t.key in listed and t.name not in FRAMES
+    )
+    models = (new.as_it_is(diagnosis.base.fit), new.predicted(diagnosis.base.fit), whole)
+    counted = np.logical_and.reduce([model.counted for model in models])
+    calibrated, before, after = (summary(model.distance_m[counted], block[counted]) for model in models)
+    file = data.file or ""
+    return Confirmation(file, data.sha256, new.data.count, count, calibrated, before, after, effects)
 
 
-def _asked(there: Bench, h: Hypothesis) -> Hypothesis:
-    """A hypothesis on new poses, with its posterior as prior and frames that are free."""
-    deviations = np.sqrt(np.diag(h.covariance))
-    known = [
-        Term(
-            t.effect,
-            tuple(
-                replace(q, neutral=float(v) / q.si, start=float(v) / q.si, prior=max(float(d) / q.si, 1e-9))
-                for q, v, d in zip(t.parameters, h.p[s], deviations[s], strict=True)
-            ),
-        )
-        for t, s in zip(h.chain.terms, h.chain.slices(), strict=True)
-        if t.name not in FRAMES and not isinstance(t.effect, Slip)
-    ]
-    base, *terms = known
-    return there.fitted([*terms, *frames(there.robot, there.data)], {}, there.model.start(), (14, 4), base)
+def _new(diagnosis: Diagnosis, data: Measurements, usable: NDArray[np.bool_]) -> _New:
+    """The poses to go by, of `usable` ones (K,), in blocks that last as long as can be where no memory is known."""
+    some = np.flatnonzero(usable)
+    asked = data.subset(some[:: max(1, -(-len(some) // MOST_POSES))] if data.is_stream else some)
+    if (
+        data.homing is not None or diagnosis.data.homing is not None
+    ):  # no run of these has the zeros of the first one there
+        asked = replace(asked, homing=data.homings + 1)
+    block = blocks(asked, math.inf if diagnosis.memory is None else diagnosis.memory)
+    count = len(np.unique(block))
+    if count < LEAST_BLOCKS:
+        rule = f"has {count} usable blocks of poses, too few to confirm anything: at least {LEAST_BLOCKS}"
+        raise InputError(rule, file=data.file)
+    return _New(asked, _noise(diagnosis), block)
 
 
-def frames(robot: Robot, data: Measurements) -> list[Term]:
-    """One rigid motion, one more for every further frame that the poses are in, and zeros for every further homing."""
-    effect = CATALOGUE[FRAMES[0]]
-    results = [term(effect, [q.name for q in effect.parameters(robot)], robot)]
-    for shift in (CATALOGUE[name] for name in FRAMES[1:]):
-        if not shift.untestable(robot, data) and not (data.of_collars and shift.stage == "drive"):
-            (names,) = shift.variants(robot, data)
-            results.append(term(shift, names, robot))
-    return [t for t in results if t.name not in robot.effects]
+@dataclass(frozen=True, eq=False)
+class _Predicted:
+    loss: Array  # (K,) robust squares over the noise and the rest
+    distance_m: Array  # (K,)
+    counted: NDArray[np.bool_]  # (K,) with a solution
 
 
-def _errors(there: Bench, h: Hypothesis) -> Errors:
-    prediction = h.chain.predict(h.p, derivatives=False)
-    kept = there.sound & prediction.sound
-    return summary(distances(prediction, there.data)[kept], blocks(there.data)[kept])
+def _confirmed(t: Term, whole: _Predicted, rest: _Predicted, block: NDArray[np.int_]) -> ConfirmedEffect:
+    counted = whole.counted & rest.counted
+    number = np.unique(block[counted], return_inverse=True)[1].ravel()
+    gains: Array = np.asarray(np.bincount(number, weights=(rest.loss - whole.loss)[counted] / 2), dtype=np.float64)
+    z = certainty(gains) if gains.sum() > 0 else -certainty(-gains)
+    verdict = "confirmed" if z > CONFIRMED else "contradicted" if z < CONTRADICTED else "not confirmed"
+    return ConfirmedEffect(t.name, *summed(gains), z, summary(rest.distance_m[counted], block[counted]), verdict)
+
+
+def _noise(diagnosis: Diagnosis) -> Noise:
+    """That of the measurement, and of what remains, which counts as often as poses are independent: by block."""
+    rest = diagnosis.chosen.fit.noise.discrepancy
+    sizes = (np.hypot(1, rest.position), np.hypot(1, rest.tangent)) if rest else (1.0, 1.0)
+    return Noise(diagnosis.noise.position_m * float(sizes[0]), diagnosis.noise.tangent_rad * float(sizes[1]))
+
+
+def _without(diagnosis: Diagnosis, gone: Term) -> Fit:
+    """Calibrated again on the poses of the diagnosis without an effect, as the model with it was."""
+    whole = diagnosis.chosen.fit
+    if diagnosis.partly:
+        bench, kept = diagnosis.partly.bench, [t for t in diagnosis.chosen.terms if t.name != gone.name]
+        return bench.handed_over(bench.scored(kept, whole)).fit
+    places = [(t, s) for t, s in zip(whole.chain.terms, whole.chain.slices(), strict=True) if t.name != gone.name]
+    start = np.concatenate([whole.p[place] for _, place in places])
+    return fit(whole.chain.with_terms([t for t, _ in places]), whole.noise, whole.group, start)
+
+
+@dataclass(frozen=True, eq=False)
+class _New:
+    """Runs that a diagnosis has not read, with noise and blocks (K,)."""
+
+    data: Measurements
+    noise: Noise
+    block: NDArray[np.int_]
+
+    def as_it_is(self, result: Fit) -> _Predicted:
+        """By a model with nothing found anew."""
+        chain, p = self._chain(result, [t for t in result.chain.terms if t.name not in FRAMES])
+        prediction = chain.predict(p, derivatives=False)
+        distance = distances(prediction, self.data)
+        return _Predicted(robust_square(distance / self.noise.position_m), distance, ~excused(prediction.failed))
+
+    def predicted(self, result: Fit) -> _Predicted:
+        """Each block by a model in the frames that the other blocks show, to first order; tips are those there."""
+        placed = self.placed(result)
+        loss, distance, failed = np.empty(self.data.count), np.empty(self.data.count), np.zeros(self.data.count, bool)
+        for number, step in steps_without(linear(placed), self.block).items():
+            inside = self.block == number
+            part = ParametricChain(placed.chain.robot, self.data.subset(inside), placed.chain.terms)
+            if placed.chain.correction is not None:
+                shift, turn = placed.chain.correction
+                part.correction = shift[inside], turn[inside]
+            prediction = part.predict(np.clip(placed.p + step, part.lower, part.upper), derivatives=False)
+            left = residuals(part.data, prediction, self.noise, np.arange(part.data.count))
+            loss[inside], distance[inside] = robust_square(left.norm), distances(prediction, part.data)
+            failed[inside] = prediction.failed
+        return _Predicted(loss, distance, ~excused(failed))
+
+    def placed(self, result: Fit) -> Fit:
+        """A model in the frames that these runs show."""
+        kept = [
+            fixed(t, result.p[place])
+            for t, place in zip(result.chain.terms, result.chain.slices(), strict=True)
+            if t.name not in FRAMES
+        ]
+        chain, p = self._chain(result, [*kept, *frames(result.chain.robot, self.data)])
+        return fit(chain, self.noise, np.arange(self.data.count), p)
+
+    def _chain(self, result: Fit, terms: Sequence[Term]) -> tuple[ParametricChain, Array]:
+        """The chain of terms with the values that they have in a fit, frames where nothing is displaced."""
+        chain = ParametricChain(result.chain.robot, self.data, terms)
+        keys = [(t.name, q.name) for t in chain.terms for q in t.parameters]
+        known = {key: value for key, value in values_by_name(result).items() if key[0] not in FRAMES}
+        p = np.array([known.get(key, value) for key, value in zip(keys, chain.neutral.tolist(), strict=True)])
+        chain.correction = friction_correction(chain, p)
+        return chain, p

@@ -1,34 +1,25 @@
-"""What to measure next: the poses, within the measured workspace, with the largest expected change of the posterior.
-
-Two hypotheses are told apart by a pose as far as their predictions differ, over the uncertainty that noise, unnamed
-errors and the parameters of both leave there. Weighed with the probabilities of both, that is the information to
-expect.
-"""
+"""What to measure next: the configurations and approaches that best separate two explanations."""
 
 from __future__ import annotations
 
 import itertools
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ctrplan.base.arrays import Array
-from ctrplan.calibration.residuals import Noise, differences
-from ctrplan.diagnosis.conclusion import Judgement
-from ctrplan.diagnosis.hypotheses import Hypothesis, Slip
-from ctrplan.diagnosis.posterior_search import Answer
+from ctrplan.calibration.residuals import Noise, residuals
+from ctrplan.diagnosis.verdict import Alternative, Judgement
+from ctrplan.diagnosis.workbench import Scored
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.pipeline.parametric_chain import ParametricChain
-from ctrplan.storage.output_folder import write_atomically
 
-CONFIGURATIONS, SEED = 64, 4
-OFFSET_RAD = np.radians(90.0)  # that loads friction fully
-PROPOSALS = 3  # configurations, an hour's work
+CONFIGURATIONS, SEED = 24, 4
+OFFSET_RAD = np.radians(90.0)
+PROPOSALS = 3
 SEPARATING_LOG_ODDS = 1.0  # expected log-odds of a pose below which it separates nothing
 CERTAIN_LOG_ODDS = 100.0
-MOST_COMPARED = 4  # hypotheses
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +30,6 @@ class Proposal:
     l_commanded: Array  # (n,) m
     log_odds: float
     between: tuple[str, str]
-    ways: Array  # (A, n) rad, where each approach begins
 
     @property
     def odds(self) -> str:
@@ -47,105 +37,76 @@ class Proposal:
         return f"{self.log_odds:.1f}" if self.log_odds < CERTAIN_LOG_ODDS else f"above {CERTAIN_LOG_ODDS:g}"
 
 
+def proposals(name: str, chosen: Scored, other: Alternative, data: Measurements, noise: Noise) -> list[Proposal]:
+    """The best of random configurations within the measured range, each approached from all directions.
+
+    name: of the effect that the alternative may stand for. A frame is in both fits.
+    """
+    pool = _pool(data)
+    chains = [ParametricChain(f.chain.robot, pool, f.chain.terms) for f in (chosen.fit, other.scored.fit)]
+    predictions = [
+        chain.predict(f.p, derivatives=False) for chain, f in zip(chains, (chosen.fit, other.scored.fit), strict=True)
+    ]
+    tangent = predictions[0].tangent if data.has_tangents else np.full_like(predictions[0].tangent, np.nan)
+    seen = replace(pool, position_m=predictions[0].position_m, tangent=tangent)
+    apart = residuals(seen, predictions[1], noise, np.arange(seen.count)).norm ** 2 / 2
+    sound = predictions[0].sound & predictions[1].sound
+    odds = np.bincount(pool.configuration, weights=np.where(sound, apart, 0.0))
+    first = [int(np.flatnonzero(pool.configuration == k)[0]) for k in range(len(odds))]
+    best = np.argsort(-odds)[:PROPOSALS]
+    names = name, other.term.name
+    rows = [int(pool.rows[first[k]]) for k in best]
+    return [
+        Proposal(pool.theta_commanded[row], pool.l_commanded[row], float(odds[k]), names)
+        for row, k in zip(rows, best, strict=True)
+    ]
+
+
 def next_experiment(
-    answer: Answer, judgement: Judgement, noise: Noise, not_testable: Sequence[str]
+    chosen: Scored, judgement: Judgement, data: Measurements, noise: Noise, not_testable: Sequence[str]
 ) -> tuple[str, tuple[Proposal, ...]]:
     """A sentence or two a person can act on, and the proposals behind it."""
     sentences: list[str] = []
-    rivals = [h for h, w in zip(answer.hypotheses, answer.posterior, strict=True) if w > 1e-3][:MOST_COMPARED]
-    undecided = judgement.verdict == "ambiguous" or bool(judgement.possible) or judgement.none < 1 - judgement.none
-    proposed = _proposals(answer, rivals, judgement, noise) if undecided and len(rivals) > 1 else ()
-    if judgement.verdict == "ambiguous" and len(rivals) > 1:
-        sentences.append(_separating(rivals, proposed))
-    listed = [f.term for f in judgement.findings]
-    sentences += [f"{t.name} shows itself so: {t.effect.experiment}." for t in listed[:2]]
-    if judgement.verdict in ("partial", "unexplained"):
+    proposed: list[Proposal] = []
+    for finding in judgement.findings:
+        for other in finding.alternatives:
+            result = proposals(finding.term.name, chosen, other, data, noise)
+            proposed += result
+            sentences.append(_separating(finding.term.name, other, result))
+            sentences.append(f"{finding.term.name} shows itself so: {finding.term.effect.experiment}.")
+    if judgement.verdict == "partial":
+        sentences += [f"To confirm {f.term.name}: {f.term.effect.experiment}." for f in judgement.findings]
+        sentences.append("Then measure another run, which nothing has read, and ask it with --confirm.")
+    if judgement.verdict == "unexplained":
         sentences.append(
             "Something outside the catalogue acts: repeat the configurations with the largest errors, each several "
             "times and with everything that can be changed changed (load, speed, mounting, temperature), and see "
             "with what the error goes."
         )
-    if judgement.verdict == "wrong_tube":
-        sentences.append("Measure the tube outside the robot, or correct its section in the robot file.")
     if judgement.verdict == "no_missing_effect":
         sentences.append("Nothing is missing as far as these data show.")
-    if listed and judgement.verdict != "ambiguous":
-        sentences.append("Then measure another run, which nothing has read, and ask it with --confirm.")
+    if judgement.verdict == "named":
+        names = ", ".join(f.term.name for f in judgement.findings)
+        experiment = judgement.findings[0].term.effect.experiment
+        sentences.append(f"To confirm {names}: {experiment}.")
     if not_testable:
         sentences.append(f"These data can't test {', '.join(not_testable)}.")
-    return " ".join(sentences), proposed
+    return " ".join(sentences), tuple(proposed)
 
 
-def _in_words(h: Hypothesis) -> str:
-    return " with ".join(sorted(h.names)) or "nothing"
-
-
-def _separating(rivals: Sequence[Hypothesis], results: Sequence[Proposal]) -> str:
-    one, other = _in_words(rivals[0]), _in_words(rivals[1])
+def _separating(name: str, other: Alternative, results: Sequence[Proposal]) -> str:
     if not results or results[0].log_odds < SEPARATING_LOG_ODDS:
-        return f"No pose of the measured kind separates {one} from {other}: they predict the same within its range."
+        return (
+            f"No pose of the measured kind separates {name} from {other.term.name}: they predict the same everywhere "
+            f"within its range."
+        )
     best = results[0]
     angles = ", ".join(f"{angle:.0f}" for angle in np.degrees(best.theta_commanded))
     places = ", ".join(f"{place:.1f}" for place in best.l_commanded * 1e3)
     return (
-        f"To tell {one} from {other}, measure theta = ({angles}) deg, l = ({places}) mm from all directions of "
-        f"approach (--propose writes {len(results)} such configurations): expected log-odds {best.odds}."
+        f"To tell {name} from {other.term.name}, measure theta = ({angles}) deg, l = ({places}) mm from all directions "
+        f"of approach: expected log-odds {best.odds}."
     )
-
-
-def _proposals(
-    answer: Answer, rivals: Sequence[Hypothesis], judgement: Judgement, noise: Noise
-) -> tuple[Proposal, ...]:
-    """The best of random configurations within the measured range, each approached from all directions."""
-    data = answer.bench.data
-    pool = _pool(data)
-    size = float(np.hypot(1.0, judgement.unnamed.over_noise))
-    seen = [_predicted(h, pool, noise.scaled(size), data.has_tangents) for h in rivals]
-    weights = np.array([answer.posterior[answer.hypotheses.index(h)] for h in rivals])
-    gain, count = np.zeros(pool.count), len(np.unique(pool.configuration))
-    apart: dict[tuple[int, int], Array] = {}
-    for i, j in itertools.combinations(range(len(rivals)), 2):
-        apart[i, j] = _log_odds(seen[i], seen[j])
-        gain += weights[i] * weights[j] * apart[i, j]
-    of_configuration = np.bincount(pool.configuration, weights=gain, minlength=count)
-    first_pair = np.bincount(pool.configuration, weights=apart[0, 1], minlength=count)
-    results = []
-    for k in np.argsort(-of_configuration)[:PROPOSALS].tolist():
-        mine = np.flatnonzero(pool.configuration == k)
-        row = int(pool.rows[mine[0]])
-        between = _in_words(rivals[0]), _in_words(rivals[1])
-        ways = pool.theta_commanded[pool.rows[mine] - 1]
-        results.append(Proposal(pool.theta_commanded[row], pool.l_commanded[row], float(first_pair[k]), between, ways))
-    return tuple(results)
-
-
-@dataclass(frozen=True, eq=False)
-class _Predicted:
-    """Numbers (K, 5) over the noise beside a reference, and their covariance (K, 5, 5) by the parameters."""
-
-    numbers: Array
-    covariance: Array
-
-
-def _predicted(h: Hypothesis, pool: Measurements, noise: Noise, has_tangents: bool) -> _Predicted:
-    kept = [(t, s) for t, s in zip(h.chain.terms, h.chain.slices(), strict=True) if not isinstance(t.effect, Slip)]
-    chain = ParametricChain(h.chain.robot, pool, [t for t, _ in kept])
-    index = np.concatenate([np.arange(s.start, s.stop) for _, s in kept])
-    p, covariance = h.p[index], h.covariance[np.ix_(index, index)]
-    prediction = chain.predict(p)
-    reference = np.tile(np.array([0.0, 0.0, 1.0]), (pool.count, 1))
-    tangent = reference if has_tangents else np.full((pool.count, 3), np.nan)
-    r, J = differences(replace(pool, tangent=tangent), prediction, noise)
-    r, J = np.where(prediction.sound[:, None], r, 0.0), np.where(prediction.sound[:, None, None], J, 0.0)
-    return _Predicted(np.nan_to_num(r), np.einsum("kap,pq,kbq->kab", np.nan_to_num(J), covariance, np.nan_to_num(J)))
-
-
-def _log_odds(one: _Predicted, other: _Predicted) -> Array:
-    """(K,) expected of each pose."""
-    apart = one.numbers - other.numbers
-    within = np.eye(5) + (one.covariance + other.covariance) / 2
-    result: Array = 0.5 * np.einsum("ka,ka->k", apart, np.linalg.solve(within, apart[:, :, None])[:, :, 0])
-    return result
 
 
 def _pool(data: Measurements) -> Measurements:
@@ -169,16 +130,3 @@ def _pool(data: Measurements) -> Measurements:
     more = {name: values[data.rows][of] for name, values in data.more.items()}
     joints = table[:, : data.n], table[:, data.n :]
     return Measurements(np.array(sequence), *joints, rows, nothing, nothing, time_s, more=more)
-
-
-def write_proposals(path: str | os.PathLike[str], proposals: Sequence[Proposal], n: int) -> None:
-    """commanded.csv: for every approach a run of two waypoints, and at the second one a pose to be measured."""
-    joints = [*(f"theta_{i}_rad" for i in range(1, n + 1)), *(f"l_{i}_m" for i in range(1, n + 1))]
-    lines, run = [",".join(["sequence", *joints, "x_m", "y_m", "z_m"])], 0
-    for proposal in proposals:
-        for start in proposal.ways:
-            for theta in (start, proposal.theta_commanded):
-                numbers = (f"{x:.9g}" for x in (*theta, *proposal.l_commanded))
-                lines.append(",".join([str(run), *numbers, "", "", ""]))
-            run += 1
-    write_atomically(path, "\n".join(lines) + "\n")

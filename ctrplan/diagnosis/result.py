@@ -12,20 +12,23 @@ from ctrplan.base.package import __version__, shown
 from ctrplan.calibration.estimates import Errors, estimates
 from ctrplan.calibration.residuals import Noise
 from ctrplan.calibration.robot_content import calibrated_content, model_error_m
+from ctrplan.diagnosis.adequacy import ChiSquare
 from ctrplan.diagnosis.built_term import Built
-from ctrplan.diagnosis.conclusion import Judgement, Verdict
-from ctrplan.diagnosis.gap import ChiSquare, Fitted, Gap, Place
-from ctrplan.diagnosis.hypotheses import Hypothesis, Slip
+from ctrplan.diagnosis.correlated_bench import FRAMES
+from ctrplan.diagnosis.gap import Gap
+from ctrplan.diagnosis.localise import Place
 from ctrplan.diagnosis.next_experiment import Proposal
-from ctrplan.diagnosis.posterior_search import Answer
-from ctrplan.diagnosis.reading import Reading
+from ctrplan.diagnosis.partial_diagnosis import PartialDiagnosis
+from ctrplan.diagnosis.remainder import Remainder
+from ctrplan.diagnosis.selection import SelectionStep
+from ctrplan.diagnosis.verdict import Judgement, Verdict
+from ctrplan.diagnosis.workbench import Scored
 from ctrplan.effects.learned.learned import Learned
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.pipeline.term import Term
 from ctrplan.robot.robot import Robot
 
-SCHEMA_VERSION = 2
-SETS_TOLD = 8  # of the most probable sets of effects, in files and on pages
+SCHEMA_VERSION = 1
 
 
 class ConfirmationResult(Protocol):
@@ -46,14 +49,13 @@ class Diagnosis:
 
     verdict: Verdict
     judgement: Judgement
-    answer: Answer  # every hypothesis that was asked, with its posterior probability
-    base: Fitted  # calibrated, without effects
-    chosen: Fitted  # with those of the verdict, and what was built
+    base: Scored  # calibrated, without effects
+    chosen: Scored  # with those of the verdict
     gap: Gap
     place: Place
-    remaining: ChiSquare  # of the poses that were fitted, beside the effects
     next_experiment: str
     proposals: tuple[Proposal, ...]
+    path: tuple[SelectionStep, ...]
     not_testable: Mapping[str, str]
     without: tuple[str, ...]  # effects that were left out of the catalogue
     notes: tuple[str, ...]
@@ -64,9 +66,11 @@ class Diagnosis:
     outlier_rows: tuple[int, ...]  # rows of the file, from 1
     interrupted: bool
     time_s: float
-    readings: tuple[Reading, ...] = ()  # other readings of the columns that explain more, where it was fitted as read
+    partly: PartialDiagnosis | None = None  # what remains beside the effects, where that is the verdict
     built: Built | None = None  # a term of what the effects leave; of `chosen` too, and no cause
     named_gap: Gap | None = None  # the gap without the built term, where there is one
+    memory: float | None = None  # of what remains, s or rows of a continuous motion, whatever the verdict
+    framed_gap: Gap | None = None  # the gap with free frames alone, where something remains
     confirmations: tuple[ConfirmationResult, ...] = ()  # on other runs, asked once
 
     def headline(self) -> str:
@@ -85,15 +89,16 @@ class Diagnosis:
         """The effects of the verdict."""
         return tuple(finding.term for finding in self.judgement.findings)
 
-    @property
-    def answer_with_built(self) -> Hypothesis:
-        """The hypothesis that is handed over."""
-        return self.built.hypothesis if self.built else self.judgement.chosen
-
     def robot_content(self) -> dict[str, Any]:
-        """The content of the new robot file: calibrated, with the effects of the verdict, but none of one run alone."""
-        effects = [t for t in (*self.listed, *self.built_terms) if not isinstance(t.effect, Slip)]
+        """The content of the new robot file: calibrated, with the effects of the verdict and a free frame in it."""
+        frame = [t for t in self.chosen.fit.chain.terms if t.name in FRAMES and t not in self.listed]
+        effects = [*self.listed, *self.built_terms, *frame]
         return calibrated_content(self.chosen.fit, effects, self.data, self.model_error_m)
+
+    @property
+    def rest(self) -> Remainder | None:
+        """What remains in the end, beside what is named and built; None where it was not asked."""
+        return self.built.rest if self.built else self.partly.rest if self.partly else None
 
     @property
     def built_terms(self) -> tuple[Term, ...]:
@@ -102,24 +107,18 @@ class Diagnosis:
 
     @property
     def model_error_m(self) -> float:
-        """What poses kept aside leave beyond noise, for margins."""
+        """What the held-out set leaves beyond noise, for margins."""
         return model_error_m(self.gap.after_m, self.noise.position_m)
 
     def to_json(self) -> dict[str, Any]:
         """The content of diagnosis.json."""
-        judgement = self.judgement
         return {
             "verdict": self.verdict,
-            "probability": _probability(judgement.probability),
-            "reading": reading_json(self.readings, self.data),
-            "effects": [self._effect(k) for k in range(len(judgement.findings))],
-            "posterior": self._posterior(),
-            "unnamed": judgement.unnamed.to_json(),
-            "tubes": [fault.to_json() for fault in judgement.tubes],
-            "gap": _gap(self.gap)
-            | ({"named_rms_mm": _millimetres(self.named_gap.after.rms_m)} if self.named_gap else {}),
+            "effects": [self._effect(k) for k in range(len(self.judgement.findings))],
+            "gap": _gap(self.gap) | self._partial_gaps(),
             "where": self.place.sentence,
-            "built": self._built(),
+            "rest": self.partly.to_json() if self.partly else None,
+            "built": self.built.to_json(self.chosen) if self.built else None,
             "next_experiment": self.next_experiment,
             "not_testable": dict(self.not_testable),
             "without": list(self.without),
@@ -127,7 +126,11 @@ class Diagnosis:
                 name: asdict(estimate)
                 for name, estimate in estimates(self.chosen.fit, self.chosen.fit.chain.terms[0]).items()
             },
-            "remaining": {"total": _chi_square(self.remaining), "vault": _chi_square(self.gap.chi_square)},
+            "remaining": {
+                name: _chi_square(getattr(self.judgement.adequacy, name)) for name in ("total", "between", "within")
+            }
+            | {"vault": _chi_square(self.gap.chi_square)},
+            "path": [asdict(step) for step in self.path],
             "proposals": [_proposal(p) for p in self.proposals],
             "confirmations": [confirmation.to_json() for confirmation in self.confirmations],
             "notes": list(self.notes),
@@ -141,68 +144,29 @@ class Diagnosis:
             "schema_version": SCHEMA_VERSION,
         }
 
-    def _posterior(self) -> dict[str, Any]:
-        answer = self.answer
-        told = list(zip(answer.hypotheses, answer.posterior.tolist(), strict=True))[:SETS_TOLD]
-        return {
-            "none": _probability(answer.of_none),
-            "effects": {name: _probability(share) for name, share in answer.of_effects.items()},
-            "sets": [
-                {
-                    "effects": sorted(h.names),
-                    "log_evidence_over_none": round(h.evidence - answer.base.evidence, 2),
-                    "probability": _probability(share),
-                }
-                for h, share in told
-            ],
-            "asked": len(answer.hypotheses),
-        }
+    def _partial_gaps(self) -> dict[str, float]:
+        gaps = {"framed_rms_mm": self.framed_gap, "named_rms_mm": self.named_gap}
+        return {name: _millimetres(gap.after.rms_m) for name, gap in gaps.items() if gap}
 
     def _effect(self, k: int) -> dict[str, Any]:
         finding = self.judgement.findings[k]
         result = estimates(self.chosen.fit, finding.term)
         return {
             "name": finding.term.name,
-            "probability": _probability(finding.probability),
             "alternatives": [a.term.name for a in finding.alternatives],
-            "probabilities_of_alternatives": [_probability(a.probability) for a in finding.alternatives],
             "stage": finding.term.effect.stage,
             "parameters": {name: {"value": e.value, "ci95": list(e.ci95)} for name, e in result.items()},
-        }
-
-    def _built(self) -> dict[str, Any] | None:
-        if not self.built:
-            return None
-        chain = self.chosen.fit.chain
-        values = {t.key: value for t, value in zip(chain.terms, chain.values(self.chosen.fit.p), strict=True)}
-        return {
-            "terms": [
+            "evidence": [
                 {
-                    "name": t.name,
-                    **t.effect.stated(values[t.key]),
-                    "parameters": {
-                        name: {"value": e.value, "ci95": list(e.ci95)}
-                        for name, e in estimates(self.chosen.fit, t).items()
-                    },
+                    "instead": a.term.name,
+                    "log_likelihood_behind": round(a.behind, 2),
+                    "standard_error": round(a.error, 2),
                 }
-                for t in self.built_terms
+                for a in self.judgement.compared
+                if finding.term.key not in {t.key for t in a.scored.terms}
             ],
-            "stage": self.built.stage,
-            "log_odds": round(self.built.gain, 2),
-            "share_of_unnamed": round(self.built.share, 3),
+            **(self.partly.evidence_json(finding.term) if self.partly else {}),
         }
-
-
-def reading_json(readings: tuple[Reading, ...], data: Measurements) -> dict[str, Any]:
-    """How the file was read, and how it should be where another reading explains more."""
-    return {
-        "poses": "on a continuous motion" if data.is_stream else "at rest",
-        "faults": [reading.to_json() for reading in readings],
-    }
-
-
-def _probability(value: float) -> float:
-    return round(min(max(value, 0.0), 1.0), 5)
 
 
 def _millimetres(value: float) -> float:
@@ -215,8 +179,7 @@ def _gap(gap: Gap) -> dict[str, Any]:
         "after_rms_mm": _millimetres(gap.after.rms_m),
         "noise_floor_mm": _millimetres(gap.floor_m),
         "parameters_leave_open_mm": _millimetres(gap.spread_m),
-        "radius95_mm": _millimetres(gap.radius_m),
-        "heldout_poses": gap.after.poses if gap.is_aside else 0,
+        "heldout_poses": gap.after.poses,
         "before_max_mm": _millimetres(gap.before.max_m),
         "after_max_mm": _millimetres(gap.after.max_m),
         "uncalibrated_rms_mm": _millimetres(gap.nominal.rms_m),

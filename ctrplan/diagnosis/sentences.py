@@ -7,61 +7,51 @@ import math
 import numpy as np
 
 from ctrplan.calibration.estimates import estimates
+from ctrplan.diagnosis.correlated_bench import FRAME
 from ctrplan.diagnosis.gap import LARGEST_REST, times_noise
 from ctrplan.diagnosis.result import Diagnosis
 from ctrplan.measurement.measurements import MOST_ROWS
 from ctrplan.pipeline.term import Term
 
+WORTH_TELLING = 0.9  # of the error without them, which frames have to undercut
+
 
 def verdict_sentence(diagnosis: Diagnosis) -> str:
-    """One sentence a person can repeat, with its probability."""
-    judgement, gap = diagnosis.judgement, diagnosis.gap
+    """One sentence a person can repeat."""
     names = " and ".join(_with_alternatives(diagnosis, k) for k in range(len(diagnosis.listed)))
-    tubes = "; ".join(fault.sentence for fault in judgement.tubes)
-    also = f" {tubes[:1].upper()}{tubes[1:]}." if tubes else ""
-    none = probability(judgement.none)
-    if diagnosis.verdict == "wrong_tube":
-        return (
-            f"{tubes[:1].upper()}{tubes[1:]}. With that, nothing else is missing (probability {none}): the model "
-            f"agrees with the measurements to their noise{_but(diagnosis)}."
-        )
+    left = max(
+        diagnosis.judgement.adequacy.total.ratio**0.5, times_noise(diagnosis.gap.after.rms_m, diagnosis.gap.floor_m)
+    )
     if diagnosis.verdict == "no_missing_effect":
-        return (
-            f"No missing effect (probability {none}): calibrated, the model agrees with the measurements to their "
-            f"noise{_but(diagnosis)}."
-        )
+        return f"No missing effect: calibrated, the model agrees with the measurements to their noise{_but(diagnosis)}."
     if diagnosis.verdict == "named":
         them = "it" if len(diagnosis.listed) == 1 else "them"
         agrees = f"With {them} the model agrees with the measurements to their noise{_but(diagnosis)}."
-        return f"Missing: {names}. {agrees}{also}{_left_open(diagnosis)}"
-    if diagnosis.verdict == "ambiguous" and not names:
-        told = ", ".join(f"{name} {probability(p)}" for name, p in judgement.possible.items())
-        return f"Undecided: nothing is missing ({none}), or one of these is: {told}. The poses proposed decide."
-    if diagnosis.verdict == "ambiguous":
-        return (
-            f"Missing: {names}. The data can't tell them apart, both would explain them.{also}{_left_open(diagnosis)}"
+        return f"Missing: {names}. {agrees}{_left_open(diagnosis)}"
+    if diagnosis.partly:
+        closed = (
+            f"{diagnosis.gap.before.rms_m * 1e3:.2f} mm off without and {diagnosis.gap.after.rms_m * 1e3:.2f} mm with"
         )
-    closed = f"{gap.before.rms_m * 1e3:.2f} mm off without and {gap.after.rms_m * 1e3:.2f} mm with"
-    more = f" {_built(diagnosis)}" if diagnosis.built else ""
-    if diagnosis.verdict == "partial":
-        beside = "something remains that nothing in the catalogue explains"
-        return f"In part: {names}. Tips are {closed}; {beside}.{more}{also}"
-    left = judgement.unnamed.over_noise
-    rest = f"what remains is {left:.1f} times the noise" if judgement.unnamed.is_large else "what remains is no noise"
-    return f"Unexplained: nothing in the catalogue explains the measurements, {rest}.{more}{also}"
-
-
-def probability(p: float) -> str:
-    """As a reader wants it: never 1."""
-    return "above 0.999" if p > 0.999 else "below 0.001" if p < 0.001 else f"{p:.3f}".rstrip("0")
+        more = f" {_built(diagnosis)}" if diagnosis.built else ""
+        return f"In part: {names}. Tips are {closed}; something remains that nothing in the catalogue explains.{more}"
+    if diagnosis.verdict == "ambiguous":
+        return f"Missing: {names}. The data can't tell them apart, both would explain them.{_left_open(diagnosis)}"
+    rest = f"what remains is {left:.1f} times the noise"
+    if diagnosis.built:
+        return f"Unexplained: nothing in the catalogue explains the measurements. {_built(diagnosis)}"
+    if names:
+        return f"Unexplained: {names} is at work, but not alone, {rest}."
+    return f"Unexplained: nothing in the catalogue explains the measurements, {rest}."
 
 
 def _left_open(diagnosis: Diagnosis) -> str:
-    """Why poses kept aside are further off than noise: others do not settle all parameters."""
+    """Why poses kept aside are further off than noise: others do not settle all parameters, or the noise varies."""
     after, floor, left_open = diagnosis.gap.after.rms_m, diagnosis.gap.floor_m, diagnosis.gap.spread_m
-    if times_noise(after, floor) <= LARGEST_REST or times_noise(after, math.hypot(floor, left_open)) > LARGEST_REST:
+    if times_noise(after, floor) <= LARGEST_REST:
         return ""
     off = f" Poses kept aside are {after * 1e3:.2f} mm off, the noise is {floor * 1e3:.2f} mm:"
+    if times_noise(after, math.hypot(floor, left_open)) > LARGEST_REST:
+        return f"{off} it has heavy tails."
     return f"{off} parameters are uncertain by {left_open * 1e3:.2f} mm there, more configurations would settle them."
 
 
@@ -78,16 +68,37 @@ def effect_lines(diagnosis: Diagnosis) -> list[str]:
     for t in diagnosis.listed:
         values = (f"{name} = {e.shown} ({e.shown_ci95})" for name, e in estimates(diagnosis.chosen.fit, t).items())
         lines.append(f"{t.name} ({t.effect.stage}): {', '.join(values)}")
-    return lines
+    told = [*lines, *built_lines(diagnosis), *_free_frame_lines(diagnosis)]
+    return [*_frame_lines(diagnosis), *told, *([rest.sentence] if (rest := diagnosis.rest) else [])]
 
 
-def other_lines(diagnosis: Diagnosis) -> list[str]:
-    """What may act besides, what is built, and what nobody has named."""
-    lines = []
-    if possible := diagnosis.judgement.possible:
-        told = ", ".join(f"{name} {probability(p)}" for name, p in list(possible.items())[:4])
-        lines.append(f"not certain enough to be named: {told}")
-    return [*lines, *built_lines(diagnosis), diagnosis.judgement.unnamed.sentence]
+def _frame_lines(diagnosis: Diagnosis) -> list[str]:
+    """What frames found anew do, which are no effect but a registration, where that is a part of the gap."""
+    if not diagnosis.framed_gap or diagnosis.framed_gap.after.rms_m > WORTH_TELLING * diagnosis.framed_gap.before.rms_m:
+        return []
+    before, after = (errors.rms_m * 1e3 for errors in (diagnosis.framed_gap.before, diagnosis.framed_gap.after))
+    count = len(np.unique(diagnosis.data.frames))
+    whose = (
+        "its own frame in the tracker's"
+        if count == 1
+        else f"a frame of its own in each of {count} set-ups of the tracker"
+    )
+    if (homings := len(np.unique(diagnosis.data.homings))) > 1:
+        whose += f" and zeros of its own after each of {homings} homings"
+    return [f"with {whose} the robot is {after:.2f} mm off instead of {before:.2f} mm, before any effect"]
+
+
+def _free_frame_lines(diagnosis: Diagnosis) -> list[str]:
+    """How far the base is turned where that is no name, although a built term stands beside it."""
+    chain, p = diagnosis.chosen.fit.chain, diagnosis.chosen.fit.p
+    free = [s for t, s in zip(chain.terms, chain.slices(), strict=True) if t.name == FRAME]
+    if not diagnosis.built_terms or not free or FRAME in {t.name for t in diagnosis.listed}:
+        return []
+    turn, shift = np.degrees(np.linalg.norm(p[free[0]][:3])), 1e3 * np.linalg.norm(p[free[0]][3:])
+    return [
+        f"the base's frame is turned by {turn:.2g} deg and shifted by {shift:.2g} mm, free in every fit: whether that, "
+        "the built term or what remains is at work is not told"
+    ]
 
 
 def built_lines(diagnosis: Diagnosis) -> list[str]:
@@ -123,11 +134,10 @@ def _but(diagnosis: Diagnosis) -> str:
 
 def _with_alternatives(diagnosis: Diagnosis, k: int) -> str:
     finding = diagnosis.judgement.findings[k]
-    both = [(finding.term, finding.probability), *((a.term, a.probability) for a in finding.alternatives)]
-    return " or ".join(f"{in_words(t)}, probability {probability(p)}" for t, p in both)
+    return " or ".join(_in_words(t) for t in (finding.term, *(a.term for a in finding.alternatives)))
 
 
-def in_words(t: Term) -> str:
+def _in_words(t: Term) -> str:
     """With the name that files and tables have."""
     title = t.effect.title
     return title if title == t.name else f"{title} ({t.name})"
@@ -135,22 +145,13 @@ def in_words(t: Term) -> str:
 
 def headline(diagnosis: Diagnosis) -> str:
     """What is missing, in a few words without names of files."""
-    judgement = diagnosis.judgement
     if diagnosis.verdict == "no_missing_effect":
         return "Nothing is missing"
-    if diagnosis.verdict == "ambiguous" and not judgement.findings:
-        return "Undecided: nothing may be missing"
     titles = [
         " or ".join(t.effect.title for t in (finding.term, *(a.term for a in finding.alternatives)))
-        for finding in judgement.findings
+        for finding in diagnosis.judgement.findings
     ]
-    titles += [fault.sentence.split(":")[0] for fault in {f.tube: f for f in judgement.tubes}.values()]
     if diagnosis.verdict in ("partial", "unexplained"):
         titles.append("something that the catalogue does not have" if not titles else "something more")
     text = " and ".join(titles)
     return text[:1].upper() + text[1:]
-
-
-def in_percent(share: float) -> str:
-    """A share for a table."""
-    return f"{100 * float(np.clip(share, 0, 1)):.0f} %"

@@ -13,14 +13,13 @@ from plotly.subplots import make_subplots
 from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.calibration.estimates import distances
 from ctrplan.calibration.fit_warnings import excused
-from ctrplan.diagnosis.gap import quantities
+from ctrplan.diagnosis.localise import quantities
 from ctrplan.diagnosis.result import Diagnosis
 from ctrplan.pipeline.term import Term
 from ctrplan.reports import looks
 from ctrplan.reports.html_page import FIGURE_TEXT
 
 PARTS = 8  # of a quantity's range, by rank
-MOST_SETS = 16  # that a figure has room for
 LEAST_M = 1e-9  # a shift that has a direction
 
 
@@ -147,22 +146,21 @@ def gap_figure(diagnosis: Diagnosis) -> go.Figure:
 
 
 def path_figure(diagnosis: Diagnosis) -> go.Figure:
-    """Log posterior of the sets that were asked, beside the set of none."""
-    told = diagnosis.answer.hypotheses[:MOST_SETS]
-    labels = [f"{k}. {', '.join(sorted(h.names)) or 'none'}" for k, h in enumerate(told, start=1)]
-    base = diagnosis.answer.base.score
-    listed = {t.key for t in diagnosis.listed}
+    """Gains of what was tried, step by step."""
+    labels = [f"{k}. {step.action} {step.effect}" for k, step in enumerate(diagnosis.path, start=1)]
+    gains = [step.gain for step in diagnosis.path]
     figure = go.Figure(
         go.Bar(
-            x=[h.score - base for h in told],
+            x=gains,
             y=labels,
             orientation="h",
-            marker={"color": [AFTER if h.key == listed else looks.PLATE for h in told]},
+            marker={"color": [AFTER if step.taken else looks.PLATE for step in diagnosis.path]},
+            error_x={"array": [step.error for step in diagnosis.path], "color": looks.MUTED, "thickness": 1},
             showlegend=False,
         )
     )
     figure.update_yaxes(autorange="reversed")
-    figure.update_xaxes(title_text="logarithm of the posterior odds against none, blue: the verdict's set")
+    figure.update_xaxes(title_text="gain in log-likelihood, blue: taken")
     return _styled(figure, max(220, 24 * len(labels) + 90))
 
 

@@ -13,9 +13,11 @@ from typing import Any
 import numpy as np
 
 from ctrplan.calibration.estimates import estimates
+from ctrplan.diagnosis.correlated_bench import FRAMES
 from ctrplan.diagnosis.next_experiment import Proposal
-from ctrplan.diagnosis.result import SETS_TOLD, Diagnosis
-from ctrplan.diagnosis.sentences import built_lines, headline, in_percent, probability, verdict_sentence
+from ctrplan.diagnosis.partial_diagnosis import PartialDiagnosis
+from ctrplan.diagnosis.result import Diagnosis
+from ctrplan.diagnosis.sentences import built_lines, headline, verdict_sentence
 from ctrplan.effects.learned.inputs import unit
 from ctrplan.pipeline.term import Term
 from ctrplan.reports import looks
@@ -35,11 +37,15 @@ def gap_split(diagnosis: Diagnosis) -> Markup:
     whole = max(gap.before.rms_m, gap.after.rms_m, gap.floor_m) ** 2
     noise = min(gap.floor_m, gap.after.rms_m) ** 2 / whole
     remaining = gap.after.rms_m**2 / whole - noise
-    names = " and ".join(t.effect.title for t in diagnosis.listed) or "effects"
+    names = " and ".join(t.effect.title for t in diagnosis.listed if t.name not in FRAMES) or "effects"
     built = max(diagnosis.named_gap.after.rms_m**2 - gap.after.rms_m**2, 0.0) / whole if diagnosis.named_gap else 0.0
     built = min(built, max(1 - remaining - noise, 0.0))
+    named = max(1 - remaining - noise - built, 0.0)
+    framed = max(1 - diagnosis.framed_gap.after.rms_m**2 / whole, 0.0) if diagnosis.framed_gap else 0.0
+    framed = min(framed, named) if any(t.name not in FRAMES for t in diagnosis.listed) else named if framed else 0.0
     parts = [
-        (f"named: {names}", max(1 - remaining - noise - built, 0.0), NAMED),
+        ("frames of robot and tracker, found with the rest", framed, FRAMED),
+        (f"named: {names}", named - framed, NAMED),
         (f"built: {' and '.join(t.effect.title for t in diagnosis.built_terms)}", built, BUILT),
         ("remains, unexplained", remaining, REMAINING),
         ("noise of the measurement", noise, NOISE),
@@ -59,14 +65,9 @@ class GapPart:
     shown: bool  # in the bar
 
 
-def _sets(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
-    """The most probable sets of effects: names, log evidence over that of none, posterior probability."""
-    answer = diagnosis.answer
-    told = list(zip(answer.hypotheses, answer.posterior.tolist(), strict=True))[:SETS_TOLD]
-    return [
-        (", ".join(sorted(h.names)) or "none", f"{h.evidence - answer.base.evidence:.1f}", probability(share))
-        for h, share in told
-    ]
+def share_table(partly: PartialDiagnosis) -> Markup:
+    """Each effect that holds: what it closes of the gap, alone and last, and how sure that is."""
+    return rendered("diagnosis_shares.html", parts=partly.parts)
 
 
 def _estimated(diagnosis: Diagnosis, t: Term) -> Iterator[tuple[str, str, str]]:
@@ -77,15 +78,13 @@ def _estimated(diagnosis: Diagnosis, t: Term) -> Iterator[tuple[str, str, str]]:
 def _effects(diagnosis: Diagnosis, errors: SelectionErrors) -> Iterator[dict[str, Any]]:
     """Each effect of the verdict: drawn, its parameters, and what fits worse in its place."""
     for number, signature in enumerate(errors.signatures):
-        t, drawn = signature.term, signature_figure(signature)
-        finding = next(f for f in diagnosis.judgement.findings if f.term.key == t.key)
+        t, drawn, compared = signature.term, signature_figure(signature), diagnosis.judgement.compared
         values = estimates(diagnosis.chosen.fit, t).items()
         yield {
             "term": t,
             "figure": plot(drawn, f"signature_{number}", with_library=number == 0, kind="plot twin"),
             "parameters": [(n, e.shown, f"{e.shown_ci95}{', at its bound' if e.at_bound else ''}") for n, e in values],
-            "probability": probability(finding.probability),
-            "rivals": [(a.term.effect.title, probability(a.probability)) for a in finding.alternatives],
+            "rivals": [a for a in compared if t.key not in {other.key for other in a.scored.terms}],
         }
 
 
@@ -96,13 +95,14 @@ def millimetres(length_m: float) -> str:
 
 WORDS = ("rms", "noise", "held-out poses", "95 % interval")
 MEANING = (
-    "One model is behind all figures: ordinary calibration, the effects of the catalogue, and random errors of every "
-    "stage that nobody has named, with sizes that the data show. Sets of effects are compared by the probability of "
-    "all measurements, every parameter integrated out over what is plausible. The probability of an effect is its "
-    "share among all sets; a name is given from 0.99 on.",
     "A quarter of the configurations was set aside before anything was fitted; the errors before and after are on "
-    "these poses. Where what nobody has named is larger than half the noise, the data show something that the "
-    "catalogue does not have: effects that are certain beside it are listed, and the best of the wrong names is not.",
+    "these poses. Effects were chosen by how well they predict poses left out of the fit, against what the best of all "
+    "candidates reaches by chance on pure noise. Every candidate was fitted together with ordinary calibration "
+    "(precurvature magnitudes, stiffness ratios, Poisson's ratios).",
+    "All is named only if what remains looks like noise. Where it does not, the data show something that the "
+    "catalogue does not have. A part of the truth is then said of effects that hold beside every other one, whatever "
+    "remains: block after block of poses that were left out, and far above what errors of the same kind reach by "
+    "chance. The best of the wrong names is not offered in its place.",
 )
 
 
@@ -114,7 +114,7 @@ def write_diagnosis_report(path: str | os.PathLike[str], diagnosis: Diagnosis, e
 def diagnosis_report_html(diagnosis: Diagnosis, errors: SelectionErrors) -> str:
     """The content of report.html."""
     good = diagnosis.verdict in ("named", "no_missing_effect") and not diagnosis.interrupted
-    gap = diagnosis.gap
+    gap, left = diagnosis.gap, diagnosis.judgement.adequacy
     return rendered(
         "diagnosis.html",
         title=f"Diagnosis of {diagnosis.robot.name}",
@@ -123,11 +123,7 @@ def diagnosis_report_html(diagnosis: Diagnosis, errors: SelectionErrors) -> str:
         data=diagnosis.data,
         headline=headline(diagnosis),
         verdict=verdict_sentence(diagnosis),
-        standing="good"
-        if good
-        else "caution"
-        if diagnosis.verdict in ("partial", "wrong_tube") and not diagnosis.interrupted
-        else "bad",
+        standing="good" if good else "caution" if diagnosis.partly and not diagnosis.interrupted else "bad",
         figures=[
             (millimetres(gap.before.rms_m), term("rms", "rms error, calibrated without effects")),
             (millimetres(gap.after.rms_m), term("rms", "rms error with the effects")),
@@ -135,23 +131,18 @@ def diagnosis_report_html(diagnosis: Diagnosis, errors: SelectionErrors) -> str:
             (gap.after.poses, term("held-out poses", "poses kept aside")),
         ],
         split=gap_split(diagnosis),
-        sets=_sets(diagnosis),
-        possible=[(name, probability(p)) for name, p in diagnosis.answer.of_effects.items()],
-        readings=[reading.sentence for reading in diagnosis.readings],
-        tubes=[fault.sentence for fault in diagnosis.judgement.tubes],
-        unnamed=[
-            (name, f"{m * 1e3:.3f} mm", in_percent((m / max(diagnosis.judgement.unnamed.rms_m, 1e-12)) ** 2))
-            for name, m in diagnosis.judgement.unnamed.parts.items()
-        ],
+        shares=share_table(diagnosis.partly) if diagnosis.partly else "",
         effects=list(_effects(diagnosis, errors)),
         built_lines=built_lines(diagnosis),
         where=plot(where_figure(diagnosis, errors), "where", with_library=not errors.signatures, kind="plot twin"),
         gap=plot(gap_figure(diagnosis), "gap"),
-        path=plot(path_figure(diagnosis), "path"),
+        path=plot(path_figure(diagnosis), "path") if diagnosis.path else "",
         regions=[("all", gap.before, gap.after), *((name, *both) for name, both in gap.regions.items())],
         proposals=[_proposed(proposal) for proposal in diagnosis.proposals],
         remaining=[
-            ("all poses of the selection", diagnosis.remaining),
+            ("all poses of the selection", left.total),
+            ("between configurations", left.between),
+            ("between approaches of one configuration", left.within),
             ("poses kept aside", gap.chi_square),
         ],
         estimated=partial(_estimated, diagnosis),

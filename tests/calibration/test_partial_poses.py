@@ -15,7 +15,8 @@ from ctrplan.calibration.calibrate import calibrate
 from ctrplan.calibration.least_squares import fit
 from ctrplan.calibration.residuals import Noise, residuals
 from ctrplan.diagnosis import CATALOGUE, diagnose
-from ctrplan.diagnosis.gap import chi_square
+from ctrplan.diagnosis.adequacy import adequacy
+from ctrplan.diagnosis.workbench import linear
 from ctrplan.files.measurement_file import load_measurements
 from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.measurement.measurements import Measurements
@@ -49,8 +50,8 @@ def test_a_position_alone_counts_as_three_numbers_and_says_what_it_said(data: Me
     np.testing.assert_allclose(part.J[:, :3], whole.J[:, :3], rtol=1e-9)
     assert not part.r[:, 3:].any() and not part.J[:, 3:].any()
     found = fit(chain_of(ROBOT, alone, {}), Noise(SIGMA_M, 0.05), alone.configuration)
-    left = chi_square(found.residuals)
-    assert left.p > 1e-3 and left.dof == 3 * alone.count - len(found.p)
+    left = adequacy(linear(found), alone.configuration, np.zeros(alone.count, bool))
+    assert left.is_adequate and left.tangent.dof == 0 and left.total.dof == left.position.dof < 3 * alone.count
 
 
 def turned(tangent: Array, axis: Array, angle: float) -> Array:

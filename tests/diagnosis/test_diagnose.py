@@ -17,12 +17,10 @@ from packed_page import library
 
 from ctrplan.cli import main
 from ctrplan.diagnosis import CATALOGUE, Diagnosis, diagnose
-from ctrplan.diagnosis.gap import localise
-from ctrplan.diagnosis.sentences import headline, verdict_sentence
-from ctrplan.diagnosis.usable_poses import split
+from ctrplan.diagnosis.localise import localise
 from ctrplan.errors import InputError
 from ctrplan.files.robot_file import load_robot, write_robot
-from ctrplan.measurement.measurements import Measurements
+from ctrplan.measurement.measurements import Measurements, split
 from ctrplan.reports.diagnosis_figures import selection_errors
 from ctrplan.reports.diagnosis_page import diagnosis_report_html
 
@@ -59,12 +57,15 @@ def test_a_tip_load_is_named_with_its_size() -> None:
 
 
 def test_an_effect_larger_than_expected_gets_the_size_that_the_data_say() -> None:
-    """Four times as large: it is named, and that it is more than is plausible is told."""
-    data = measured(ROBOT, PLAN, BASE | {"tip_load": {"force_x_N": -1.4}})  # the prior has 0.3
-    found = diagnose(ROBOT, data, catalogue={"tip_load": CATALOGUE["tip_load"]})
+    values = {"g_x_m_s2": 200.0, "g_y_m_s2": -300.0, "g_z_m_s2": 0.0}  # the prior has 40
+    data = measured(ROBOT, PLAN, BASE | {"gravity": values})
+    found = diagnose(ROBOT, data, catalogue={"gravity": CATALOGUE["gravity"]})
     assert found.verdict == "named" and any("times what is plausible" in note for note in found.notes)
-    force = found.to_json()["effects"][0]["parameters"]["force_x_N"]
-    assert force["value"] == pytest.approx(-1.4, rel=0.25) and force["ci95"][0] < -1.4 < force["ci95"][1] + 0.1
+    for name, e in found.to_json()["effects"][0]["parameters"].items():
+        half = (e["ci95"][1] - e["ci95"][0]) / 2
+        assert abs(e["value"] - values[name]) < 1.5 * half
+    y = found.to_json()["effects"][0]["parameters"]["g_y_m_s2"]
+    assert y["value"] == pytest.approx(-300, rel=0.2) and y["ci95"][1] < -150
 
 
 def test_look_alikes_are_reported_together() -> None:
@@ -78,16 +79,16 @@ def test_two_effects_that_hide_one_another_are_found_together() -> None:
     values = {"tip_load": {"force_x_N": 0.15, "force_y_N": -0.12}, "eccentricity": {"sin_2_deg": 5.0, "cos_2_deg": 3.0}}
     catalogue = {name: CATALOGUE[name] for name in ("homing_offset", "tip_load", "eccentricity")}
     found = diagnose(ROBOT, measured(ROBOT, PLAN, BASE | values), catalogue=catalogue)
+    taken = [step for step in found.path if step.taken]
+    assert taken[0].effect == "homing_offset and eccentricity"  # none passes alone, and a swap mends the pair
     assert found.verdict == "named" and set(found.chosen.names) == {"tip_load", "eccentricity"}
-    alone = [h for h in found.answer.hypotheses if len(h.terms) == 1]
-    assert max(h.score for h in alone) < found.answer.best.score - 10  # none explains all alone
 
 
 def test_an_effect_outside_the_catalogue_gets_no_name() -> None:
     data = measured(ROBOT, PLAN, BASE | {"eccentricity": {"sin_2_deg": 9.0, "cos_2_deg": 5.0}})
     found = diagnose(ROBOT, data, catalogue=QUICK)
     assert found.verdict == "unexplained" and not found.listed
-    assert found.judgement.unnamed.is_large and next(iter(found.judgement.unnamed.parts)).startswith("drive: rotations")
+    assert found.judgement.adequacy.within.is_noise and not found.judgement.adequacy.between.is_noise
 
 
 def test_an_effect_taken_out_is_not_replaced_by_another_name() -> None:
@@ -96,7 +97,7 @@ def test_an_effect_taken_out_is_not_replaced_by_another_name() -> None:
     assert found.verdict == "unexplained" and not found.listed
     assert found.to_json()["without"] == ["backlash"]
     assert any("backlash" in note for note in found.notes)
-    assert not any("backlash" in h.names for h in found.answer.hypotheses)
+    assert not any(step.effect == "backlash" for step in found.path)
 
 
 def distorted(values: dict[str, dict[str, float]]) -> Diagnosis:
@@ -106,12 +107,10 @@ def distorted(values: dict[str, dict[str, float]]) -> Diagnosis:
 
 
 def test_what_a_turned_base_does_as_well_is_no_evidence_for_a_distortion() -> None:
-    """With a turned base in the catalogue the name goes to it; without it something is missing, and no field."""
-    turned = {"base_misalignment": {"rotation_x_deg": 2.0, "rotation_y_deg": -1.5, "shift_z_mm": 1.0}}
-    catalogue = {name: CATALOGUE[name] for name in ("sensor_distortion", "tip_load", "base_misalignment")}
-    found = diagnose(ROBOT, measured(ROBOT, PLAN, BASE | turned), catalogue=catalogue)
-    assert found.verdict == "named" and names(found) == [{"base_misalignment"}]
-    assert found.answer.of_effects.get("sensor_distortion", 0.0) < 0.01
+    turned = distorted({"base_misalignment": {"rotation_x_deg": 2.0, "rotation_y_deg": -1.5, "shift_z_mm": 1.0}})
+    assert any(step.effect == "sensor_distortion" and step.taken for step in turned.path)
+    assert turned.verdict == "unexplained" and not turned.listed
+    assert any("other causes" in note for note in turned.notes)
 
 
 def test_a_distortion_that_bends_the_field_is_named() -> None:
@@ -135,10 +134,10 @@ def test_only_effects_of_the_catalogue_can_be_taken_out(tmp_path: Path, capsys: 
 def test_a_ratio_no_tube_has_is_reported_and_a_robot_file_can_still_be_written(tmp_path: Path) -> None:
     data = measured(ROBOT, PLAN, {"calibration": {"poisson_ratio_1": 0.9, "poisson_ratio_2": 0.9}})
     found = diagnose(ROBOT, data, catalogue=QUICK)
-    assert any("poisson_ratio" in note and "end of its range" in note for note in found.notes)
+    assert any("poisson_ratio" in note and "no tube has" in note for note in found.notes)
     write_robot(tmp_path / "robot.toml", found.robot_content())
     written = load_robot(tmp_path / "robot.toml")
-    assert max(tube.poisson_ratio for tube in written.tubes) == pytest.approx(0.5)
+    assert max(tube.poisson_ratio for tube in written.tubes) == 0.5
     tips = [
         written.solve(*row).tip_m
         for row in zip(data.theta_commanded[data.rows], data.l_commanded[data.rows], strict=True)
@@ -148,49 +147,26 @@ def test_a_ratio_no_tube_has_is_reported_and_a_robot_file_can_still_be_written(t
     assert 0.8 < share < 1.25
 
 
-def test_a_tube_that_is_not_that_of_the_file_is_the_headline() -> None:
-    data = measured(ROBOT, PLAN, {"calibration": {"precurvature_factor_2_2": 1.6}})
-    found = diagnose(ROBOT, data, catalogue=QUICK)
-    assert found.verdict == "wrong_tube" and not found.listed
-    assert verdict_sentence(found).startswith("Tube 2 is not the tube of the file: it is 1.6")
-    assert headline(found) == "Tube 2 is not the tube of the file"
-    (fault,) = found.to_json()["tubes"]
-    assert fault["tube"] == 2 and fault["factor"] == pytest.approx(1.6, rel=0.05)
-
-
-def test_a_collar_that_slips_once_is_told_with_joint_instant_and_size() -> None:
-    plan, clean = PLAN, measured(ROBOT, PLAN, BASE)
-    at = int(plan.rows[2 * plan.count // 3])
-    theta = plan.theta_commanded.copy()
-    theta[at:, 1] += np.radians(9.0)
-    data = replace(measured(ROBOT, replace(plan, theta_commanded=theta), BASE), theta_commanded=plan.theta_commanded)
-    found = diagnose(ROBOT, data, catalogue=QUICK)
-    assert "slip" in [t.name for t in found.listed]
-    (parameter,) = found.to_json()["effects"][0]["parameters"].items()
-    assert parameter[0].startswith("theta_2_from_row_") and parameter[1]["value"] == pytest.approx(9.0, abs=1.0)
-    assert abs(int(parameter[0].split("_")[4]) - 1 - at) <= 12  # the poses of one configuration and the next
-    assert "slip" not in found.robot_content().get("effects", {}) and any("Home" in note for note in found.notes)
-    assert not diagnose(ROBOT, clean, catalogue=QUICK).listed
-
-
-def test_a_drift_that_comes_and_goes_is_said_to_go_with_time() -> None:
-    clean = measured(ROBOT, PLAN, BASE)
-    time = np.linspace(0, 1.6 * 2 * np.pi, len(PLAN.sequence))[PLAN.rows]
-    moved = clean.position_m + 2e-3 * np.sin(time)[:, None] * np.array([0.6, -0.5, 0.6])
-    found = diagnose(ROBOT, replace(clean, position_m=moved), catalogue=QUICK)
-    assert found.verdict == "unexplained" and next(iter(found.judgement.unnamed.parts)).startswith("time")
-    assert "time" in found.judgement.unnamed.sentence
+def test_no_name_is_given_beside_a_calibration_that_no_tube_can_have() -> None:
+    impossible = {"calibration": {"poisson_ratio_1": 0.9, "poisson_ratio_2": 0.9}}
+    found = diagnose(ROBOT, measured(ROBOT, PLAN, impossible | {"backlash": {"theta_2_deg": 8.0}}), catalogue=QUICK)
+    assert [step.effect for step in found.path if step.taken] == ["backlash"]  # found, and not believed
+    assert found.verdict == "unexplained" and any("no tube has" in note for note in found.notes)
 
 
 def test_what_is_handed_over_has_the_effects_of_the_verdict_alone() -> None:
     values = {"tip_load": {"force_x_N": 0.1, "force_y_N": -0.1, "force_z_N": 0.0}, "backlash": {"theta_2_deg": 3.0}}
-    data = measured(ROBOT, PLAN, BASE | values | {"eccentricity": {"sin_2_deg": 6.0, "cos_2_deg": 4.0}})
+    data = measured(ROBOT, PLAN, BASE | values | {"eccentricity": {"sin_2_deg": 2.0, "cos_2_deg": 2.0}})
     found = diagnose(ROBOT, data, catalogue=QUICK)
-    assert found.verdict == "partial" and "backlash" in [t.name for t in found.listed]
+    assert {step.effect for step in found.path if step.taken} > {"backlash"}  # others were chosen, and not believed
+    assert found.verdict == "partial" and [t.name for t in found.listed] == ["backlash"]
     built = {t.name for t in found.built_terms}  # which have names of their own
-    listed = {t.name for t in found.listed}
-    assert set(found.chosen.names) - built == listed and all(name.startswith("learned_") for name in built)
-    assert set(found.robot_content()["effects"]) - built == listed
+    assert set(found.chosen.names) - built == {"backlash"} and all(name.startswith("learned_") for name in built)
+    assert found.built is not None and found.built.rest.rms_m < found.partly.rest.rms_m  # type: ignore[union-attr]
+    assert set(found.robot_content()["effects"]) - built == {
+        "backlash",
+        "base_misalignment",
+    }  # the frame is always free
 
 
 def test_an_outlier_is_reported_and_changes_little() -> None:
@@ -232,13 +208,15 @@ TIP_LOAD = BASE | {"tip_load": {"force_x_N": 0.15, "force_y_N": -0.12, "force_z_
 def test_poses_without_a_solution_are_left_out_and_told(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of the selection and of the held-out set; an effect that is right stays so."""
     data = measured(ROBOT, PLAN, TIP_LOAD)
-    chosen, aside, _ = split(data, np.ones(data.count, bool))
-    configurations = [int(data.configuration[part[0]]) for part in (chosen, aside)]
+    parts = split(data, np.ones(data.count, bool))
+    configurations = [int(data.configuration[part[0]]) for part in (parts.selection, parts.held_out_set)]
     rows = without_solutions(PLAN, configurations, monkeypatch)
     found = diagnose(ROBOT, data, catalogue=FEW)
     assert found.verdict == "named" and names(found) == [{"tip_load"}]
-    assert not found.judgement.unnamed.is_large and found.gap.after.rms_m < 1.3 * found.gap.floor_m
-    assert found.gap.before.poses == found.gap.after.poses == len(aside) - 3 and found.gap.failed.sum() == 3
+    assert found.judgement.adequacy.is_adequate and found.gap.after.rms_m < 1.3 * found.gap.floor_m
+    assert (
+        found.gap.before.poses == found.gap.after.poses == len(parts.held_out_set) - 3 and found.gap.failed.sum() == 3
+    )
     (note,) = (note for note in found.notes if "no equilibrium" in note)
     assert note.startswith(f"The solver found no equilibrium at {len(rows)} of {data.count} poses")
     assert all(f"{row}" in note for row in rows) and "left out" in note
@@ -262,8 +240,8 @@ def test_a_model_that_fails_everywhere_explains_nothing(monkeypatch: pytest.Monk
 
 
 def test_too_few_configurations_and_unknown_noise_are_refused() -> None:
-    with pytest.raises(InputError, match="3 usable poses"):
-        diagnose(ROBOT, measured(ROBOT, waypoints(ROBOT, 1)))
+    with pytest.raises(InputError, match="too few"):
+        diagnose(ROBOT, measured(ROBOT, waypoints(ROBOT, 5)))
     with pytest.raises(
         InputError, match="measurement: is missing.*or measure at least 20 poses again.*these data have 0"
     ):
@@ -304,12 +282,12 @@ def test_an_interrupted_run_keeps_what_it_had() -> None:
     def progress(step: str, share: float) -> None:
         steps.append(step)
         assert 0 <= share <= 1
-        if step != "calibration":
+        if step.startswith("trying"):
             stop.set()
 
     found = diagnose(ROBOT, measured(ROBOT, PLAN, BASE), progress, catalogue=QUICK, interrupted=stop)
     assert found.interrupted and found.verdict != "named"
-    assert len(steps) >= 1 and any(note.startswith("Interrupted") for note in found.notes)
+    assert steps[0] == "calibrating" and steps[-1] == "asking the held-out set"
 
 
 def test_the_command_writes_files_that_go_on_working(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -317,9 +295,8 @@ def test_the_command_writes_files_that_go_on_working(tmp_path: Path, capsys: pyt
     write_csv(tmp_path / "data.csv", measured(ROBOT, PLAN, BASE | {"backlash": {"theta_2_deg": 8.0}}))
     out = tmp_path / "out"
     assert main(["diagnose", str(tmp_path / "robot.toml"), str(tmp_path / "data.csv"), "-o", str(out), "--quiet"]) == 0
-    assert "Missing: play in the drive (backlash), probability above 0.999." in capsys.readouterr().out
+    assert "Missing: play in the drive (backlash)." in capsys.readouterr().out
     content = json.loads((out / "diagnosis.json").read_text())
-    assert content["posterior"]["effects"]["backlash"] > 0.99 and content["reading"]["poses"] == "at rest"
     assert content["verdict"] == "named" and content["effects"][0]["stage"] == "drive"
     assert set(content["gap"]) >= {
         "before_rms_mm",

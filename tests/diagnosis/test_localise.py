@@ -9,8 +9,8 @@ import pytest
 from measured_data import pair_robot, waypoints
 
 from ctrplan.base.arrays import Array
-from ctrplan.diagnosis.gap import localise, quantities
-from ctrplan.diagnosis.workflow import HELD_OUT_SHARE, _Teller
+from ctrplan.diagnosis.conclusion import HELD_OUT_SHARE, Teller
+from ctrplan.diagnosis.localise import localise, quantities
 from ctrplan.measurement.measurements import Measurements
 
 DATA = waypoints(pair_robot(), 18)
@@ -54,7 +54,7 @@ def test_an_angle_rounded_below_zero_is_no_full_turn() -> None:
 
 def test_progress_of_many_steps_stays_below_that_of_the_last_one() -> None:
     told: list[float] = []
-    teller = _Teller(lambda _, share: told.append(share), None)
+    teller = Teller(lambda _, share: told.append(share), None)
     for _ in range(40):
         teller("trying backlash")
     assert np.all(np.diff(told) >= 0) and told[-1] <= HELD_OUT_SHARE

@@ -7,8 +7,9 @@ nulls with memory.
 
 Every world is solved once and measured in 32 configurations, with three tubes five approaches each. A set adds noise
 and smooth random errors: of 0.3 and 1 mm, to nulls of 1 to 3 mm and several memories. Robots of two and four tubes are
-asked as well. The gap is what the poses kept aside show, their noise taken out. Probabilities are compared with the
-truth. Resumable.
+asked as well. Asked is what holds of the whole catalogue beside a rest, what can be built of the rest, and what holds
+beside that, without the ordinary search before it. The gap is what the poses kept aside show, their noise taken out.
+Resumable.
 """
 
 from __future__ import annotations
@@ -37,9 +38,18 @@ from hidden_effects.leftovers import Leftover, add_leftover
 from hidden_effects.noise import add_noise
 from hidden_effects.score import wilson
 
-from ctrplan.diagnosis import diagnose
+from ctrplan.calibration.estimates import distances
+from ctrplan.diagnosis import built_term as limits
+from ctrplan.diagnosis.adequacy import noise_floor
+from ctrplan.diagnosis.built_term import refusals, tried
+from ctrplan.diagnosis.partial_diagnosis import PartialDiagnosis, diagnose_partially
+from ctrplan.diagnosis.usable_poses import usable_poses
+from ctrplan.diagnosis.workbench import Scored, candidates
 from ctrplan.files.measurement_file import load_measurements
 from ctrplan.files.robot_file import load_robot
+from ctrplan.measurement.measurements import Measurements
+from ctrplan.pipeline.followed_runs import friction_correction
+from ctrplan.pipeline.parametric_chain import ParametricChain
 
 CONFIGURATIONS, RETRIES = 32, 8
 Hidden = tuple[tuple[str, float], ...]
@@ -175,29 +185,46 @@ def _by_chance(path: Path) -> str:
 
 
 def asked(folder: Path) -> dict[str, Any]:
-    """The verdict with its probabilities, and gaps [mm] on the poses kept aside, the noise taken out in squares."""
+    """Gaps [mm] on the poses kept aside: calibrated, with named effects, with the built term; and the evidence."""
     robot = load_robot(folder / "robot.toml")
     data = load_measurements(folder / "measurements.csv", robot)
     began = time.process_time()
-    content = diagnose(robot, data).to_json()
-    gap = content["gap"]
-    result: dict[str, Any] = {
-        "verdict": content["verdict"],
-        "names": [[e["name"], *e["alternatives"]] for e in content["effects"]],
-        "posterior": content["posterior"]["effects"],
-        "unnamed": content["unnamed"]["over_noise"],
-        "seconds": [round(time.process_time() - began, 1)],
-        "before_mm": beyond(gap["before_rms_mm"], gap),
-        "named_mm": beyond(gap.get("named_rms_mm", gap["after_rms_mm"]), gap),
-        "left_mm": beyond(gap["after_rms_mm"], gap),
-        "built": content["built"] is not None,
-    }
-    return result | {"terms": [t["name"] for t in content["built"]["terms"]] if content["built"] else []}
+    noise, usable = noise_floor(robot, data)[0], usable_poses(robot, data)
+    found = diagnose_partially(robot, data, usable, noise, candidates(robot, data), lambda _: None)
+    halfway = time.process_time()
+    bench, aside = found.bench, data.subset(found.split.held_out_set)
+    result: dict[str, Any] = {"named": names(found), "seconds": [round(halfway - began, 1)]}
+    result["before_mm"] = gap_mm(found.base, aside, noise.floor_m)
+    result["named_mm"] = gap_mm(bench.handed_over(bench.sized(found.chosen)), aside, noise.floor_m)
+    built = tried(found, lambda _: None)
+    result["seconds"].append(round(time.process_time() - halfway, 1))
+    if built is None:
+        return result | {"built": False}
+    result["beside_mm"] = gap_mm(bench.handed_over(bench.sized(built.named)), aside, noise.floor_m)
+    result["names"] = names(built.partly)
+    result["z_of_names"] = {part.evidence.term.name: round(part.evidence.z, 2) for part in built.partly.parts}
+    result["dropped"] = [(s.effect, s.gain, s.error) for s in built.partly.path if s.action == "drop"]
+    result["built_mm"] = gap_mm(bench.handed_over(bench.sized(built.scored)), aside, noise.floor_m)
+    refused = refusals(bench, built)
+    terms = [t.effect.stated({})["acts_on"] + ": " + ", ".join(t.effect.parts) for t in built.terms]
+    evidence = {"z": built.z, "winning": built.winning, "share": built.share, "gain": built.gain}
+    evidence |= {"chance": built.rounds[0].chance, "first": built.rounds[0].tried[0].certainty}
+    evidence |= {"log_odds": built.odds}
+    return result | {"built": True, "refused": refused, "terms": terms, **evidence}
 
 
-def beyond(rms_mm: float, gap: dict[str, Any]) -> float:
-    """The error without the noise."""
-    return float(np.sqrt(max(rms_mm**2 - gap["noise_floor_mm"] ** 2, 0.0)))
+def names(found: PartialDiagnosis) -> list[list[str]]:
+    """Parts that hold, each with what does as well in its place."""
+    return [[f.term.name, *(a.term.name for a in f.alternatives)] for f in found.judgement.findings]
+
+
+def gap_mm(scored: Scored, aside: Measurements, floor_m: float) -> float:
+    """Rms error on poses that nothing has read, the noise taken out."""
+    fit = scored.fit
+    chain = ParametricChain(fit.chain.robot, aside, fit.chain.terms)
+    chain.correction = friction_correction(chain, fit.p)
+    error = distances(chain.predict(fit.p, derivatives=False), aside)
+    return float(1e3 * np.sqrt(max(float(np.mean(error**2)) - floor_m**2, 0.0)))
 
 
 def table(folder: Path) -> None:
@@ -209,7 +236,6 @@ def table(folder: Path) -> None:
                 f"\n{robot}, {len(those)} sets, {np.median([sum(f['seconds']) for _, f in those]):.0f} s of processor"
             )
             _shares(those)
-            reliability(those, there)
     print("\n| effect | sets | built | median gap: named effects, built term [mm] | median share that is left |")
     print("|---|---|---|---|---|")
     for name in UNKNOWN:
@@ -225,18 +251,12 @@ def read(folder: Path) -> list[tuple[dict[str, Any], dict[str, Any]]]:
     sets = []
     for path in sorted(folder.glob("w*_*/found.json")):
         if found := json.loads(path.read_text()):
-            found["names"] = [set(part) for part in found["names"]]
+            found["built"] = is_handed_over(found)
+            found["left_mm"] = found["built_mm"] if found["built"] else found["named_mm"]
+            beside = found["built"] or (passes(found) and found["names"])
+            found["names"] = [set(part) for part in found["names" if beside else "named"]]
             sets.append((json.loads(path.with_name("truth.json").read_text()), found))
     return sets
-
-
-def reliability(sets: list[tuple[dict[str, Any], dict[str, Any]]], names: Callable[[dict[str, Any]], set[str]]) -> None:
-    """Of effects given a posterior probability, the share that is there."""
-    edges = (0.02, 0.5, 0.8, 0.95, 0.99, 1.01)
-    print("\n| posterior probability | right | effects | 95 % interval |\n|---|---|---|---|")
-    for low, high in zip(edges, edges[1:], strict=False):
-        those = [n in names(t) for t, found in sets for n, p in found["posterior"].items() if low <= p < high]
-        _line(f"{low:g} to {min(high, 1):g}", those, bool)
 
 
 def _shares(sets: list[tuple[dict[str, Any], dict[str, Any]]]) -> None:
@@ -265,15 +285,19 @@ def known(truth: dict[str, Any]) -> set[str]:
     return {name for hidden, _ in truth["hidden"][1:] for name in truth_name(hidden).split("|")}
 
 
-def there(truth: dict[str, Any]) -> set[str]:
-    """Names of all that acts and has one."""
-    names = {name for hidden, _ in truth["hidden"] for name in truth_name(hidden).split("|")}
-    return names | ({"slip"} if any(hidden == "collar_slip" for hidden, _ in truth["hidden"]) else set())
+def is_handed_over(found: dict[str, Any]) -> bool:
+    """Whether a term was built and passes: on blocks left out, and once on the poses kept aside."""
+    return passes(found) and 1 - (found["built_mm"] / max(found["beside_mm"], 1e-9)) ** 2 >= limits.LEAST_SHARE_ASIDE
+
+
+def passes(found: dict[str, Any]) -> bool:
+    """Whether a term was built and passes on blocks left out: the names beside it stay then."""
+    return found.get("refused") == []
 
 
 def left(found: dict[str, Any]) -> float:
     """Of the gap beside the named effects, 1 where nothing was built."""
-    return float(found["left_mm"] / max(found["named_mm"], 1e-9)) if found["built"] else 1.0
+    return float(found["built_mm"] / max(found["named_mm"], 1e-9)) if found["built"] else 1.0
 
 
 def _line(text: str, among: list[Any], hit: Callable[[Any], bool]) -> None:

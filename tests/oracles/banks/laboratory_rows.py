@@ -36,7 +36,6 @@ from banks.built_terms import (  # first: it sets threads and finds the tests' g
     ask,
     made_of,
     read,
-    reliability,
 )
 
 AT_REST, POSITIONS, WITHDRAWN, STREAM = "at rest", "position only", "withdrawn", "stream"
@@ -179,7 +178,6 @@ def table(folder: Path) -> None:
             _counted(way, kind, [one for one in sets if one[0]["of"] == kind])
         if sets:
             _of_all(way, sets)
-    reliability(every, lambda truth: set().union(*known(truth)))
     print("\n| measured, hidden | sets | median processor time of one [s] |\n|---|---|---|")
     for row in sorted({truth["row"] for truth, _ in every}):
         seconds = [sum(found["seconds"]) for truth, found in every if truth["row"] == row]

@@ -1,0 +1,223 @@
+"""What no effect explains, as a random error with a size and a memory; it is in the covariance, never a candidate.
+
+Residuals over the noise have the covariance I + s^2 R within a block and none between blocks. On a continuous motion
+R = exp(-|t - t'| / memory); of poses at rest a block is a configuration, and R = a for two approaches of it, 1 for one.
+Position and tangent have sizes s of their own. Multiplying by (I + s^2 R)^(-1/2) makes residuals white again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrplan.base.arrays import Array
+
+POSITION, TANGENT = slice(0, 3), slice(3, None)  # of the numbers of a pose
+SIZES = np.concatenate([[0.0], np.geomspace(0.1, 1000.0, 33)])  # of s, over the noise
+SHARES = np.array([0.0, 0.2, 0.4, 0.6, 0.8, 0.95, 1.0])  # of the variance that approaches of a configuration share
+MEMORIES = 12  # tried, from half a step to a quarter of the motion
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """Poses whose discrepancies go together, with the eigenvalues and eigenvectors of their correlation R."""
+
+    poses: NDArray[np.int_]
+    values: Array
+    vectors: Array
+
+
+Numbered = tuple[NDArray[np.int_], Block]  # (k, c) of the numbers r.ravel() of a fit, c for each row of a block
+
+
+@dataclass(frozen=True, eq=False)
+class Discrepancy:
+    """Sizes over the noise of a coordinate of the position and of the tangent, and what goes together."""
+
+    position: float
+    tangent: float
+    memory: float  # s of a continuous motion; of poses at rest the share a that belongs to the configuration
+    blocks: tuple[Block, ...]
+
+    @property
+    def is_there(self) -> bool:
+        """Whether there is more than noise."""
+        return max(self.position, self.tangent) > 0
+
+    def whitened(self, values: Array) -> Array:
+        """(K, 5, ...) residuals or derivatives over the noise, multiplied by (I + s^2 R)^(-1/2)."""
+        return self._times(values, -0.5)
+
+    def coloured(self, values: Array) -> Array:
+        """The inverse of `whitened`."""
+        return self._times(values, 0.5)
+
+    def _times(self, values: Array, power: float) -> Array:
+        new = np.array(values, dtype=np.float64)
+        for part, size in ((POSITION, self.position), (TANGENT, self.tangent)):
+            for block in self.blocks if size else ():
+                factor = (block.vectors * (1 + size**2 * block.values) ** power) @ block.vectors.T
+                new[block.poses, part] = np.tensordot(factor, values[block.poses, part], axes=1)
+        return new
+
+
+@dataclass(frozen=True, eq=False)
+class Linearised:
+    """What an estimate reads: residuals r (K, 5) at the priors' centres, derivatives J (K, 5, P), precision (P,)."""
+
+    r: Array
+    J: Array
+    precision: Array
+
+
+def of_motion(fit: Linearised, time_s: Array, run: NDArray[np.int_], longest_s: float) -> Discrepancy:
+    """The most probable discrepancy of a continuous motion with poses at times (K,) of runs (K,)."""
+    step = float(np.median(np.diff(time_s))) if len(time_s) > 1 else 1.0
+    memories = np.geomspace(max(step / 2, 1e-6), max(longest_s / 4, step), MEMORIES)
+    rows = [np.flatnonzero(run == number) for number in np.unique(run)]
+    return _most_probable(fit, rows, memories, lambda poses, memory: decay(time_s[poses], memory))
+
+
+def of_configurations(fit: Linearised, configuration: NDArray[np.int_]) -> Discrepancy:
+    """The most probable discrepancy of poses at rest, (K,) numbers of their configurations."""
+    rows = [np.flatnonzero(configuration == number) for number in np.unique(configuration)]
+    return _most_probable(fit, rows, SHARES, lambda poses, share: shared(len(poses), share))
+
+
+def over_joints(fit: Linearised, share: float, correlation: Array) -> Discrepancy:
+    """The most probable sizes where configurations go along with each other, `correlation` (K, K) of their poses."""
+    rows = [np.arange(len(correlation))]
+    own = np.eye(len(correlation))
+    return _most_probable(fit, rows, np.array([share]), lambda _, a: a * correlation + (1 - a) * own)
+
+
+def decay(time_s: Array, memory_s: float) -> Array:
+    """(K, K) correlation of a discrepancy that is forgotten exponentially."""
+    correlation: Array = np.exp(-np.abs(time_s[:, None] - time_s[None]) / memory_s)
+    return correlation
+
+
+def shared(count: int, share: float) -> Array:
+    """(K, K) correlation of approaches of one configuration."""
+    return share + (1 - share) * np.eye(count)
+
+
+def within(
+    discrepancy: Discrepancy, blocks: Sequence[NDArray[np.int_]], correlation: Callable[..., Array]
+) -> Discrepancy:
+    """This discrepancy for other poses, given by their blocks; correlation(poses, memory) is that of a block."""
+    return replace(
+        discrepancy, blocks=tuple(block_of(poses, correlation(poses, discrepancy.memory)) for poses in blocks)
+    )
+
+
+def block_of(poses: NDArray[np.int_], correlation: Array) -> Block:
+    """A block of poses with their correlation (k, k)."""
+    values, vectors = np.linalg.eigh(correlation)
+    return Block(poses, np.maximum(values, 0.0), vectors)
+
+
+def _most_probable(
+    fit: Linearised,
+    rows: Sequence[NDArray[np.int_]],
+    memories: Array,
+    correlation: Callable[[NDArray[np.int_], float], Array],
+) -> Discrepancy:
+    """The best of all memories and sizes, by the likelihood with the parameters integrated out over their priors."""
+    best, highest = None, -np.inf
+    for memory in memories.tolist():
+        blocks = tuple(block_of(poses, correlation(poses, memory)) for poses in rows)
+        value, position, tangent = Spectrum.at(fit, blocks).highest()
+        if value > highest:
+            best, highest = Discrepancy(position, tangent, memory, blocks), value
+    assert best is not None
+    return best
+
+
+@dataclass(frozen=True, eq=False)
+class SizePart:
+    """Sums over one part of the poses' numbers at a size of the discrepancy: a normal system and a likelihood."""
+
+    size: float
+    H: Array
+    g: Array
+    likelihood: float  # twice the log-likelihood at the priors' centres, up to a constant
+
+
+@dataclass(frozen=True, eq=False)
+class Spectrum:
+    """A fit in the eigenvectors of the discrepancy's blocks, where its covariance is diagonal: sums at every size."""
+
+    precision: Array  # (P,) of the parameters' priors
+    position: Sequence[SizePart]
+    tangent: Sequence[SizePart]
+
+    @classmethod
+    def at(cls, fit: Linearised, blocks: Sequence[Block]) -> Spectrum:
+        """The linearised fit whose discrepancy has these blocks, of every number of a pose alike."""
+        numbers = np.arange(fit.r.size).reshape(fit.r.shape)
+        position, tangent = ([(numbers[b.poses, part], b) for b in blocks] for part in (POSITION, TANGENT))
+        return cls.apart(fit, position, tangent)
+
+    @classmethod
+    def apart(
+        cls,
+        fit: Linearised,
+        position: Sequence[Numbered],
+        tangent: Sequence[Numbered],
+        sizes: tuple[Sequence[float], Sequence[float]] = (SIZES.tolist(), SIZES.tolist()),
+    ) -> Spectrum:
+        """The linearised fit whose positions and tangents have blocks of their own; sizes: those required, of each."""
+        return cls(fit.precision, cls._parts(fit, position, sizes[0]), cls._parts(fit, tangent, sizes[1]))
+
+    def of(self, columns: Sequence[int]) -> Spectrum:
+        """The linearised fit in some of the parameters, the others being where they do nothing."""
+        kept = np.ix_(columns, columns)
+        parts = [
+            [replace(one, H=one.H[kept], g=one.g[columns]) for one in which] for which in (self.position, self.tangent)
+        ]
+        return Spectrum(self.precision[columns], *parts)
+
+    @staticmethod
+    def _parts(fit: Linearised, blocks: Sequence[Numbered], sizes: Sequence[float]) -> list[SizePart]:
+        if not blocks:
+            return [SizePart(0.0, np.zeros((len(fit.precision),) * 2), np.zeros(len(fit.precision)), 0.0)]
+        r, J = fit.r.ravel(), fit.J.reshape(fit.r.size, -1)
+        along_r = np.concatenate([(b.vectors.T @ r[numbers]).ravel() for numbers, b in blocks])
+        along_J = np.concatenate(
+            [np.tensordot(b.vectors.T, J[numbers], axes=1).reshape(-1, J.shape[1]) for numbers, b in blocks]
+        )
+        values = np.concatenate([np.repeat(b.values, numbers.shape[1]) for numbers, b in blocks])
+        alike = np.isclose(values, np.median(values), rtol=0, atol=1e-9)  # approaches of one configuration, among them
+        flat, y = along_J[~alike], along_r[~alike]
+        same, of_same = along_J[alike], along_r[alike]
+        H, g, square = same.T @ same, same.T @ of_same, float(of_same @ of_same)
+        results = []
+        for size in sizes:
+            weight = 1 / (1 + size**2 * values[~alike])
+            weighted, one = flat * weight[:, None], float(1 / (1 + size**2 * np.median(values)))
+            fits = float(np.log(weight).sum() - weight @ y**2) + len(of_same) * np.log(one) - one * square
+            results.append(SizePart(size, weighted.T @ flat + one * H, weighted.T @ y + one * g, fits))
+        return results
+
+    def highest(self) -> tuple[float, float, float]:
+        """The highest evidence, and the sizes of position and tangent that it has: one by one, until both stay."""
+        position, tangent = self.position[0], self.tangent[0]
+        while True:
+            better = max(self.position, key=lambda part: self.evidence(part, tangent))
+            best = max(self.tangent, key=lambda part: self.evidence(better, part))
+            if better is position and best is tangent:
+                return self.evidence(position, tangent), position.size, tangent.size
+            position, tangent = better, best
+
+    def evidence(self, position: SizePart, tangent: SizePart) -> float:
+        """Twice the logarithm of it, up to a constant."""
+        scale = 1 / np.sqrt(self.precision)
+        H = (position.H + tangent.H) * np.outer(scale, scale) + np.eye(len(scale))
+        factor = np.linalg.cholesky(H)
+        z = np.linalg.solve(factor, scale * (position.g + tangent.g))
+        gained = float(z @ z - 2 * np.log(np.diag(factor)).sum())
+        return position.likelihood + tangent.likelihood + gained

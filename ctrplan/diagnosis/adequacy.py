@@ -1,0 +1,252 @@
+"""Whether what remains after a fit is noise: chi-square of all, of configurations, of contrasts; noise of another
+size.
+
+What data show of it, `shown_noise.py`, misses what a tracker's filter takes away and what changes slowly; what a file
+states may be a data sheet's. Each is a lower bound, and the largest counts.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2, f
+
+from ctrplan.base.arrays import Array
+from ctrplan.calibration.fit_warnings import OUTLIER, excused
+from ctrplan.calibration.observed_noise import LEAST_SPARE, ObservedNoise, observed_noises, repeats
+from ctrplan.calibration.residuals import NO_TANGENT_SIGMA, PAPER, PER_POSE, Noise, Residuals, information_inverse
+from ctrplan.diagnosis.cross_validation import Linear
+from ctrplan.diagnosis.workbench import Scored, Workbench, linear
+from ctrplan.errors import InputError
+from ctrplan.measurement.measurements import Measurements
+from ctrplan.robot.robot import Robot
+
+REJECTED = 1e-3  # probability below which a chi-square is no chance
+MOST_OUTLIERS = 0.03  # of the poses, and one in any case; more are no outliers but a misfit
+
+
+@dataclass(frozen=True)
+class ChiSquare:
+    """A sum of squares with its expectation under noise."""
+
+    value: float
+    dof: float
+
+    @property
+    def ratio(self) -> float:
+        """1 for noise as stated."""
+        return self.value / max(self.dof, 1e-9)
+
+    @property
+    def p(self) -> float:
+        """Probability of at least this under noise."""
+        return float(chi2.sf(self.value, max(self.dof, 1e-9)))
+
+    @property
+    def is_noise(self) -> bool:
+        """Whether noise of the stated size explains it."""
+        return self.p > REJECTED
+
+
+@dataclass(frozen=True)
+class Adequacy:
+    """What remains, apart: between configurations, and between approaches of one configuration."""
+
+    total: ChiSquare
+    between: ChiSquare
+    within: ChiSquare
+    position: ChiSquare
+    tangent: ChiSquare
+
+    @property
+    def is_adequate(self) -> bool:
+        """Whether nothing but noise is left, in all, between configurations and within them."""
+        return self.total.is_noise and self.between.is_noise and self.within.is_noise
+
+
+def outliers(norm: Array) -> NDArray[np.bool_]:
+    """(K,) poses too far off for noise, if they are few."""
+    far = norm > OUTLIER
+    return far if far.sum() <= math.ceil(MOST_OUTLIERS * len(far)) else np.zeros_like(far)
+
+
+def ignored(scored: Scored) -> NDArray[np.bool_]:
+    """(K,) poses of a fit that its chi-squares leave out: without a solution, or outliers of the others."""
+    left = excused(scored.failed).copy()
+    left[~left] = outliers(scored.fit.residuals.raw_norm[~left])
+    return left
+
+
+def adequacy(fit: Linear, group: NDArray[np.int_], ignored: NDArray[np.bool_]) -> Adequacy:
+    """The adequacy of a linearised fit by its residuals; `group` (K,) numbers configurations; some poses (K,) are
+    left out.
+    """
+    r, J, group, given = fit.r[~ignored], fit.J[~ignored], group[~ignored], fit.given[~ignored]
+    root = information_inverse(fit.J, fit.weight, fit.precision)
+    hat = J @ root  # (K, 5, P): hat hat^T is the share of noise that the fit took
+    means, mean_hats = _group_means(r, group, given), _group_means(hat, group, given)
+    total = ChiSquare(float((r**2).sum()), given.sum() - _taken(hat))
+    between = ChiSquare(float((means**2).sum()), _group_sums(given, group).astype(bool).sum() - _taken(mean_hats))
+    within = ChiSquare(total.value - between.value, total.dof - between.dof)
+    parts = (slice(0, 3), slice(3, PER_POSE))
+    position, tangent = (
+        ChiSquare(float((r[:, part] ** 2).sum()), given[:, part].sum() - _taken(hat[:, part])) for part in parts
+    )
+    return Adequacy(total, between, within, position, tangent)
+
+
+def _taken(hat: Array) -> float:
+    """Degrees of freedom that a fit takes: one a parameter at most, which small robust weights would exceed."""
+    return min(float((hat**2).sum()), float(hat.shape[2]))
+
+
+def remains(bench: Workbench, scored: Scored) -> Adequacy:
+    """What is left of the selection's poses after a fit."""
+    return adequacy(linear(scored.fit), bench.group, ignored(scored))
+
+
+def _group_means(values: Array, group: NDArray[np.int_], given: NDArray[np.bool_]) -> Array:
+    """Sums over groups over the root of what was measured there: an orthonormal projection of independent poses."""
+    count = np.maximum(_group_sums(given, group), 1)
+    means: Array = _group_sums(values, group) / np.sqrt(count.reshape(*count.shape, *[1] * (values.ndim - 2)))
+    return means
+
+
+def _group_sums(values: Array | NDArray[np.bool_], group: NDArray[np.int_]) -> Array:
+    numbers, number = np.unique(group, return_inverse=True)
+    sums = np.zeros((len(numbers), *values.shape[1:]))
+    np.add.at(sums, number, values)
+    return sums
+
+
+UNEVEN = 0.01  # probability of a ratio of between to within below which the excess has structure
+LARGEST_FACTOR = 3.0
+HEAVY = 2.0  # tail weight that 60 poses of Gaussian noise have once in a thousand
+LEAST_CHANGE = 1.05  # factors nearer to 1 change nothing
+
+
+def rescaled_noise(left: Adequacy, noise: Noise, norm: Array, given: Array) -> tuple[Noise | None, str]:
+    """Noise as the residuals show it, if they differ from the stated one and are even; and a sentence about it.
+
+    Even: as large between configurations as between approaches of one. An effect that the model lacks acts on one of
+    the two, because it belongs to the configuration or to the way there. Residuals, with norms per pose `norm` (K,) of
+    `given` (K,) measured numbers each, that are small but for heavy tails say nothing against the stated size: the
+    tails are part of it.
+    """
+    small = _too_small(left.total) < REJECTED
+    if not (small or left.total.p < REJECTED) or not _is_even(left):
+        return None, ""
+    if small and tail_weight(norm, given) > HEAVY:
+        return None, "The noise has heavier tails than a Gaussian; its size is taken as stated."
+    factors = [math.sqrt(part.ratio) if part.dof > 1 else 1.0 for part in (left.position, left.tangent)]
+    if (
+        max(factors) > LARGEST_FACTOR
+        or min(factors) < 1 / LARGEST_FACTOR
+        or all(abs(x - 1) < LEAST_CHANGE - 1 for x in factors)
+    ):
+        return None, ""
+    result = Noise(noise.position_m * factors[0], noise.tangent_rad * factors[1])
+    sentence = (
+        f"The noise is not as stated: {result.position_m * 1e3:.3g} mm and {math.degrees(result.tangent_rad):.3g} deg "
+        f"fit the data, the file says {noise.position_m * 1e3:.3g} mm and {math.degrees(noise.tangent_rad):.3g} deg."
+    )
+    return result, sentence
+
+
+def tail_weight(norm: Array, given: Array) -> float:
+    """Variance of squared norms (K,) of poses over what it is for Gaussian noise of their size: 1 without tails.
+
+    `given` (K,) counts the numbers of each pose that were measured.
+    """
+    square = norm**2 / given
+    return float(np.var(square) / np.mean(square) ** 2 / np.mean(2 / given))
+
+
+def left_out_probability(held_out_set: ChiSquare, left: ChiSquare, residuals: Residuals, *, estimated: bool) -> float:
+    """Probability of a held-out set as far off as this, given what is `left` of the selection, whose residuals follow.
+
+    Where the noise is an estimate from the selection it is F instead of chi-square. Tails heavier than Gaussian make
+    sums of squares less certain: degrees of freedom shrink with the kurtosis (Box and Andersen 1955).
+    """
+    near, given = ~outliers(residuals.raw_norm), residuals.given.sum(axis=1)
+    kept = residuals.norm[near], given[near]
+    if estimated:
+        excess = max(1.0, tail_weight(*kept))
+        return float(f.sf(held_out_set.ratio / left.ratio, held_out_set.dof / excess, left.dof / excess))
+    if tail_weight(*kept) < HEAVY:
+        return held_out_set.p
+    excess = tail_weight(residuals.norm, given)  # with the far ones, which a small held-out set can't tell as such
+    return float(chi2.sf(held_out_set.value / excess, held_out_set.dof / excess))
+
+
+def _is_even(left: Adequacy) -> bool:
+    if min(left.between.dof, left.within.dof) < 10:
+        return False
+    ratio = left.between.ratio / left.within.ratio
+    above = float(f.sf(ratio, left.between.dof, left.within.dof))
+    return min(above, 1 - above) > UNEVEN / 2
+
+
+def _too_small(chi_square: ChiSquare) -> float:
+    return float(chi2.cdf(chi_square.value, chi_square.dof))
+
+
+def noise_floor(robot: Robot, data: Measurements) -> tuple[Noise, str]:
+    """Noise, and a sentence about it where it is not as stated. Raises InputError where neither file nor data have it.
+
+    Of data without tangents the noise of tangents is of no matter.
+    """
+    stated, shown = robot.measurement, list(observed_noises(data))
+    if stated is None and not shown:
+        rule = (
+            "is missing: state position_sigma_mm and tangent_sigma_deg, or measure at least "
+            f"{LEAST_SPARE} poses again, approached the same way ({_too_little(data)})"
+        )
+        raise InputError(rule, file=robot.path, key="measurement")
+    if stated is None:
+        return _of_data(shown, data.has_tangents)
+    tangent_rad = stated.tangent_sigma_rad
+    if tangent_rad is None and data.has_tangents:
+        if not shown:
+            raise InputError(NO_TANGENT_SIGMA, file=robot.path, key="measurement.tangent_sigma_deg")
+        tangent_rad = max(one.noise.tangent_rad for one in shown)
+    floor = Noise(stated.position_sigma_m, PAPER.tangent_rad if tangent_rad is None else tangent_rad)
+    return _enlarged(floor, shown, data.has_tangents)
+
+
+def _too_little(data: Measurements) -> str:
+    if data.is_stream:
+        return "a continuous motion has none, and this one is too short or too uneven in time to show its noise"
+    kind = repeats(data)
+    return f"these data have {len(kind) - len(np.unique(kind))}"
+
+
+def _of_data(shown: Sequence[ObservedNoise], has_tangents: bool) -> tuple[Noise, str]:
+    """The largest that the data show."""
+    noise = Noise(max(one.noise.position_m for one in shown), max(one.noise.tangent_rad for one in shown))
+    by = " and ".join(one.by for one in shown)
+    return noise, f"The robot file states no noise; {by} say {_words(noise, has_tangents)}."
+
+
+def _enlarged(stated: Noise, shown: Sequence[ObservedNoise], has_tangents: bool) -> tuple[Noise, str]:
+    """The stated noise, or what data show where it is clearly more."""
+    noise, by = stated, list[str]()
+    for one in shown:
+        factors = one.noise.position_m / stated.position_m, one.noise.tangent_rad / stated.tangent_rad
+        if max(factors[: 1 + has_tangents]) > 1 + one.doubt:
+            tangent_rad = max(noise.tangent_rad, one.noise.tangent_rad) if has_tangents else noise.tangent_rad
+            noise = Noise(max(noise.position_m, one.noise.position_m), tangent_rad)
+            by.append(one.by)
+    if not by:
+        return stated, ""
+    more = f"{' and '.join(by)} say {_words(noise, has_tangents)}, the file states {_words(stated, has_tangents)}"
+    return noise, f"The noise is larger than stated: {more}."
+
+
+def _words(noise: Noise, has_tangents: bool) -> str:
+    tangent = f" and {math.degrees(noise.tangent_rad):.3g} deg" if has_tangents else ""
+    return f"{noise.position_m * 1e3:.3g} mm{tangent}"

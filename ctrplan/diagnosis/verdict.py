@@ -1,0 +1,150 @@
+"""From a selected set of effects to a verdict: named, ambiguous, unexplained, or nothing missing; partial: `partly.py`.
+
+A name is given only when what remains looks like noise, on the poses of the selection and in the held-out set. Where
+it does not, the best of the wrong names would be given with confidence; then only effects stay listed whose evidence
+lies in a part of the data that they explain completely.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from ctrplan.calibration.fit_warnings import is_strained, strained
+from ctrplan.diagnosis.adequacy import Adequacy, remains
+from ctrplan.diagnosis.selection import Selection, Selector
+from ctrplan.diagnosis.workbench import Scored, Workbench
+from ctrplan.pipeline.term import Term, term
+
+Verdict = Literal["named", "no_missing_effect", "ambiguous", "partial", "unexplained"]
+
+CLOSE = 3.0  # log-likelihood: an alternative that predicts nearly as well
+CLOSE_ERRORS = 1.0  # or worse by less than this many standard errors of the comparison
+MOST_RIVALS = 3  # alternatives of one of several effects: with more of them the data ask for something else
+OVERWHELMING = 30.0  # log-likelihood of an effect that stays listed although something remains unexplained
+
+
+@dataclass(frozen=True, eq=False)
+class Alternative:
+    """A set in which another effect stands in the place of a chosen one."""
+
+    term: Term
+    scored: Scored
+    behind: float  # log-likelihood, of the chosen set over this one
+    error: float  # standard error of that
+
+
+@dataclass(frozen=True, eq=False)
+class Finding:
+    """An effect of the verdict with what can't be told from it."""
+
+    term: Term
+    alternatives: tuple[Alternative, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Judgement:
+    """The verdict on the selection's poses, and why."""
+
+    verdict: Verdict
+    findings: tuple[Finding, ...]
+    adequacy: Adequacy
+    compared: tuple[Alternative, ...]  # everything that was tried in the place of something chosen
+    notes: tuple[str, ...] = ()
+
+
+def judge(selector: Selector, selection: Selection) -> Judgement:
+    """The verdict before the held-out set is opened."""
+    bench, chosen = selector.bench, selection.chosen
+    left = remains(bench, chosen)
+    if not chosen.terms:
+        return Judgement("no_missing_effect" if left.is_adequate else "unexplained", (), left, ())
+    compared = [a for t in chosen.terms for a in _compared(selector, selection, t)]
+    findings = tuple(_finding(bench, chosen, t, compared, left) for t in chosen.terms)
+    if not left.is_adequate or _is_strained(bench, chosen):
+        kept = () if _is_enlarged(bench) else specific(bench, chosen, findings, left)
+        return Judgement("unexplained", kept, left, tuple(compared))
+    clear = tuple(f for f in findings if len(f.alternatives) <= MOST_RIVALS)
+    if len(findings) > 1 and len(clear) < len(findings):  # beside others, what anything can stand in for is nothing
+        return Judgement("unexplained", clear, left, tuple(compared))
+    shared = [f for f in findings if not f.alternatives and _is_shared(bench, chosen, f.term)]
+    if shared:
+        rest = tuple(f for f in findings if f not in shared)
+        return Judgement("unexplained", rest, left, tuple(compared), tuple(_disbelieved(f.term) for f in shared))
+    verdict: Verdict = "ambiguous" if any(f.alternatives for f in findings) else "named"
+    return Judgement(verdict, findings, left, tuple(compared))
+
+
+def _is_strained(bench: Workbench, chosen: Scored) -> bool:
+    """Whether a set needs what is hardly possible: such a fit proves nothing.
+
+    It is asked with priors as wide as its effects are large: an effect that its prior draws in strains all else. Beside
+    noise that was enlarged, and may hide a misfit, no effect may be larger than is plausible.
+    """
+    fit = bench.sized(chosen).fit
+    return is_strained(fit) or (_is_enlarged(bench) and bool(strained(fit, chosen.names)))
+
+
+def _is_enlarged(bench: Workbench) -> bool:
+    """Whether the noise was taken for larger than stated, so that it may hide what an effect does not explain."""
+    stated = bench.robot.measurement
+    return stated is not None and bench.noise.position_m > stated.position_sigma_m
+
+
+def _compared(selector: Selector, selection: Selection, t: Term) -> list[Alternative]:
+    """Other effects in the place of `t`, refitted together with the rest."""
+    bench, chosen = selector.bench, selection.chosen
+    selector.tell(f"looking for what imitates {t.name}")
+    others = [s for s in selector.replacements(chosen, t) if s.terms[-1].name != t.name]
+    return [Alternative(s.terms[-1], s, *bench.difference(chosen, s)) for s in others]
+
+
+def _finding(bench: Workbench, chosen: Scored, t: Term, compared: Sequence[Alternative], left: Adequacy) -> Finding:
+    rest = {other.key for other in chosen.terms if other is not t}
+    rivals: dict[str, Alternative] = {}
+    for a in sorted(compared, key=lambda a: a.behind):
+        same_place = {other.key for other in a.scored.terms[:-1]} == rest
+        if same_place and a.term.name not in rivals and is_close(a, chosen):
+            after = remains(bench, a.scored)
+            if after.is_adequate or not left.is_adequate:
+                rivals[a.term.name] = a
+    return Finding(t, tuple(rivals.values()))
+
+
+def is_close(a: Alternative, chosen: Scored) -> bool:
+    """Whether it predicts or fits as well; badly determined parameters predict badly, true or not."""
+    worse_fit = (a.scored.fit.residuals.loss - chosen.fit.residuals.loss) / 2
+    return min(a.behind, worse_fit) < max(CLOSE, CLOSE_ERRORS * a.error)
+
+
+def _is_shared(bench: Workbench, chosen: Scored, t: Term) -> bool:
+    """Whether a part of the effect by which other causes act as well explains as much as all of it."""
+    names = t.effect.shared([parameter.name for parameter in t.parameters])
+    if not names:
+        return False
+    part = term(t.effect, names, bench.robot)
+    scored = bench.scored([part if other is t else other for other in chosen.terms], chosen.fit)
+    alone = Alternative(part, scored, *bench.difference(chosen, scored))
+    return is_close(alone, chosen) and remains(bench, scored).is_adequate
+
+
+def _disbelieved(t: Term) -> str:
+    parameters = len(t.effect.shared([parameter.name for parameter in t.parameters]))
+    return (
+        f"{t.name} would explain the measurements, but {parameters} of its {len(t.parameters)} parameters do so alone, "
+        f"and by these other causes act as well: it is not named."
+    )
+
+
+def specific(bench: Workbench, chosen: Scored, findings: Sequence[Finding], left: Adequacy) -> tuple[Finding, ...]:
+    """Findings that explain all of the differences between approaches, or all between configurations, alone."""
+    kept = []
+    for finding in findings:
+        history = finding.term.effect.depends_on_history
+        explained = left.within.is_noise if history else left.between.is_noise
+        others = [t for t in chosen.terms if t is not finding.term]
+        gain, error = bench.difference(chosen, bench.scored(others, chosen.fit))
+        if explained and gain > max(OVERWHELMING, 3 * error):
+            kept.append(finding)
+    return tuple(kept)

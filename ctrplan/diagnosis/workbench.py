@@ -1,0 +1,379 @@
+"""Fits of the base with sets of effects, each with its cross-validation score, and the effects that the data can
+test.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrplan.base.arrays import Array
+from ctrplan.calibration.least_squares import Fit, fit, fit_at
+from ctrplan.calibration.parameters import ABSOLUTE_STIFFNESS, BaseParameters
+from ctrplan.calibration.residuals import UNSOUND, Noise, residuals, robust_square
+from ctrplan.diagnosis.cross_validation import Linear, cross_validation_loss, null_scores, white
+from ctrplan.effects.effect import CATALOGUE, Effect
+from ctrplan.errors import InputError
+from ctrplan.measurement.measurements import Measurements
+from ctrplan.pipeline.followed_runs import friction_correction
+from ctrplan.pipeline.parametric_chain import DRIVEN_ALREADY, ParametricChain
+from ctrplan.pipeline.term import Term, term
+from ctrplan.robot.robot import Robot
+
+
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """Variants of every testable effect, and the reasons why the rest is not testable."""
+
+    terms: tuple[Term, ...]
+    not_testable: Mapping[str, str]
+
+    def beside(self, chosen: Sequence[Term]) -> list[Term]:
+        """Variants that are not chosen yet and can act: what they need is chosen or can be chosen with them."""
+        keys, known = {t.key for t in chosen}, {t.name for t in self.terms} | {t.name for t in chosen}
+        return [t for t in self.terms if t.key not in keys and (not t.effect.needs or t.effect.needs in known)]
+
+    def completed(self, chosen: Sequence[Term], added: Term) -> list[Term]:
+        """The chosen terms, what the added one needs, and it."""
+        missing = added.effect.needs not in ("", *(t.name for t in chosen))
+        needed = [t for t in self.terms if missing and t.name == added.effect.needs]
+        return [*chosen, *needed, added]
+
+
+def reduced(catalogue: Mapping[str, Effect], without: Sequence[str], *, key: str = "without") -> dict[str, Effect]:
+    """The catalogue without some of its effects. Raises InputError, about `key`, for a name that it does not have."""
+    for name in without:
+        if name not in catalogue:
+            raise InputError(f"must be an effect of the catalogue: {', '.join(catalogue)}", key=key, value=name)
+    return {name: effect for name, effect in catalogue.items() if name not in without}
+
+
+def candidates(robot: Robot, data: Measurements, catalogue: Mapping[str, Effect] = CATALOGUE) -> Candidates:
+    """Everything in the catalogue, sorted into testable and not."""
+    terms: list[Term] = []
+    reasons: dict[str, str] = {}
+    for name, effect in catalogue.items():
+        driven = data.of_collars and effect.stage == "drive"
+        if reason := DRIVEN_ALREADY if driven else effect.untestable(robot, data):
+            reasons[name] = reason
+        elif name in robot.effects:
+            reasons[name] = "is in the robot file already"
+        else:
+            terms += [term(effect, names, robot) for names in effect.variants(robot, data) if names]
+    return Candidates(tuple(terms), reasons)
+
+
+MOST_WIDENINGS = 3
+WIDENED_FROM = 1.1  # standard deviations of a prior
+WORTH_ANOTHER = 2.0  # of the loss, to fit a set again from another place
+CORRECTIONS = {False: 1, True: 2}  # rounds, of poses at rest and of a continuous motion
+
+
+@dataclass(frozen=True, eq=False)
+class Scored:
+    """A fit and what it says of poses it has not seen."""
+
+    terms: tuple[Term, ...]  # without the base
+    fit: Fit
+    held_out: Array  # (K,) robust squares
+
+    @property
+    def score(self) -> float:
+        """Held-out log-likelihood, up to a constant."""
+        return float(-self.held_out.sum() / 2)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the effects."""
+        return tuple(t.name for t in self.terms)
+
+    @cached_property
+    def failed(self) -> NDArray[np.bool_]:
+        """(K,) poses for which the solver found no equilibrium, so that the fit says nothing about them."""
+        unsound: NDArray[np.bool_] = np.isclose(self.fit.residuals.raw_norm, UNSOUND)
+        return self.fit.chain.predict(self.fit.p, derivatives=False).failed if unsound.any() else unsound
+
+
+@dataclass(frozen=True, eq=False)
+class Screened:
+    """A variant beside a fit, linearised there."""
+
+    term: Term
+    linear: Linear  # of the columns of base, fit and variant
+    held_out: Array  # (K,) robust squares
+
+    @property
+    def score(self) -> float:
+        """Held-out log-likelihood, up to a constant."""
+        return float(-self.held_out.sum() / 2)
+
+
+@dataclass(frozen=True, eq=False)
+class Linearisation:
+    """A linearisation in the parameters of many effects, (effect, parameter), of which any set can be asked."""
+
+    keys: tuple[tuple[str, str], ...]
+    whole: Linear
+    variants: tuple[Term, ...]  # that were asked for besides the fit's own terms
+
+    def of(self, terms: Sequence[Term]) -> Linear:
+        """The linearisation in the parameters of some terms; the others stay where they are."""
+        wanted = {(t.name, q.name) for t in terms for q in t.parameters}
+        return self.whole.columns([k for k, key in enumerate(self.keys) if key in wanted])
+
+    def without(self, gone: Term) -> Linearisation:
+        """With one of its effects taken back to where it does nothing, and none of its parameters."""
+        mine: NDArray[np.bool_] = np.array([name == gone.name for name, _ in self.keys])
+        keys = tuple(key for key, gone in zip(self.keys, mine, strict=True) if not gone)
+        return Linearisation(keys, self.whole.without(mine), self.variants)
+
+    def others(self, among: Sequence[Term]) -> list[Term]:
+        """Variants of effects that are not among the terms."""
+        names = {t.name for t in among}
+        return [t for t in self.variants if t.name not in names]
+
+
+class Workbench:
+    """Everything that stays the same while sets of effects are compared."""
+
+    def __init__(
+        self, robot: Robot, data: Measurements, noise: Noise, group: NDArray[np.int_], fold: NDArray[np.int_]
+    ) -> None:
+        """group (K,): poses that count as one where gains are compared; fold (K,): those left out together."""
+        self.robot, self.data, self.noise, self.group, self.fold = robot, data, noise, group, fold
+        self.pause: Callable[[], None] = lambda: None  # called between fits; may raise to stop
+        self._correction: tuple[Array, Array] | None = None
+        self._done: dict[frozenset[str], Scored] = {}
+        self._tried: dict[frozenset[str], list[Fit | None]] = {}  # where fits of a set began
+        self._sized: dict[tuple[Scored, Noise], Scored] = {}  # with wide priors
+
+    @cached_property
+    def whitening_group(self) -> NDArray[np.int_]:
+        """(K,) poses that share the model's own numerical error."""
+        return np.arange(self.data.count) if self.data.is_stream else self.data.configuration
+
+    def base(self, terms: Sequence[Term]) -> Term:
+        """Ordinary calibration; the stiffness of tube 1 only where something else than stiffness carries forces."""
+        effect, loaded = BaseParameters(), any(t.effect.scales_with_stiffness for t in terms)
+        names = [parameter.name for parameter in effect.parameters(self.robot)]
+        return term(effect, [name for name in names if loaded or name != ABSOLUTE_STIFFNESS], self.robot)
+
+    def basis(self, terms: Sequence[Term]) -> list[Term]:
+        """What is fitted besides `terms`, whatever they are."""
+        return [self.base(terms)]
+
+    def null_draws(self, here: Scored) -> Array:
+        """(5 K, D) residuals as they would be if nothing were missing beside a fit."""
+        return white(here.fit.residuals.r.size)
+
+    def loss(self, system: Linear) -> Array:
+        """(K,) of poses whose fold had not been fitted."""
+        return cross_validation_loss(system, self.fold)
+
+    def null_scores(self, systems: Sequence[Linear], noise: Array) -> list[Array]:
+        """(D,) of each system: minus half the loss of draws (5 K, D) after a fit of the same parameters."""
+        return [null_scores(system, self.fold, noise) for system in systems]
+
+    def scored(self, terms: Sequence[Term], *near: Fit | None) -> Scored:
+        """The base and `terms` fitted together, from the values of a fit in `near` where it has them.
+
+        None in `near` stands for where a fit starts without any. A set that is known already is fitted again from a
+        place that promises more: the first fit may have ended in another valley, or where robots snap.
+        """
+        key = frozenset(t.key for t in terms)
+        tried = self._tried.setdefault(key, [])
+        places = [f for f in near or (None,) if not any(f is other for other in tried)]
+        known = self._done.get(key)
+        if known is None or places:
+            self.pause()
+            tried += places
+            chain = self.chain([*self.basis(terms), *terms])
+            start, promised = self._start(chain, places, compared=known is not None)
+            if known is None or promised < known.fit.residuals.loss - WORTH_ANOTHER:
+                result = self._fitted(tuple(terms), chain, start)
+                known = result if known is None or result.fit.loss < known.fit.loss else known
+                self._done[key] = known
+        return known
+
+    def _fitted(self, terms: tuple[Term, ...], chain: ParametricChain, start: Array) -> Scored:
+        best = fit(chain, self.noise, self.whitening_group, start)
+        return Scored(terms, best, self.loss(linear(best)))
+
+    def chain(self, terms: Sequence[Term]) -> ParametricChain:
+        """The chain of terms, with friction as it is known by now."""
+        chain = ParametricChain(self.robot, self.data, terms)
+        if self._has_friction(terms):
+            chain.correction = self._correction
+        return chain
+
+    def _has_friction(self, terms: Sequence[Term]) -> bool:
+        return bool(self.robot.friction.any()) or any(t.name == "friction" for t in terms)
+
+    def corrected(self, scored: Scored) -> Scored:
+        """The set with what friction states leave out; with friction, all later fits have it too."""
+        if not self._has_friction(scored.terms):
+            return scored
+        for _ in range(CORRECTIONS[self.data.is_stream]):
+            self._correction = friction_correction(scored.fit.chain, scored.fit.p)
+            self._done = {key: old for key, old in self._done.items() if not self._has_friction(old.terms)}
+            self._tried = {key: tried for key, tried in self._tried.items() if key in self._done}
+            scored = self.scored(scored.terms, scored.fit)
+        return scored
+
+    def _start(self, chain: ParametricChain, near: Sequence[Fit | None], compared: bool = False) -> tuple[Array, float]:
+        """The one of several starts whose first step promises most, and the loss that it promises.
+
+        Without anything to compare with nothing is promised.
+        """
+        starts = [start for place in near or (None,) for start in self._starts(chain, place)]
+        if len(starts) == 1 and not compared:
+            return starts[0], np.nan
+        fits = [fit_at(chain, self.noise, self.whitening_group, start) for start in starts]
+        promised = [float(robust_square(np.linalg.norm(linear(f).refitted().r, axis=1)).sum()) for f in fits]
+        best = int(np.argmin(promised))
+        return starts[best], promised[best]
+
+    def _starts(self, chain: ParametricChain, near: Fit | None) -> list[Array]:
+        """Known values of the parameters, and the effects' own suggestions for those not known yet."""
+        known = values_by_name(near) if near else {}
+        keys = [(t.name, p.name) for t in chain.terms for p in t.parameters]
+        plain = np.array([known.get(key, start) for key, start in zip(keys, chain.start, strict=True)])
+        starts = [plain]
+        for t in chain.terms:
+            new = [key for key in keys if key[0] == t.name and key not in known]
+            suggestions = t.effect.starts([p.name for p in t.parameters]) if new else [{}]
+            if suggestions != [{}]:
+                starts = [self._with(start, t, values, keys, chain.si) for start in starts for values in suggestions]
+        return starts
+
+    @staticmethod
+    def _with(start: Array, t: Term, values: object, keys: Sequence[tuple[str, str]], si: Array) -> Array:
+        changed = start.copy()
+        for name, value in dict(values).items():  # type: ignore[call-overload]
+            place = keys.index((t.name, name))
+            changed[place] = value * si[place]
+        return changed
+
+    def sized(self, scored: Scored) -> Scored:
+        """The set with priors of its effects as wide as their estimates are large.
+
+        Priors say where to look. The size of an effect that is there is for the data to say: a prior that it exceeds
+        would draw it in and make its interval too narrow.
+        """
+        key = scored, self.noise
+        if key not in self._sized:
+            self._sized[key] = self._freed(scored)
+        return self._sized[key]
+
+    def _freed(self, scored: Scored) -> Scored:
+        for _ in range(MOST_WIDENINGS):
+            chain, p = scored.fit.chain, scored.fit.p
+            terms = [
+                t if t.name not in scored.names else _widened(t, p[s])
+                for t, s in zip(chain.terms, chain.slices(), strict=True)
+            ]
+            if all(a is b for a, b in zip(terms, chain.terms, strict=True)):
+                break
+            wide = chain.with_terms(terms)
+            scored = replace(scored, fit=fit(wide, self.noise, self.whitening_group, p))
+        return scored
+
+    def screened(
+        self, here: Scored, others: Sequence[Term], completed: Callable[[Sequence[Term], Term], Sequence[Term]]
+    ) -> list[Screened]:
+        """Variants beside a fit by one Gauss-Newton step each, best first: cheap, for choosing what to fit.
+
+        `completed` adds what a variant needs to the terms that it stands beside.
+        """
+        panel = self.panel(here, others)
+        screened = []
+        for other in others:
+            if not other.effect.is_linear:
+                screened.append(self._tried_out(here, other, completed))
+                continue
+            same = [t for t in here.terms if t.name != other.name]
+            columns = panel.of([*self.basis([*same, other]), *same, other]).refitted()
+            screened.append(Screened(other, columns, self.loss(columns)))
+        return sorted(screened, key=lambda s: -s.score)
+
+    def panel(self, here: Scored, others: Sequence[Term]) -> Linearisation:
+        """A fit linearised in its own parameters and those of other variants, which vanish there."""
+        merged = _merged([*here.terms, *others], self.robot)
+        chain = self.chain([*self.basis(merged), *merged])
+        known = values_by_name(here.fit)
+        keys = [(t.name, p.name) for t in chain.terms for p in t.parameters]
+        neutral = [_vanishing(p.start, p.neutral) * p.si for p in chain.parameters]
+        p = np.array([known.get(key, value) for key, value in zip(keys, neutral, strict=True)])
+        result = residuals(self.data, chain.predict(p), self.noise, self.whitening_group)
+        weight = here.fit.residuals.weight
+        whole = Linear(result.r, result.J, weight, 1 / chain.prior**2, p - chain.neutral, result.given)
+        return Linearisation(tuple(keys), whole, tuple(others))
+
+    def _tried_out(
+        self, here: Scored, other: Term, completed: Callable[[Sequence[Term], Term], Sequence[Term]]
+    ) -> Screened:
+        """A variant that does not act in proportion, linearised where its first step promises most."""
+        terms = completed([t for t in here.terms if t.name != other.name], other)
+        chain = self.chain([*self.basis(terms), *terms])
+        start, _ = self._start(chain, [here.fit])
+        there = linear(fit_at(chain, self.noise, self.whitening_group, start)).refitted()
+        return Screened(other, there, self.loss(there))
+
+    def by_group(self, gain: Array) -> Array:
+        """(B,) sums over poses that count as one, of values (K,)."""
+        number = np.unique(self.group, return_inverse=True)[1].ravel()
+        return np.asarray(np.bincount(number, weights=gain), dtype=np.float64)
+
+    def difference(self, a: Scored, b: Scored) -> tuple[float, float]:
+        """How much better `a` predicts than `b` (log-likelihood), and the standard error of that over groups."""
+        by_group = self.by_group((b.held_out - a.held_out) / 2)
+        return float(by_group.sum()), float(np.sqrt(len(by_group)) * by_group.std(ddof=1))
+
+
+def certainty(gains: Array) -> float:
+    """How many standard errors blocks' gains (B,) lie above zero on average, themselves or their signed roots.
+
+    A gain is half the square of how far an effect stands out: where it stands out much in few blocks, roots are nearer
+    to Gaussian.
+    """
+    roots = np.sign(gains) * np.sqrt(np.abs(gains))
+    return max(float(np.sqrt(len(x)) * x.mean() / max(float(x.std(ddof=1)), 1e-9)) for x in (gains, roots))
+
+
+def _widened(t: Term, p: Array) -> Term:
+    """Priors in proportion to the largest parameter, where that exceeds its own."""
+    sizes = [abs(value / q.si - q.neutral) / q.prior for q, value in zip(t.parameters, p.tolist(), strict=True)]
+    largest = max(sizes)
+    if largest < WIDENED_FROM:
+        return t
+    return Term(t.effect, tuple(replace(q, prior=q.prior * largest) for q in t.parameters))
+
+
+def linear(result: Fit) -> Linear:
+    """A fit's own linearisation."""
+    parts = result.residuals
+    return Linear(parts.r, parts.J, parts.weight, result.precision, result.p - result.chain.neutral, parts.given)
+
+
+def values_by_name(result: Fit) -> dict[tuple[str, str], float]:
+    """(effect, parameter) -> value, SI."""
+    keys = [(t.name, p.name) for t in result.chain.terms for p in t.parameters]
+    return dict(zip(keys, result.p.tolist(), strict=True))
+
+
+def _merged(terms: Sequence[Term], robot: Robot) -> list[Term]:
+    """One term per effect with the parameters of all its variants."""
+    wanted: dict[str, dict[str, None]] = {}
+    effects = {t.name: t.effect for t in terms}
+    for t in terms:
+        wanted.setdefault(t.name, {}).update(dict.fromkeys(p.name for p in t.parameters))
+    return [term(effects[name], list(names), robot) for name, names in wanted.items()]
+
+
+def _vanishing(start: float | None, neutral: float) -> float:
+    """Where a variant is linearised: where it vanishes, or as near as its derivative exists."""
+    return start if start is not None and 0 < abs(start - neutral) <= 1e-2 else neutral

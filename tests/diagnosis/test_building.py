@@ -1,0 +1,317 @@
+"""Terms built of what remains: found where something no catalogue has acts, in its stage, and used by the robot."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+from unittest.mock import MagicMock
+
+import numpy as np
+import pytest
+import tomli_w
+from measured_data import SIGMA_M, measured, pair_robot, waypoints
+
+from ctrplan.calibration.residuals import Noise
+from ctrplan.cli import main
+from ctrplan.diagnosis import CATALOGUE, Diagnosis, diagnose, partial_diagnosis, test_set
+from ctrplan.diagnosis import built_term as term_building
+from ctrplan.diagnosis.adequacy import noise_floor
+from ctrplan.diagnosis.built_term import refusals
+from ctrplan.diagnosis.correlated_bench import CorrelatedBench
+from ctrplan.diagnosis.partial_diagnosis import diagnose_partially
+from ctrplan.diagnosis.partial_search import PartialSelector
+from ctrplan.diagnosis.sentences import effect_lines, verdict_sentence
+from ctrplan.diagnosis.term_dictionary import TermPiece, pieces
+from ctrplan.diagnosis.term_search import _with_piece, built_term, wide_linearisation
+from ctrplan.diagnosis.usable_poses import usable_poses
+from ctrplan.diagnosis.workbench import Scored, candidates, values_by_name
+from ctrplan.effects.learned import parts
+from ctrplan.effects.learned.inputs import InputRange, Target
+from ctrplan.effects.learned.learned import named
+from ctrplan.files.robot_file import robot_from_dict
+from ctrplan.measurement.measurements import Measurements
+from ctrplan.reports.diagnosis_figures import selection_errors
+from ctrplan.reports.diagnosis_page import diagnosis_report_html
+
+ROBOT = pair_robot()
+PLAN = waypoints(ROBOT, 18)
+RIPPLE_DEG = 7.0
+OFFSET = {"sensor_offset": {"offset_x_mm": 0.6, "offset_y_mm": -0.4}}
+FURTHER = {"sensor_offset": {"offset_x_mm": 6.0, "offset_y_mm": -4.0}}
+
+
+def rippled(values: dict[str, dict[str, float]] | None = None, plan: Measurements = PLAN) -> Measurements:
+    """Measured while gears turned tube 2 further, three times a turn: made without any built term."""
+    theta = plan.theta_commanded.copy()
+    theta[:, 1] += np.radians(RIPPLE_DEG) * np.sin(3 * theta[:, 1] + 0.5)
+    return replace(measured(ROBOT, replace(plan, theta_commanded=theta), values), theta_commanded=plan.theta_commanded)
+
+
+def warmed() -> Measurements:
+    """Read further and further along a direction the warmer the room, which a column tells."""
+    data = measured(ROBOT, PLAN)
+    warm = 3.0 * np.sin(np.arange(len(PLAN.sequence)) / 40.0)
+    shift = np.outer(warm[PLAN.rows], [0.2e-3, -0.3e-3, 0.1e-3])
+    return replace(data, position_m=data.position_m + shift, more={"temperature_C": 21.0 + warm})
+
+
+@cache
+def found() -> Diagnosis:
+    return diagnose(ROBOT, rippled(), catalogue={})
+
+
+def test_a_ripple_of_gears_is_built_in_the_drive_and_nothing_is_named() -> None:
+    built, gap = found().built, found().gap
+    assert built is not None and found().verdict == "unexplained" and not found().listed
+    assert not found().judgement.adequacy.is_adequate  # a built term explains nothing
+    assert [t.name for t in built.terms] == ["learned_theta_2"] and built.terms[0].effect.stage == "drive"
+    assert built.by_stage["drive"] > 1.5 * max(built.by_stage["mechanics"], built.by_stage["sensor"])
+    rest = [np.sqrt(max(errors.rms_m**2 - gap.floor_m**2, 0.0)) for errors in (gap.before, gap.after)]
+    assert rest[1] < 0.3 * rest[0]
+    (term,) = found().to_json()["built"]["terms"]
+    wave = [term["coefficients"][f"{name}_3_theta_2_deg"] for name in ("sin", "cos")]
+    for one, true in zip(wave, RIPPLE_DEG * np.array([np.cos(0.5), np.sin(0.5)]), strict=True):
+        low, high = one["ci95"]
+        assert low - (high - low) / 2 < true < high + (high - low) / 2
+    assert (
+        term["may_be"].endswith("like a ripple of gears; that is no proof of a cause") and "120 deg" in term["may_be"]
+    )
+
+
+def test_the_robot_that_is_handed_over_turns_as_the_true_one() -> None:
+    robot = robot_from_dict(found().robot_content())
+    angle = np.linspace(-3.0, 3.0, 40)
+    theta_b, _ = robot.collars(np.column_stack([0 * angle, angle]), np.tile([0.0, -0.01], (40, 1)))
+    true = angle + np.radians(RIPPLE_DEG) * np.sin(3 * angle + 0.5)
+    assert np.abs(theta_b[:, 1] - true - np.mean(theta_b[:, 1] - true)).max() < np.radians(1.2)
+
+
+def test_what_the_catalogue_has_is_named_beside_a_built_term_that_had_hidden_it() -> None:
+    data, quick = rippled(OFFSET), {name: CATALOGUE[name] for name in ("sensor_offset", "tip_load")}
+    noise, usable = noise_floor(ROBOT, data)[0], usable_poses(ROBOT, data)
+    before = diagnose_partially(ROBOT, data, usable, noise, candidates(ROBOT, data, quick), lambda _: None)
+    assert not before.judgement.findings
+    after = diagnose(ROBOT, data, catalogue=quick)
+    assert after.verdict == "partial" and [t.name for t in after.listed] == ["sensor_offset"]
+    assert [t.name for t in after.built_terms] == ["learned_theta_2"]
+    assert after.built is not None and after.partly is not None
+    assert after.partly.rest.rms_m > 2 * after.built.rest.rms_m and not after.judgement.adequacy.is_adequate
+    value = after.to_json()["effects"][0]["parameters"]["offset_x_mm"]["value"]
+    assert value == pytest.approx(OFFSET["sensor_offset"]["offset_x_mm"], abs=0.15)
+
+
+def test_no_name_stays_that_blocks_left_out_speak_against(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Friction at the plate was built, and called play as well, of 3 deg (0 to 35) that no block asked for."""
+    data = rippled()
+    noise, usable = noise_floor(ROBOT, data)[0], usable_poses(ROBOT, data)
+    known = candidates(ROBOT, data, {"backlash": CATALOGUE["backlash"]})
+    part = diagnose_partially(ROBOT, data, usable, noise, known, lambda _: None)
+    term = term_building.tried(part, lambda _: None)
+    assert term is not None
+    monkeypatch.setattr(partial_diagnosis, "LEAST_ODDS", -100.0)  # so that anything is a name at first
+    asked = partial_diagnosis.effects_beside_built_term(PartialSelector(part.bench, known, lambda _: None), term.scored)
+    assert [(step.action, step.taken) for step in asked.path] == [("add", True), ("drop", True)]
+    assert asked.path[1].gain <= 0 and not asked.findings and asked.chosen.names == ("learned_theta_2",)
+
+
+def test_names_stay_where_the_poses_kept_aside_take_the_term_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(test_set, "LEAST_SHARE_ASIDE", 2.0)
+    after = diagnose(ROBOT, rippled(FURTHER), catalogue={"sensor_offset": CATALOGUE["sensor_offset"]})
+    assert after.verdict == "partial" and [t.name for t in after.listed] == ["sensor_offset"]
+    assert after.built is None and any("taken back" in note for note in after.notes)
+
+
+def test_a_term_is_sought_beside_the_most_probable_effect_as_well(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As where no piece comes within reach beside nothing: on screws that couple joints of a wrong scale."""
+    settled = term_building._settled
+    there = lambda found, at, tell: settled(found, at, tell) if at.terms else None  # noqa: E731
+    monkeypatch.setattr(term_building, "_settled", there)
+    data = rippled({"joint_scale": {"theta_2": 0.25}})
+    noise, usable = noise_floor(ROBOT, data)[0], usable_poses(ROBOT, data)
+    known = candidates(ROBOT, data, {"joint_scale": CATALOGUE["joint_scale"]})
+    before = diagnose_partially(ROBOT, data, usable, noise, known, lambda _: None)
+    unnamed = replace(before, chosen=before.bench.corrected(before.bench.scored([])))
+    found = term_building.tried(unnamed, lambda _: None)
+    assert found is not None and not refusals(before.bench, found)
+    assert {*found.scored.names} == {"joint_scale", "learned_theta_2"}
+
+
+def test_a_search_that_builds_nothing_leaves_the_discrepancy_beside_what_holds(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not beside the other effect that it was tried beside: what remains is described with it afterwards."""
+    beside, corrected = list[tuple[str, ...]](), CorrelatedBench.corrected
+    data, known = rippled({"joint_scale": {"theta_2": 0.25}}), {"joint_scale": CATALOGUE["joint_scale"]}
+    noise, usable = noise_floor(ROBOT, data)[0], usable_poses(ROBOT, data)
+    before = diagnose_partially(ROBOT, data, usable, noise, candidates(ROBOT, data, known), lambda _: None)
+    unnamed = replace(before, chosen=before.bench.corrected(before.bench.scored([])))
+
+    def noted(bench: CorrelatedBench, scored: Scored) -> Scored:
+        beside.append(scored.names)
+        return corrected(bench, scored)
+
+    monkeypatch.setattr(term_building, "_settled", lambda *_, **__: None)
+    monkeypatch.setattr(CorrelatedBench, "corrected", noted)
+    assert term_building.build(unnamed, lambda _: None) is None
+    assert ("joint_scale",) in beside and beside[-1] == ()
+
+
+@pytest.mark.parametrize(
+    ("findings", "reasons", "counts"), [((1,), [], True), ((), [], False), ((1,), ["worse"], False)]
+)
+def test_smaller_pieces_count_only_beside_a_name(
+    findings: tuple[int, ...], reasons: list[str], counts: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In a smooth null of a pair a wrong name beside a term that failed let them pass, and did not hold beside them."""
+    built: Any = SimpleNamespace(partly=SimpleNamespace(judgement=SimpleNamespace(findings=findings)))
+    found: Any = SimpleNamespace(bench=MagicMock(), chosen=MagicMock())
+    monkeypatch.setattr(term_building, "_settled", lambda *_, smooth_counts: None if smooth_counts else built)
+    monkeypatch.setattr(term_building, "refusals", lambda *_: reasons)
+    assert term_building._of_smaller_pieces(found, lambda _: None) is (built if counts else None)
+
+
+@pytest.mark.parametrize(
+    ("strange", "reasons", "left", "taken"),
+    [(["lag"], [], 0.5, True), ([], [], 0.5, False), (["lag"], ["worse"], 0.5, False), (["lag"], [], 1.5, False)],
+)
+def test_a_term_takes_the_place_of_names_that_are_not_plausible_where_it_predicts_better(
+    strange: list[str], reasons: list[str], left: float, taken: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Friction at the plate was called play and a delay of 0.4 s on continuous motions."""
+    bench = MagicMock()
+    bench.data.is_stream, bench.plain.floor_m = True, 0.0
+    bench.corrected = lambda scored: scored
+    bench.scored = lambda terms, near: "nothing"
+    bench.left_out_m = lambda scored: left if scored == "term" else 1.0
+    names: Any = SimpleNamespace(fit=None, names=("lag",))
+    found: Any = SimpleNamespace(bench=bench, chosen=names, is_noise=False, rest=SimpleNamespace(rms_m=1.0))
+    instead: Any = SimpleNamespace(scored="term")
+    monkeypatch.setattr(term_building, "strained", lambda fit, names: strange)
+    monkeypatch.setattr(term_building, "mean_square", lambda error: error)
+    monkeypatch.setattr(term_building, "_settled", lambda found, at, tell: instead if at == "nothing" else None)
+    monkeypatch.setattr(term_building, "refusals", lambda bench, built: reasons)
+    assert term_building.tried(found, lambda _: None) is (instead if taken else None)
+
+
+def test_a_robot_that_has_its_term_lacks_nothing_more() -> None:
+    again = diagnose(robot_from_dict(found().robot_content()), rippled(), catalogue={})
+    assert again.verdict == "no_missing_effect" and again.built is None
+    assert again.robot_content()["effects"]["learned_theta_2"] == found().robot_content()["effects"]["learned_theta_2"]
+
+
+def test_terminal_and_report_say_what_was_built_and_that_it_is_no_cause() -> None:
+    assert "Built of the rest: a term that changes the rotation of tube 2" in verdict_sentence(found())
+    page = diagnosis_report_html(found(), selection_errors(found()))
+    assert "built: a built term of the rotation of tube 2" in page and "no proof of a cause" in page
+    assert "Range in the data; held at its edge outside" in page
+
+
+def test_a_frame_beside_a_built_term_is_told_and_not_named() -> None:
+    (line,) = [line for line in effect_lines(found()) if "free in every fit" in line]
+    assert line.startswith("the base's frame is turned by") and "is not told" in line
+
+
+def test_a_sensor_that_drifts_with_the_temperature_is_told_from_the_drive() -> None:
+    term = diagnose(ROBOT, warmed(), catalogue={}).built
+    assert term is not None and [t.name for t in term.terms] == ["learned_sensor"]
+    assert list(term.terms[0].effect.inputs) == ["temperature_C"]  # type: ignore[attr-defined]
+
+
+def test_a_piece_acts_as_the_effect_that_is_made_of_it() -> None:
+    noise, alone = Noise(SIGMA_M, 1e-3), PLAN.configuration
+    bench = CorrelatedBench(ROBOT, rippled(), noise, alone, alone)
+    here = bench.scored([])
+    known = [piece for piece in pieces(ROBOT, bench.data) if not piece.on.of_way]
+    some = [next(p for p in known if p.on.kind_name == kind) for kind in ("theta", "l", "bend", "stiffness", "plate")]
+    some.append(TermPiece(known[-1].on, ("slope_z",)))
+    table = wide_linearisation(bench, here, some)
+    for piece in some:
+        term = built_term(piece.on, piece.names, table.ranges[piece], ROBOT.n)
+        panel = bench.panel(here, [term])
+        place = [k for k, (name, _) in enumerate(panel.keys) if name == term.name]
+        np.testing.assert_allclose(
+            table.whole.J[:, :, table.places[piece]],
+            panel.whole.J[:, :, place],
+            rtol=2e-3,
+            atol=2e-3 * np.abs(panel.whole.J[:, :, place]).max(),
+        )
+        assert set(values_by_name(here.fit)) < set(panel.keys)
+
+
+def test_pieces_that_an_effect_of_the_catalogue_is_are_left_to_it() -> None:
+    data, alone = rippled(), PLAN.configuration
+    few = {name: CATALOGUE[name] for name in ("backlash", "homing_offset", "joint_scale", "eccentricity")}
+    known = candidates(ROBOT, data, few).terms
+    gone = [piece for piece in pieces(ROBOT, data) if piece not in pieces(ROBOT, data, known)]
+    assert {piece.parts[0] for piece in gone} == {
+        "sign_theta_2", "constant", "slope_theta_2", "slope_l_2", "sin_1_theta_2"
+    }  # fmt: skip
+    bench = CorrelatedBench(ROBOT, data, Noise(SIGMA_M, 1e-3), alone, alone)
+    here = bench.scored([])
+    table, theirs = wide_linearisation(bench, here, gone), bench.panel(here, known)
+    own = [k for k, (name, _) in enumerate(theirs.keys) if name in few]
+    columns = theirs.whole.J[:, :, own].reshape(-1, len(own))
+    for piece in gone:  # to first order the effect does what the piece does
+        wanted = table.whole.J[:, :, table.places[piece]].reshape(columns.shape[0], -1)
+        left = wanted - columns @ np.linalg.lstsq(columns, wanted, rcond=1e-10)[0]
+        assert np.linalg.norm(left) < 5e-3 * np.linalg.norm(wanted)
+
+
+@pytest.mark.parametrize(
+    ("kind", "turns"), [("theta", True), ("bend", True), ("curvature", False), ("stiffness", False)]
+)
+def test_a_slope_of_what_turns_a_tube_takes_its_arbitrary_zero_with_it(kind: str, turns: bool) -> None:
+    """Else a screw that was taken for a bend by the translation would leave a wrong zero of a joint."""
+    on = Target(kind, 2)
+    spans, bench = {"l_2": InputRange(-0.1, 0.0), "turn_2": InputRange(-3.0, 3.0)}, SimpleNamespace(robot=ROBOT)
+    slope, wave = (
+        _with_piece([], TermPiece(on, part), spans, bench)  # type: ignore[arg-type]
+        for part in (("slope_l_2",), ("sin_2_turn_2",))
+    )
+    constant = named(on, "constant")
+    assert [constant[0] in one[0].effect.parts for one in (slope, wave)] == [turns, False]  # type: ignore[attr-defined]
+
+
+def test_polynomials_of_the_place_are_left_to_a_distortion() -> None:
+    data = rippled()
+    known = candidates(ROBOT, data, {"sensor_distortion": CATALOGUE["sensor_distortion"]}).terms
+    gone = [piece for piece in pieces(ROBOT, data) if piece not in pieces(ROBOT, data, known)]
+    assert {piece.on.kind_name for piece in gone} == {"sensor"}
+    inputs = {part for piece in gone for part in piece.parts}
+    assert {"slope_x", "square_z", "slope_x_times_slope_y"} <= inputs
+    assert not any(word in part for part in inputs for word in ("bump", "knot", "_tx", "_ty", "_tz"))
+
+
+def test_pieces_are_of_what_changes_and_of_what_may_still_be_missing() -> None:
+    data = replace(rippled(), tangent=np.full_like(PLAN.tangent, np.nan))
+    kinds = {piece.on.kind.stage for piece in pieces(ROBOT, data)}
+    assert kinds == {"drive", "mechanics", "sensor"}
+    assert {piece.on.kind.stage for piece in pieces(ROBOT, replace(data, of_collars=True))} == kinds - {"drive"}
+    found = [parts.part(name, ROBOT.n) for piece in pieces(ROBOT, data) for name in piece.parts]
+    inputs = {name for one in found if one is not None for name in parts.inputs(one)}
+    assert inputs == {"theta_2", "turn_2", "l_2", "overlap_1", "load_1", "x", "y", "z"}  # tube 1 stands still
+
+
+def test_the_command_writes_a_robot_that_says_where_it_leaves_its_data(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    content = found().robot_content()
+    (tmp_path / "robot.toml").write_text(tomli_w.dumps(content))
+    given = ["bound", str(tmp_path / "robot.toml"), "--theta-deg", "0", "40", "--l-mm", "0", "-10"]
+    given += ["--accuracy", "search"]
+    assert main(given) == 0
+    assert "was built from data" not in capsys.readouterr().err
+    content["effects"]["learned_theta_2"] |= {"slope_l_2_deg": 1.0}
+    content["effects"]["learned_theta_2"]["range"]["l_2"] = [-30.0, -20.0]
+    (tmp_path / "robot.toml").write_text(tomli_w.dumps(content))
+    assert main(given) == 0
+    assert "l_2 from -30 to -20 mm; here l_2 reaches -10 mm, and it is held at the edge" in capsys.readouterr().err
+
+
+def test_rests_that_configurations_trade_build_nothing() -> None:
+    data, rng = measured(ROBOT, PLAN), np.random.default_rng(4)
+    own = rng.standard_normal((int(PLAN.configuration.max()) + 1, 3)) * 0.5e-3
+    assert (
+        diagnose(ROBOT, replace(data, position_m=data.position_m + own[PLAN.configuration]), catalogue={}).built is None
+    )

@@ -1,0 +1,201 @@
+"""Held-out likelihood in closed form, thresholds, adequacy: on linear problems with known answers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+
+from ctrplan.base.arrays import Array
+from ctrplan.calibration.residuals import PER_POSE, Noise, Residuals
+from ctrplan.diagnosis.adequacy import ChiSquare, adequacy, left_out_probability, outliers, rescaled_noise
+from ctrplan.diagnosis.cross_validation import (
+    Linear,
+    cross_validation_loss,
+    left_out_residuals,
+    nested_null_scores,
+    null_scores,
+    null_threshold,
+    predictive_loss,
+    predictive_null_scores,
+    steps_without,
+)
+
+POSES, GROUPS = 120, 24
+GROUP = np.repeat(np.arange(GROUPS), POSES // GROUPS)
+FOLD = GROUP % 6
+
+
+def problem(parameters: int, seed: int, r: Array | None = None) -> Linear:
+    rng = np.random.default_rng(seed)
+    J = rng.standard_normal((POSES, PER_POSE, parameters)) * np.logspace(-3, 3, parameters)
+    r = rng.standard_normal((POSES, PER_POSE)) if r is None else r
+    return Linear(r, J, np.ones(POSES), np.full(parameters, 1e-12), np.zeros(parameters), np.ones((POSES, 5), bool))
+
+
+def test_leaving_a_fold_out_is_the_refit_without_it() -> None:
+    fit = problem(4, 0).refitted()
+    loss = cross_validation_loss(fit, FOLD)
+    for fold in range(6):
+        inside = fold == FOLD
+        J, r = fit.J.reshape(-1, 4), fit.r.ravel()
+        rows = np.repeat(inside, PER_POSE)
+        step = np.linalg.lstsq(J[~rows] / np.logspace(-3, 3, 4), r[~rows], rcond=None)[0] / np.logspace(-3, 3, 4)
+        explicit = np.linalg.norm((r[rows] - J[rows] @ step).reshape(-1, PER_POSE), axis=1) ** 2
+        np.testing.assert_allclose(loss[inside], explicit, rtol=1e-6)
+
+
+def test_parameters_without_a_fold_leave_the_residuals_that_it_has_without_it() -> None:
+    fit = problem(4, 5).refitted()
+    steps, left = steps_without(fit, FOLD), left_out_residuals(fit, FOLD)
+    assert sorted(steps) == sorted(set(FOLD.tolist()))
+    for number, step in steps.items():
+        inside = number == FOLD
+        np.testing.assert_allclose(fit.r[inside] - fit.J[inside] @ step, left[inside], rtol=1e-9, atol=1e-9)
+
+
+def test_a_step_leaves_residuals_across_the_columns() -> None:
+    fit = problem(3, 1).refitted()
+    gradient = np.einsum("kcp,kc->p", fit.J, fit.r) / np.logspace(-3, 3, 3)
+    np.testing.assert_allclose(gradient, 0, atol=1e-8)
+
+
+def test_null_scores_are_the_scores_of_pure_noise() -> None:
+    noise = np.random.default_rng(2).standard_normal((POSES * PER_POSE, 3))
+    fit = problem(3, 2)
+    scores = null_scores(fit, FOLD, noise)
+    for draw, score in zip(noise.T, scores, strict=True):
+        alone = problem(3, 2, draw.reshape(POSES, PER_POSE)).refitted()
+        robust = cross_validation_loss(alone, FOLD).sum()
+        assert -score * 2 == pytest.approx(robust, rel=2e-3)  # but for poses beyond the robust limit
+
+
+def test_noise_passes_the_threshold_as_rarely_as_it_says() -> None:
+    base = problem(3, 3)
+    wider = [np.concatenate([base.J, problem(2, k).J], axis=2) for k in range(10, 22)]
+    others = [Linear(base.r, J, base.weight, np.full(5, 1e-12), np.zeros(5), base.given) for J in wider]
+    noise = np.random.default_rng(99).standard_normal((POSES * PER_POSE, 600))
+    for scores in (by_squares, by_densities):
+        threshold = null_threshold(base, others, scores)
+        plain, *wide = scores([base, *others], noise)
+        best = np.max(wide, axis=0) - plain
+        assert np.mean(best > threshold) < 0.04
+
+
+def by_squares(systems: Sequence[Linear], noise: Array) -> list[Array]:
+    return [null_scores(fit, FOLD, noise) for fit in systems]
+
+
+def by_densities(systems: Sequence[Linear], noise: Array) -> list[Array]:
+    return nested_null_scores(systems, FOLD, GROUP, noise)
+
+
+def test_a_block_left_out_has_the_density_that_a_fit_of_the_others_predicts() -> None:
+    fit = problem(4, 11).refitted()
+    loss = predictive_loss(fit, FOLD, GROUP)
+    for group in range(GROUPS):
+        left, mine = np.repeat(group % 6 == FOLD, PER_POSE), np.repeat(group == GROUP, PER_POSE)
+        J, r = fit.J.reshape(-1, 4) / np.logspace(-3, 3, 4), fit.r.ravel()
+        covariance = np.linalg.inv(J[~left].T @ J[~left])
+        predicted = J[mine] @ covariance @ J[~left].T @ r[~left]
+        S = np.eye(int(mine.sum())) + J[mine] @ covariance @ J[mine].T
+        density = multivariate_normal(predicted, S).logpdf(r[mine])
+        expected = -2 * density - mine.sum() * np.log(2 * np.pi)
+        assert loss[group == GROUP].sum() == pytest.approx(expected, rel=1e-6)
+
+
+def test_null_scores_of_densities_are_the_scores_of_pure_noise() -> None:
+    noise = np.random.default_rng(2).standard_normal((POSES * PER_POSE, 3))
+    scores = predictive_null_scores(problem(3, 2), FOLD, GROUP, noise)
+    for draw, score in zip(noise.T, scores, strict=True):
+        alone = problem(3, 2, draw.reshape(POSES, PER_POSE)).refitted()
+        assert -score * 2 == pytest.approx(predictive_loss(alone, FOLD, GROUP).sum(), rel=2e-3)
+
+
+def test_a_block_that_stands_apart_is_no_surprise_where_its_prediction_is_vague() -> None:
+    rng = np.random.default_rng(5)
+    J = 0.05 * rng.standard_normal((POSES, PER_POSE, 2))
+    J[GROUP == 0] *= 40  # most of what is known of the parameters comes from one block
+    squares, densities = [], []
+    for _ in range(50):
+        r = rng.standard_normal((POSES, PER_POSE))
+        fit = Linear(r, J, np.ones(POSES), np.full(2, 0.01), np.zeros(2), np.ones((POSES, 5), bool)).refitted()
+        none = Linear(r, np.zeros_like(J), fit.weight, fit.precision, np.zeros(2), fit.given)
+        squares.append((cross_validation_loss(none, FOLD) - cross_validation_loss(fit, FOLD))[GROUP == 0].sum())
+        densities.append((predictive_loss(none, FOLD, GROUP) - predictive_loss(fit, FOLD, GROUP))[GROUP == 0].sum())
+    assert np.std(densities) < 0.2 * np.std(squares)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_noise_is_adequate_and_structure_is_not(seed: int) -> None:
+    nothing = np.zeros(POSES, bool)
+    clean = problem(6, seed).refitted()
+    left = adequacy(clean, GROUP, nothing)
+    assert left.is_adequate
+    assert left.total.dof == pytest.approx(POSES * PER_POSE - 6, abs=1e-6)
+    rng = np.random.default_rng(seed)
+    shared = 0.8 * rng.standard_normal((GROUPS, PER_POSE))[GROUP]
+    spoilt = adequacy(problem(6, seed, rng.standard_normal((POSES, PER_POSE)) + shared).refitted(), GROUP, nothing)
+    assert not spoilt.is_adequate and not spoilt.between.is_noise and spoilt.within.is_noise
+    assert (
+        rescaled_noise(spoilt, Noise(1e-3, 1e-2), np.full(POSES, 2.0), np.full(POSES, PER_POSE))[0] is None
+    )  # structure is never taken for larger noise
+
+
+def test_noise_of_another_size_is_recognised() -> None:
+    rng = np.random.default_rng(7)
+    r = rng.standard_normal((POSES, PER_POSE)) * [1.6, 1.6, 1.6, 1.0, 1.0]
+    left = adequacy(problem(4, 7, r).refitted(), GROUP, np.zeros(POSES, bool))
+    found, sentence = rescaled_noise(left, Noise(0.4e-3, 0.01), np.linalg.norm(r, axis=1), np.full(POSES, PER_POSE))
+    assert found is not None and "not as stated" in sentence
+    assert found.position_m == pytest.approx(1.6 * 0.4e-3, rel=0.08)
+    assert found.tangent_rad == pytest.approx(0.01, rel=0.1)
+
+
+def test_a_small_middle_with_heavy_tails_is_noise_of_the_stated_size() -> None:
+    rng = np.random.default_rng(8)
+    stated = Noise(0.4e-3, 0.01)
+    for scale in (0.6 * np.ones(POSES), np.sqrt(1 / rng.chisquare(3, POSES))):
+        r = rng.standard_normal((POSES, PER_POSE)) * scale[:, None]
+        far = np.linalg.norm(r, axis=1) > 5.6
+        left = adequacy(problem(4, 8, r).refitted(), GROUP, far)
+        assert left.total.ratio < 0.8
+        found, sentence = rescaled_noise(left, stated, np.linalg.norm(r[~far], axis=1), np.full((~far).sum(), PER_POSE))
+        assert (found is None) == bool(np.ptp(scale)) and ("tails" in sentence) == bool(np.ptp(scale))
+
+
+def test_few_far_poses_are_outliers_and_many_are_a_misfit() -> None:
+    norm = np.full(100, 2.0)
+    norm[:2] = 9.0
+    assert outliers(norm).sum() == 2
+    norm[:20] = 9.0
+    assert outliers(norm).sum() == 0
+    norm[1:] = 2.0
+    assert outliers(norm[:20]).sum() == 1  # one far pose is one in a small set, too
+
+
+@pytest.mark.parametrize("estimated", [False, True])
+@pytest.mark.parametrize(("freedom", "most"), [(1e6, 0.03), (8.0, 0.05), (4.0, 0.09)])
+def test_a_vault_like_the_selection_agrees_with_it_whatever_the_tails(
+    freedom: float, most: float, estimated: bool
+) -> None:
+    rng, alarms, missed, believing_in_gauss = np.random.default_rng(4), 0, 0, 0
+    for _ in range(400):
+        scale = np.sqrt((freedom - 2) / rng.chisquare(freedom, 80))  # of Student's t, standard deviation 1
+        square = ((rng.standard_normal((80, 5)) * scale[:, None]) ** 2).sum(axis=1)
+        left, held_out_set = ChiSquare(float(square[:60].sum()), 300.0), float(square[60:].sum())
+        size = left.ratio if estimated else 1.0  # the noise as the selection shows it, or as stated
+        norm = np.sqrt(square[:60] / size)
+        parts = Residuals(np.zeros((60, 5)), np.zeros((60, 5, 0)), np.ones(60), norm, np.ones((60, 5), bool))
+        parts.r[:, 0] = norm
+        left = ChiSquare(left.value / size, 300.0)
+        chances = [
+            left_out_probability(ChiSquare(factor * held_out_set / size, 100.0), left, parts, estimated=estimated)
+            for factor in (1.0, 6.25)
+        ]
+        alarms, missed = alarms + (chances[0] < 0.01), missed + (chances[1] > 0.01)
+        believing_in_gauss += ChiSquare(held_out_set / size, 100.0).p < 0.01
+    assert alarms / 400 <= most and (freedom > 5 or alarms < 0.7 * believing_in_gauss)
+    assert missed / 400 < 0.15  # errors 2.5 times as large do not agree

@@ -1,0 +1,64 @@
+"""What effects leave is asked for a memory: chi-squares have none, and take a jump of the tracker for a drift."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from measured_data import measured, pair_robot, waypoints
+
+from ctrplan.diagnosis import CATALOGUE, diagnose
+from ctrplan.diagnosis.adequacy import noise_floor, remains
+from ctrplan.diagnosis.smooth_evidence import remaining_error
+from ctrplan.diagnosis.workbench import Scored, Workbench
+from ctrplan.measurement.measurements import Measurements
+from ctrplan.pipeline.term import Term, term
+
+ROBOT = pair_robot()
+PLAN = waypoints(ROBOT, 18)
+FEW = {name: CATALOGUE[name] for name in ("drift", "tip_load")}
+SHIFTS = [f"shift_{axis}_mm_per_h" for axis in "xyz"]
+
+
+def jumped(step_mm: float, seed: int = 1) -> Measurements:
+    """The tracker was pushed half way."""
+    data = measured(ROBOT, PLAN, seed=seed)
+    late = np.arange(data.count) >= data.count // 2
+    return replace(data, position_m=data.position_m + np.outer(late, [1e-3, -1e-3, 0.5e-3]) * step_mm)
+
+
+def beside(data: Measurements, *terms: Term) -> tuple[Workbench, Scored]:
+    bench = Workbench(ROBOT, data, noise_floor(ROBOT, data)[0], data.configuration, data.configuration % 6)
+    return bench, bench.scored(terms)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_what_a_drift_leaves_of_a_jump_goes_along_with_the_time(seed: int) -> None:
+    drift = term(CATALOGUE["drift"], SHIFTS, ROBOT)
+    bench, explained = beside(jumped(0.35, seed), drift)
+    assert remains(bench, explained).is_adequate  # to chi-squares
+    assert "goes along with the time" in remaining_error(bench, explained)
+    assert remaining_error(*beside(jumped(0.0, seed), drift)) == ""
+
+
+def test_a_drift_that_leaves_something_is_at_work_and_not_alone() -> None:
+    found = diagnose(ROBOT, jumped(0.4, seed=2), catalogue=FEW)
+    assert found.verdict == "unexplained" and [t.name for t in found.listed] == ["drift"]
+    assert any("What drift leaves is no noise" in note for note in found.notes)
+    for hour in (5.0, 3000.0):  # the latter far larger than its prior, which draws a part of it in
+        true = {"drift": {"shift_x_mm_per_h": hour, "shift_y_mm_per_h": -hour}}
+        assert diagnose(ROBOT, measured(ROBOT, PLAN, true), catalogue=FEW).verdict == "named"
+
+
+@pytest.mark.parametrize("name", ["tip_load", "backlash", "clearance", "shaft_torsion"])
+def test_what_is_true_leaves_noise_alone(name: str) -> None:
+    values = {
+        "tip_load": {"force_x_N": 2.5},
+        "backlash": {"theta_2_deg": 20.0},
+        "clearance": {"delta_1_mm": 0.4},
+        "shaft_torsion": {"compliance_2_rad_per_Nm": 25.0},
+    }[name]
+    whole = term(CATALOGUE[name], list(values), ROBOT)
+    for seed in range(3):
+        assert remaining_error(*beside(measured(ROBOT, PLAN, {name: values}, seed=seed), whole)) == ""

@@ -1,0 +1,65 @@
+"""Fits of sets of effects on the workbench: a set is as good as the best place to start it from."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from measured_data import measured, pair_robot, waypoints
+
+from ctrplan.calibration.estimates import distances
+from ctrplan.diagnosis import CATALOGUE
+from ctrplan.diagnosis.adequacy import noise_floor
+from ctrplan.diagnosis.workbench import Workbench
+from ctrplan.measurement.measurements import Measurements
+from ctrplan.pipeline.term import Term, term
+
+ROBOT = pair_robot()
+TRUE = {
+    "tip_load": {"force_x_N": 0.15, "force_y_N": -0.12, "force_z_N": 0.0},
+    "shaft_torsion": {"compliance_2_rad_per_Nm": 12.0},
+}
+
+
+@pytest.fixture(scope="module")
+def data() -> Measurements:
+    return measured(ROBOT, waypoints(ROBOT, 14), TRUE)
+
+
+def bench_of(data: Measurements) -> Workbench:
+    group = data.configuration
+    return Workbench(ROBOT, data, noise_floor(ROBOT, data)[0], group, group % 6)
+
+
+def whole(name: str) -> Term:
+    return term(CATALOGUE[name], [p.name for p in CATALOGUE[name].parameters(ROBOT)], ROBOT)
+
+
+def test_a_set_is_fitted_again_from_a_place_that_promises_more(data: Measurements) -> None:
+    bench, shaft, shifted = bench_of(data), whole("shaft_torsion"), whole("base_misalignment")
+    both = bench.scored([shaft, shifted])
+    stuck = bench.scored([shifted], both.fit)  # its shape without the compliance: robots snap there
+    better = bench.scored([shifted], both.fit, None)
+    assert better.fit.loss < stuck.fit.loss - 100
+    assert bench.scored([shifted], both.fit) is better  # and it stays known
+
+
+def test_the_order_in_which_effects_came_does_not_matter(data: Measurements) -> None:
+    shaft, load, shifted = whole("shaft_torsion"), whole("tip_load"), whole("base_misalignment")
+    direct = bench_of(data).scored([shaft, load])
+    bench = bench_of(data)
+    wide = bench.scored([shaft, load, shifted], bench.scored([shifted], bench.scored([]).fit).fit, None)
+    found = bench.scored([load, shaft], wide.fit, None)
+    assert found.fit.loss == pytest.approx(direct.fit.loss, abs=1.0)
+    assert np.sqrt(found.fit.loss / (5 * data.count)) < 1.1
+
+
+def test_errors_are_numbers_where_a_model_has_no_solution(data: Measurements) -> None:
+    chain = bench_of(data).scored([]).fit.chain
+    tips = chain.predict(chain.neutral, derivatives=False)
+    lost = tips.position_m.copy()
+    lost[3] = np.nan
+    error_m = distances(replace(tips, position_m=lost), data)
+    assert error_m[3] == pytest.approx(np.linalg.norm(data.position_m[3]))
+    np.testing.assert_allclose(error_m[4:], np.linalg.norm(tips.position_m - data.position_m, axis=1)[4:])
