@@ -38,8 +38,7 @@ from ctrplan.certificate.uneven_friction import PARTS, worst_uneven_friction
 from ctrplan.certificate.walked_piece import walked
 from ctrplan.files.robot_file import load_robot
 from ctrplan.files.scenario_file import scenario_from_dict
-from ctrplan.mechanics.accuracy import Accuracy
-from ctrplan.mechanics.shapes import FrictionBodies
+from ctrplan.mechanics.shapes import Accuracy, FrictionBodies
 from ctrplan.robot.robot import Robot
 from ctrplan.scenario.joint_space import JointSpace
 from ctrplan.scenario.scenario import Scenario

@@ -50,7 +50,7 @@ from ctrplan.base.arrays import Array
 from ctrplan.certificate.certify import certify
 from ctrplan.errors import CtrplanError
 from ctrplan.files.robot_file import load_robot, robot_from_dict
-from ctrplan.mechanics.accuracy import Accuracy
+from ctrplan.mechanics.shapes import Accuracy
 from ctrplan.robot.robot import Robot
 from ctrplan.scenario.joint_space import JointSpace, bare_scenario
 from ctrplan.scenario.scenario import Scenario

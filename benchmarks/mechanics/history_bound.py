@@ -13,8 +13,7 @@ from common import ROBOTS, table
 
 from ctrplan.base.arrays import Array
 from ctrplan.files.robot_file import load_robot
-from ctrplan.mechanics.accuracy import Accuracy
-from ctrplan.mechanics.shapes import Status
+from ctrplan.mechanics.shapes import Accuracy, Status
 from ctrplan.robot.robot import Robot
 
 PAIR, THREE = (load_robot(ROBOTS / f"{name}.toml") for name in ("table_5_pair", "three_tube"))

@@ -12,7 +12,7 @@ from history_bound import LABELLED, PAIR, PAIR_L_M, THREE, norm_mm, random_path
 from matplotlib import colormaps
 
 from ctrplan.base.arrays import Array
-from ctrplan.mechanics.accuracy import Accuracy, HistoryOptions
+from ctrplan.mechanics.shapes import Accuracy, HistoryOptions
 from ctrplan.reports import looks
 from ctrplan.robot.robot import Robot
 

@@ -24,9 +24,8 @@ from table_1_pair import table_1_pair
 
 from ctrplan.base.arrays import Array
 from ctrplan.files.robot_file import load_robot
-from ctrplan.mechanics.accuracy import Accuracy
 from ctrplan.mechanics.core import kernel_name
-from ctrplan.mechanics.shapes import Status
+from ctrplan.mechanics.shapes import Accuracy, Status
 from ctrplan.mechanics.walk import PathDensity
 
 THREE_TUBES = load_robot(ROBOTS / "three_tube.toml")

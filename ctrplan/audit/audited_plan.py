@@ -13,8 +13,7 @@ from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.certificate.certificate import FIGURES
 from ctrplan.errors import CtrplanError
 from ctrplan.files.plan_file import WrittenPlan
-from ctrplan.mechanics.accuracy import Accuracy
-from ctrplan.mechanics.shapes import Shape, Status
+from ctrplan.mechanics.shapes import Accuracy, Shape, Status
 from ctrplan.robot.robot import Robot
 
 MM_PER_RAD = 20.0  # of the length by which places are counted; it changes no claim

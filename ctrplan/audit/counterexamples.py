@@ -16,9 +16,8 @@ import numpy as np
 from ctrplan.audit.audited_plan import AuditedPlan, WorstFigure
 from ctrplan.base.arrays import Array
 from ctrplan.errors import CtrplanError, SolverError
-from ctrplan.mechanics.accuracy import Accuracy
 from ctrplan.mechanics.history import History
-from ctrplan.mechanics.shapes import Status
+from ctrplan.mechanics.shapes import Accuracy, Status
 
 PLACES = 8  # of a round
 DRAWN = 8  # states at a place, besides the corners

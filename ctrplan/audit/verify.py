@@ -25,7 +25,7 @@ from ctrplan.drive.trajectory import PERIOD_S, remade_trajectory
 from ctrplan.errors import CtrplanError
 from ctrplan.files.plan_file import WrittenPlan, load_plan
 from ctrplan.files.robot_file import robot_from_dict
-from ctrplan.mechanics.accuracy import Accuracy
+from ctrplan.mechanics.shapes import Accuracy
 from ctrplan.planning.compensate import either_arrives
 from ctrplan.planning.endings import settled_again
 from ctrplan.planning.goal_states import nearest_turn

@@ -23,8 +23,8 @@ from ctrplan.drive.legs import distance_from_polyline, merge_legs
 from ctrplan.errors import InputError
 
 if TYPE_CHECKING:
-    from ctrplan.mechanics.accuracy import Accuracy
     from ctrplan.mechanics.history import HistoryState
+    from ctrplan.mechanics.shapes import Accuracy
     from ctrplan.mechanics.walk import PathLimits
     from ctrplan.scenario.scenario import Scenario, StartFriction
 

@@ -19,8 +19,7 @@ from ctrplan.certificate.closest import closest_places
 from ctrplan.certificate.friction_states import BEYOND_BOUND_M
 from ctrplan.certificate.problems import frictionless_miss, goal_miss_m, line_error_m
 from ctrplan.certificate.walked_legs import WalkedLegs, walk_legs
-from ctrplan.mechanics.accuracy import Accuracy
-from ctrplan.mechanics.shapes import Shape
+from ctrplan.mechanics.shapes import Accuracy, Shape
 from ctrplan.scenario.prediction import FrictionStart, PathPrediction, predict_end, start_states
 
 if TYPE_CHECKING:

@@ -53,9 +53,8 @@ from ctrplan.mechanics.friction import Doubts, bodies_between
 from ctrplan.motion.checker import path_limits
 
 if TYPE_CHECKING:
-    from ctrplan.mechanics.accuracy import Accuracy
     from ctrplan.mechanics.friction import FrictionStates
-    from ctrplan.mechanics.shapes import FrictionBodies
+    from ctrplan.mechanics.shapes import Accuracy, FrictionBodies
     from ctrplan.scenario.scenario import Scenario
 
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ctrplan.base.arrays import Array
-from ctrplan.mechanics.accuracy import Accuracy
+from ctrplan.mechanics.shapes import Accuracy
 
 if TYPE_CHECKING:
     from ctrplan.robot.robot import Robot

@@ -17,7 +17,7 @@ from ctrplan.certificate.certificate import CertificateSamples
 from ctrplan.certificate.friction_states import SAME_BRANCH_M, SPACING_M, bound_allowance_m, mesh_allowance_m
 from ctrplan.certificate.walked_piece import Piece
 from ctrplan.drive.legs import distance_from_polyline
-from ctrplan.mechanics.accuracy import Accuracy
+from ctrplan.mechanics.shapes import Accuracy
 from ctrplan.mechanics.walk import PathLimits
 from ctrplan.motion.checker import breach, path_limits, shares_in_words
 from ctrplan.robot.robot import Robot

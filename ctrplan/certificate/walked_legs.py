@@ -27,7 +27,7 @@ from ctrplan.certificate.problems import (
 from ctrplan.certificate.uneven_friction import with_uneven_friction
 from ctrplan.certificate.walked_piece import Piece, checked_samples, closely_solved, joined_samples, walk_pieces
 from ctrplan.drive.legs import merge_legs
-from ctrplan.mechanics.accuracy import Accuracy
+from ctrplan.mechanics.shapes import Accuracy
 from ctrplan.motion.checker import left_at_end, path_limits
 from ctrplan.scenario.joint_space import JointSpace
 from ctrplan.scenario.prediction import start_load

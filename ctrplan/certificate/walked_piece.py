@@ -37,7 +37,7 @@ from ctrplan.scenario.joint_space import JointSpace
 from ctrplan.scenario.prediction import start_load
 
 if TYPE_CHECKING:
-    from ctrplan.mechanics.accuracy import Accuracy
+    from ctrplan.mechanics.shapes import Accuracy
     from ctrplan.scenario.scenario import Scenario
 
 PIECE_MM = 40.0  # joint length of the pieces that run in parallel

@@ -21,8 +21,7 @@ from ctrplan.storage.output_folder import DEFAULT, output_folder, write_results
 
 if TYPE_CHECKING:
     from ctrplan.base.arrays import Array
-    from ctrplan.mechanics.accuracy import Accuracy
-    from ctrplan.mechanics.shapes import Bound, Shape
+    from ctrplan.mechanics.shapes import Accuracy, Bound, Shape
     from ctrplan.robot.robot import Robot
     from ctrplan.studies.sweep import Sweep
 

@@ -43,6 +43,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--weighting", choices=["stated", "paper"], help="stated noise, or 1 deg = 1 mm as at (49)")
     help_aside = "of configurations (default: %(default)s)"
     add_number(parser, "--held-out", Number(0, 0.99), default=0.25, metavar="SHARE", help=help_aside)
+    parser.add_argument("--as-read", action="store_true", help="fit the file as it stands, although it seems misread")
     help_starts = "starts of the fit (default: %(default)s)"
     add_number(parser, "--starts", Whole(1, 100), default=1, metavar="N", help=help_starts)
     add_number(parser, "--seed", SEED, default=0, help="of the starts and of what is kept aside")
@@ -53,6 +54,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Runs the command; returns its exit code. Raises CtrplanError when there is nothing to write."""
     from ctrplan.calibration.calibrate import calibrate
+    from ctrplan.diagnosis.reading import refuse_misread
     from ctrplan.files.measurement_file import load_measurements
     from ctrplan.files.robot_file import load_robot, write_robot
     from ctrplan.reports.calibration_page import calibration_report_html
@@ -60,6 +62,8 @@ def run(arguments: argparse.Namespace) -> int:
 
     robot = load_robot(arguments.robot, arguments.overrides)
     data = load_measurements(arguments.measurements, robot)
+    if not arguments.as_read:
+        refuse_misread(robot, data)
     folder = output_folder(arguments.output, OUTPUTS)
     result = calibrate(
         robot,

@@ -53,6 +53,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="runs that nothing reads until the verdict is given, then once: confirmed or not, effect by effect; "
         "repeatable",
     )
+    parser.add_argument("--as-read", action="store_true", help="fit the file as it stands, although it seems misread")
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
     add_set_option(parser, "the robot's key")
 
@@ -62,6 +63,7 @@ def run(arguments: argparse.Namespace) -> int:
     with interrupt_event() as interrupted:
         from ctrplan.diagnosis import CATALOGUE, diagnose
         from ctrplan.diagnosis.confirmation import confirm
+        from ctrplan.diagnosis.reading import refuse_misread
         from ctrplan.diagnosis.workbench import reduced
         from ctrplan.files.measurement_file import load_measurements
         from ctrplan.files.robot_file import load_robot
@@ -69,6 +71,8 @@ def run(arguments: argparse.Namespace) -> int:
         reduced(CATALOGUE, arguments.without, key="--without")
         robot = load_robot(arguments.robot, arguments.overrides)
         data = load_measurements(arguments.measurements, robot)
+        if not arguments.as_read:
+            refuse_misread(robot, data)
         others = [load_measurements(path, robot) for path in arguments.confirm]
         folder = output_folder(arguments.output, OUTPUTS)
         warn([*robot.warnings, *data.warnings])

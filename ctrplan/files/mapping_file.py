@@ -94,6 +94,7 @@ class MappingEntry(Struct, forbid_unknown_fields=True, frozen=True):
     tubes: Literal["outermost first", "innermost first"] = "outermost first"
     values: Literal["commanded", "collars"] = "commanded"
     rotations: Literal["unwrapped", "wrapped"] | None = None
+    at_rest: bool | None = None
     separator: Literal[",", ";", "tab", "space"] = ","
     header: bool = True
 
@@ -292,6 +293,7 @@ class Source:
     is_registered: bool = True  # whether the robot's place in that frame is known
     of_collars: bool = False  # whether joints are those of the tubes' collars rather than what was commanded
     wrapped: bool | None = None  # whether rotations are kept within one turn; None: as the values look
+    at_rest: bool | None = None  # whether joints stood still at the poses; None: as rows and tips look
 
 
 def sources(path: str | os.PathLike[str], robot: Robot, what: str) -> list[Source]:
@@ -311,6 +313,7 @@ def sources(path: str | os.PathLike[str], robot: Robot, what: str) -> list[Sourc
             is_registered=run.frame != "unknown",
             of_collars=entry.values == "collars",
             wrapped=wrapped,
+            at_rest=entry.at_rest,
         )
         for k, run in enumerate(entry.run)
     ]

@@ -95,6 +95,8 @@ def load_measurements(path: str | os.PathLike[str], robot: Robot) -> Measurement
     given = sources(path, robot, "file of measurements")
     parts = [_measurements(source, robot) for source in given]
     data = joined_measurements(parts, [source.tracker for source in given], [source.homing for source in given])
+    if given[0].at_rest is not None:
+        data = replace(data, is_stream=not given[0].at_rest)
     if np.ptp(data.theta_commanded, axis=0).max() < STILL_RAD and np.ptp(data.l_commanded, axis=0).max() < STILL_M:
         raise given[0].table.fault("all joints are constant: one configuration says nothing about a model")
     unknown = dict.fromkeys(source.tracker for source in given if not source.is_registered)
@@ -124,7 +126,12 @@ def _measurements(source: Source, robot: Robot) -> Measurements:
         position_m=position,
         tangent=tangent,
         time_s=joints.time_s,
-        is_stream=is_streamed(joints.sequence, rows, np.hstack([joints.theta_commanded, joints.l_commanded])),
+        is_stream=is_streamed(
+            joints.sequence,
+            rows,
+            np.hstack([joints.theta_commanded, joints.l_commanded]),
+            None if seen else position,
+        ),
         more=joints.more,
         file=table.file,
         sha256=table.sha256,

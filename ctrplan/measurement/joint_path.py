@@ -103,6 +103,11 @@ def joined_paths(parts: Sequence[JointPath]) -> JointPath:
     )
 
 
+def _positions(parts: Sequence[Measurements]) -> Array | None:
+    """(K, 3) of tips, None where markers stand between them."""
+    return None if any(part.has_markers for part in parts) else np.concatenate([part.position_m for part in parts])
+
+
 def joined_measurements(parts: Sequence[Measurements], trackers: Sequence[str], homings: Sequence[str]) -> Measurements:
     """All of them; parts of one tracker share a frame, parts of one homing the zeros of the joints.
 
@@ -124,7 +129,7 @@ def joined_measurements(parts: Sequence[Measurements], trackers: Sequence[str], 
         position_m=np.concatenate([part.position_m for part in parts]),
         tangent=np.concatenate([part.tangent for part in parts]),
         time_s=time_s,
-        is_stream=is_streamed(sequence, rows, np.hstack([theta, l])),
+        is_stream=is_streamed(sequence, rows, np.hstack([theta, l]), _positions(parts)),
         more=_more(parts),
         sha256=hashlib.sha256("".join(part.sha256 for part in parts).encode()).hexdigest(),
         warnings=(*dict.fromkeys(warning for part in parts for warning in part.warnings), *notes),

@@ -20,6 +20,7 @@ from ctrplan.base.package import shown
 SAME_ROTATION_RAD = 1e-3  # commanded joints that differ by less are the same configuration
 SAME_TRANSLATION_M = 1e-5
 STREAMED_SHARE = 0.5  # of the poses, measured on the way between two others: a log of a continuous motion
+DENSE = 0.5  # of the spread of all tips, by which tips of a log follow one another; independent ones are 1.4 apart
 MOST_ROWS = 20  # that a sentence lists
 LONGEST_LAG_S = 0.4  # two clocks that are further apart are no matter of a fit
 
@@ -130,10 +131,13 @@ class Measurements:
         return ", ".join(map(str, rows[:MOST_ROWS])) + (" ..." if len(rows) > MOST_ROWS else "")
 
 
-def is_streamed(sequence: NDArray[np.int_], rows: NDArray[np.int_], joints: Array) -> bool:
+def is_streamed(
+    sequence: NDArray[np.int_], rows: NDArray[np.int_], joints: Array, position_m: Array | None = None
+) -> bool:
     """Whether poses were logged on a continuous motion of the joints (R, 2 n), rather than after settling.
 
-    Poses in the midst of a standstill say neither.
+    Poses in the midst of a standstill say neither. A log follows the motion so closely that its tips (K, 3) move by
+    little from row to row; tips that jump about were reached one from the other, and came to rest.
     """
     moves = np.abs(np.diff(joints, axis=0, prepend=joints[:1], append=joints[-1:])).max(axis=1) > 0
     measured = np.zeros(len(sequence) + 2, bool)
@@ -141,7 +145,18 @@ def is_streamed(sequence: NDArray[np.int_], rows: NDArray[np.int_], joints: Arra
     run = np.concatenate([[-1], sequence, [-1]])
     inside = measured[rows] & measured[rows + 2] & (run[rows] == run[rows + 1]) & (run[rows + 2] == run[rows + 1])
     going = moves[rows] | moves[rows + 1]
-    return bool(going.any() and (inside & moves[rows] & moves[rows + 1])[going].mean() > STREAMED_SHARE)
+    if not going.any() or (inside & moves[rows] & moves[rows + 1])[going].mean() <= STREAMED_SHARE:
+        return False
+    return position_m is None or _is_dense(position_m[np.argsort(rows, kind="stable")])
+
+
+def _is_dense(position_m: Array) -> bool:
+    """Whether tips (K, 3) follow one another by less than they are spread."""
+    position_m = position_m[np.isfinite(position_m).all(axis=1)]
+    if len(position_m) < 2:
+        return True
+    spread = float(np.sqrt(np.mean(np.sum((position_m - position_m.mean(axis=0)) ** 2, axis=1))))
+    return float(np.median(np.linalg.norm(np.diff(position_m, axis=0), axis=1))) < DENSE * spread
 
 
 VAULT_SHARE = 0.25

@@ -20,7 +20,6 @@ from ctrplan.base.arrays import Array, numbers
 from ctrplan.base.long_work import Progress, core_threads, part_of
 from ctrplan.base.package import shown
 from ctrplan.errors import InputError
-from ctrplan.mechanics.accuracy import Accuracy
 from ctrplan.mechanics.core_arrays import (
     core_density,
     core_grid,
@@ -40,7 +39,7 @@ from ctrplan.mechanics.core_arrays import (
 )
 from ctrplan.mechanics.friction import SPACING, FrictionStates
 from ctrplan.mechanics.loaded_shape import LoadedRobot, is_beyond_standard
-from ctrplan.mechanics.shapes import Bound, Bounds, FrictionBodies, Shape, Status, Tips, input_errors
+from ctrplan.mechanics.shapes import Accuracy, Bound, Bounds, FrictionBodies, Shape, Status, Tips, input_errors
 from ctrplan.mechanics.tube import RANGES, SECTION_RANGES, Loads, nests
 from ctrplan.mechanics.walk import (
     Field,
@@ -56,7 +55,7 @@ from ctrplan.mechanics.walk import (
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
-    from ctrplan.mechanics.accuracy import HistoryOptions
+    from ctrplan.mechanics.shapes import HistoryOptions
     from ctrplan.mechanics.tube import Tube
 
 MOST_THREADS = 1024

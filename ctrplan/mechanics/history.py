@@ -19,11 +19,10 @@ from ctrplan.base.arrays import Array, numbers
 from ctrplan.base.long_work import Progress
 from ctrplan.base.package import shown
 from ctrplan.errors import InputError, SolverError
-from ctrplan.mechanics.accuracy import Accuracy
-from ctrplan.mechanics.accuracy import HistoryOptions as HistoryOptions
 from ctrplan.mechanics.core import Mechanics
 from ctrplan.mechanics.core_arrays import joint_row, joint_rows, shape_from_core
-from ctrplan.mechanics.shapes import Shape, Status, input_errors
+from ctrplan.mechanics.shapes import Accuracy, Shape, Status, input_errors
+from ctrplan.mechanics.shapes import HistoryOptions as HistoryOptions
 
 if TYPE_CHECKING:
     import ctrplan._model as _model

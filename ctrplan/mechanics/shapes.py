@@ -14,12 +14,13 @@ import enum
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan import _model
+from ctrplan.base.arguments import Number, checked
 from ctrplan.base.arrays import Array
 from ctrplan.base.package import shown
 from ctrplan.errors import InputError, SolverError
@@ -27,6 +28,26 @@ from ctrplan.mechanics.tube import Tube
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+
+Accuracy = Literal["search", "certificate", "exact"]
+"""Mesh error of a tip on the Table III grid: 0.3, 0.05 mm; "exact" also drops the first order in the clearance."""
+
+
+@checked(
+    breakaway_m=Number(1e-7, 0.1, "m"),
+    rotation_rad=Number(1e-4, 1, "rad"),
+    translation_m=Number(1e-6, 0.1, "m"),
+    state_change=Number(1e-4, 1),
+)
+@dataclass(frozen=True)
+class HistoryOptions:
+    """How a history is stepped; halving the steps moves no tip by more than 0.05 mm (benchmarks/history.py)."""
+
+    breakaway_m: float = 0.02e-3  # slip over which friction builds up
+    rotation_rad: float = 0.05  # longest step of a tube base
+    translation_m: float = 0.5e-3
+    state_change: float = 0.05  # of phi, mean over the contacts weighted by force, aimed at in a step
 
 
 @contextmanager

@@ -19,8 +19,7 @@ from ctrplan.base.package import shown
 from ctrplan.errors import InputError
 
 if TYPE_CHECKING:
-    from ctrplan.mechanics.accuracy import Accuracy
-    from ctrplan.mechanics.shapes import Bounds
+    from ctrplan.mechanics.shapes import Accuracy, Bounds
 
 SHORTEST_STEP, LONGEST_STEP = 1e-6, 100.0  # rad or m; with shorter ones a walk would not end
 ANY = Number(-np.inf, np.inf)

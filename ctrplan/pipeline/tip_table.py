@@ -30,8 +30,7 @@ from ctrplan.base.long_work import cores
 from ctrplan.drive.legs import Collars
 from ctrplan.errors import InputError
 from ctrplan.measurement.measurements import Measurements
-from ctrplan.mechanics.accuracy import Accuracy
-from ctrplan.mechanics.shapes import Shape, Status, points_on_tubes
+from ctrplan.mechanics.shapes import Accuracy, Shape, Status, points_on_tubes
 from ctrplan.mechanics.tube import Loads, Tube, is_in_order, moved_to_nest
 from ctrplan.robot.robot import Robot
 

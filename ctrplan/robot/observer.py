@@ -28,9 +28,9 @@ from ctrplan.robot.slow_states import Slow, SlowModel, SlowOffset, SlowParameter
 
 if TYPE_CHECKING:
     from ctrplan.drive.drive import Drive
-    from ctrplan.mechanics.accuracy import Accuracy
     from ctrplan.mechanics.core import Mechanics
     from ctrplan.mechanics.history import History, HistoryState
+    from ctrplan.mechanics.shapes import Accuracy
 
 CARRIED = 0.95  # of the probability, by the histories between whose tips an interval extends
 NORMAL_95 = 1.96  # standard deviations on both sides that hold 95 %

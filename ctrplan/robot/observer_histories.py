@@ -19,14 +19,13 @@ import numpy as np
 from ctrplan.base.arrays import Array
 from ctrplan.base.long_work import cores
 from ctrplan.errors import SolverError
-from ctrplan.mechanics.accuracy import HistoryOptions
 from ctrplan.mechanics.core import Mechanics
 from ctrplan.mechanics.history import History, HistoryPath, Start
-from ctrplan.mechanics.shapes import Status
+from ctrplan.mechanics.shapes import HistoryOptions, Status
 from ctrplan.robot.slow_states import Slow, SlowModel
 
 if TYPE_CHECKING:
-    from ctrplan.mechanics.accuracy import Accuracy
+    from ctrplan.mechanics.shapes import Accuracy
 
 SAME_M, SAME_RAD, SAME_PHI = 1e-6, 1e-4, 1e-3  # tips, tangents and friction of histories that have become one
 LEAST_WEIGHT = 1e-6  # below which a history is given up

@@ -24,10 +24,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from ctrplan.base.long_work import Progress
-    from ctrplan.mechanics.accuracy import Accuracy, HistoryOptions
     from ctrplan.mechanics.core import Mechanics, Walker
     from ctrplan.mechanics.history import History, Start
-    from ctrplan.mechanics.shapes import Bound, Bounds, Shape
+    from ctrplan.mechanics.shapes import Accuracy, Bound, Bounds, HistoryOptions, Shape
     from ctrplan.robot.observer import Observer
     from ctrplan.robot.slow_states import SlowOffset, SlowParameter
 

@@ -22,8 +22,7 @@ from ctrplan.robot.friction_calibration import friction_law
 from ctrplan.robot.observer import ObservedHistory
 
 if TYPE_CHECKING:
-    from ctrplan.mechanics.accuracy import Accuracy
-    from ctrplan.mechanics.shapes import Shape
+    from ctrplan.mechanics.shapes import Accuracy, Shape
     from ctrplan.robot.robot import Robot
     from ctrplan.scenario.scenario import Scenario
 

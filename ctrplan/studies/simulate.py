@@ -25,9 +25,8 @@ from ctrplan.measurement.approach import last_directions
 from ctrplan.measurement.joint_path import JointPath
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.measurement.sensor import Poses, frames_along
-from ctrplan.mechanics.accuracy import Accuracy
 from ctrplan.mechanics.history import History, Start
-from ctrplan.mechanics.shapes import Bounds, Status
+from ctrplan.mechanics.shapes import Accuracy, Bounds, Status
 from ctrplan.pipeline.chain import Chain, at_instants
 from ctrplan.pipeline.followed_runs import walked
 from ctrplan.pipeline.installed import range_notes

@@ -46,8 +46,7 @@ from ctrplan.studies.child_process import ChildExecutor
 
 if TYPE_CHECKING:
     from ctrplan.base.long_work import Progress
-    from ctrplan.mechanics.accuracy import Accuracy
-    from ctrplan.mechanics.shapes import Bounds
+    from ctrplan.mechanics.shapes import Accuracy, Bounds
     from ctrplan.scenario.scenario import Scenario
 
 MOST_POINTS = 1_000_000

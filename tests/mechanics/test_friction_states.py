@@ -10,9 +10,8 @@ from places import ROBOTS
 
 import ctrplan
 from ctrplan.errors import InputError
-from ctrplan.mechanics.accuracy import Accuracy
 from ctrplan.mechanics.core import Mechanics
-from ctrplan.mechanics.shapes import FrictionBodies
+from ctrplan.mechanics.shapes import Accuracy, FrictionBodies
 from ctrplan.mechanics.tube import Loads
 
 ROBOT = ctrplan.load_robot(ROBOTS / "three_tube.toml")

@@ -14,8 +14,7 @@ from places import ROBOTS
 from ctrplan.base.arrays import Array
 from ctrplan.errors import InputError
 from ctrplan.files.robot_file import load_robot
-from ctrplan.mechanics.accuracy import HistoryOptions
-from ctrplan.mechanics.shapes import Status
+from ctrplan.mechanics.shapes import HistoryOptions, Status
 from ctrplan.mechanics.tube import TubeSection
 from ctrplan.robot.robot import Robot
 

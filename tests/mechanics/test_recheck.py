@@ -12,9 +12,8 @@ from places import ROBOTS
 from ctrplan.base.arrays import Array
 from ctrplan.errors import InputError
 from ctrplan.files.robot_file import load_robot
-from ctrplan.mechanics.accuracy import Accuracy
 from ctrplan.mechanics.core import Mechanics
-from ctrplan.mechanics.shapes import Shape
+from ctrplan.mechanics.shapes import Accuracy, Shape
 from ctrplan.mechanics.tube import Loads
 
 ROBOT = load_robot(ROBOTS / "three_tube.toml")

@@ -19,10 +19,9 @@ from scipy.optimize import brentq
 from ctrplan.base.arrays import Array
 from ctrplan.errors import InputError
 from ctrplan.files.robot_file import load_robot, robot_from_dict
-from ctrplan.mechanics.accuracy import Accuracy
 from ctrplan.mechanics.core import Mechanics, kernel_name
 from ctrplan.mechanics.history import History
-from ctrplan.mechanics.shapes import Status
+from ctrplan.mechanics.shapes import Accuracy, Status
 from ctrplan.mechanics.tube import Contact, Loads, Tube, TubeSection
 from ctrplan.mechanics.walk import Field, PathDensity
 

@@ -30,7 +30,7 @@ from ctrplan.certificate.walked_piece import walk_pieces
 from ctrplan.errors import InputError
 from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.files.scenario_file import scenario_from_dict
-from ctrplan.mechanics.accuracy import Accuracy
+from ctrplan.mechanics.shapes import Accuracy
 from ctrplan.motion.play import play_reach, play_shift
 from ctrplan.robot.robot import Robot
 from ctrplan.scenario.joint_space import JointSpace

@@ -16,7 +16,7 @@ from ctrplan.certificate.certificate import Certificate, joined_certificates
 from ctrplan.certificate.certify import certify
 from ctrplan.errors import InputError
 from ctrplan.files.robot_file import robot_from_dict
-from ctrplan.mechanics.accuracy import Accuracy
+from ctrplan.mechanics.shapes import Accuracy
 from ctrplan.plans.plan import Plan
 from ctrplan.plans.planned_motion import Leg
 from ctrplan.scenario.scenario import Goal, Scenario

@@ -15,7 +15,7 @@ from ctrplan.certificate.every_state import LOOK_EVERY, SampleStates, StatesBetw
 from ctrplan.certificate.friction_states import Solved, State, corner_states, corner_weights
 from ctrplan.certificate.walked_piece import walked
 from ctrplan.files.scenario_file import scenario_from_dict
-from ctrplan.mechanics.accuracy import Accuracy
+from ctrplan.mechanics.shapes import Accuracy
 from ctrplan.scenario.joint_space import JointSpace
 
 ROBOT = ctrplan.load_robot(ROBOTS / "three_tube.toml")

@@ -36,8 +36,8 @@ from ctrplan.files.design_file import DesignEntry
 from ctrplan.files.measurement_file import load_measurements
 from ctrplan.files.robot_file import RobotEntry, load_robot, robot_from_dict, write_robot
 from ctrplan.files.scenario_file import ScenarioEntry, load_scenario
-from ctrplan.mechanics.accuracy import HistoryOptions
 from ctrplan.mechanics.core import Mechanics
+from ctrplan.mechanics.shapes import HistoryOptions
 from ctrplan.scenario.scenario import CATALOGUE as PLANNERS
 from ctrplan.studies.sweep import parse_axis, sweep
 

@@ -1,0 +1,108 @@
+"""Files that do not mean what they say are told by asking the uncalibrated robot; clean ones raise no alarm."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from measured_data import measured, pair_robot, waypoints
+from places import SCENARIOS
+from scipy.spatial.transform import Rotation
+
+from ctrplan.base.arrays import Array
+from ctrplan.cli import main
+from ctrplan.diagnosis.reading import how_taken, read_again
+from ctrplan.measurement.measurements import Measurements, is_streamed
+
+ROBOT = pair_robot()
+BASE = {"calibration": {"precurvature_factor_1_1": 1.05, "stiffness_factor_2": 0.93, "poisson_ratio_1": 0.36}}
+FIXED = measured(ROBOT, waypoints(ROBOT, 14), BASE)  # tube 1 never turns there
+TURN = 0.7 * (1 + np.arange(len(FIXED.sequence)) // 5)  # so does the whole robot with both tubes
+CLEAN = replace(
+    FIXED,
+    theta_commanded=FIXED.theta_commanded + TURN[:, None],
+    position_m=Rotation.from_rotvec(np.outer(TURN[FIXED.rows], [0, 0, 1])).apply(FIXED.position_m),
+    tangent=Rotation.from_rotvec(np.outer(TURN[FIXED.rows], [0, 0, 1])).apply(FIXED.tangent),
+)
+
+
+def joints(theta: Array | None = None, l: Array | None = None) -> Measurements:  # noqa: E741
+    return replace(
+        CLEAN,
+        theta_commanded=CLEAN.theta_commanded if theta is None else theta,
+        l_commanded=CLEAN.l_commanded if l is None else l,
+    )
+
+
+def places(position: Array) -> Measurements:
+    return replace(CLEAN, position_m=position)
+
+
+THETA, L, P = CLEAN.theta_commanded, CLEAN.l_commanded, CLEAN.position_m
+FAULTS = {
+    "rotation 2 has the other sign": joints(THETA * [1, -1]),
+    "rotation 2 is logged relative to tube 1": joints(THETA - np.outer(THETA[:, 0], [0, 1])),
+    "rotations are in degrees": joints(np.degrees(THETA)),
+    "all rotations are half of what the tubes turn": joints(THETA / 2),
+    "tubes are in the opposite order": joints(THETA[:, ::-1], L[:, ::-1]),
+    "translations are 1000 times too large": joints(l=1e3 * L),
+    "(y, x, z)": places(P[:, [1, 0, 2]]),
+    "(x, y, -z)": places(P * [1, 1, -1]),
+    "positions are in millimetres": places(1e3 * P),
+    "positions are in another frame": places(Rotation.from_rotvec([0.4, 1.1, -0.7]).apply(P) + [0.03, -0.2, 0.1]),
+}
+
+
+def test_a_file_that_means_what_it_says_raises_no_alarm() -> None:
+    assert read_again(ROBOT, CLEAN) == ()
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_gross_faults_are_told(fault: str) -> None:
+    told = read_again(ROBOT, FAULTS[fault])
+    assert told and fault in told[0].what and told[0].rms_after_mm < 4.0
+    assert told[0].to_json()["columns"] and "read so" in told[0].sentence
+
+
+def test_a_base_that_is_turned_as_far_as_an_effect_has_it_is_no_fault_of_reading() -> None:
+    assert read_again(ROBOT, places(Rotation.from_rotvec([0.05, -0.08, 0.02]).apply(P) + [0.004, -0.005, 0.003])) == ()
+
+
+def test_tips_that_heed_no_joint_are_read_in_no_other_way() -> None:
+    rng = np.random.default_rng(3)
+    assert read_again(ROBOT, places(P.mean(axis=0) + 0.02 * rng.normal(size=P.shape))) == ()
+
+
+def test_rows_that_jump_about_are_poses_at_rest_and_dense_ones_a_motion() -> None:
+    rng = np.random.default_rng(0)
+    run, rows = np.zeros(40, int), np.arange(40)
+    jumps, places_m = rng.normal(size=(40, 4)), rng.normal(size=(40, 3))
+    assert is_streamed(run, rows, jumps) and not is_streamed(run, rows, jumps, places_m)
+    assert is_streamed(run, rows, np.cumsum(jumps, axis=0), np.cumsum(0.01 * np.ones((40, 3)), axis=0))
+
+
+def test_how_poses_were_taken_is_said_and_wide_turns_as_well() -> None:
+    theta = np.radians([[0.0, 0.0], [20.0, 300.0], [5.0, 10.0], [70.0, 40.0]])
+    nothing = np.zeros((4, 3))
+    single = Measurements(np.zeros(4, int), theta, np.zeros((4, 2)), np.arange(4), nothing, nothing)
+    told = how_taken(single)
+    assert "at rest" in told[0] and "rows 1 and 2" in told[1] and "300 deg" in told[1]
+    assert how_taken(CLEAN) == []
+
+
+@pytest.mark.parametrize("command", ["diagnose", "calibrate"])
+def test_commands_fit_nothing_to_a_misread_file(
+    command: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    import ctrplan.files.measurement_file as files
+
+    swapped = joints(theta=THETA[:, ::-1].copy())
+    monkeypatch.setattr(files, "load_measurements", lambda *_: swapped)
+    robot = SCENARIOS / "robots" / "table_5_pair.toml"
+    monkeypatch.setattr("ctrplan.files.robot_file.load_robot", lambda *_, **__: ROBOT)
+    parameters = ["--parameters", "poisson_ratio_1"] if command == "calibrate" else []
+    assert main([command, str(robot), "log.csv", "-o", str(tmp_path / "out"), *parameters]) == 1
+    assert "--as-read fits it as it stands" in capsys.readouterr().err
+    assert not (tmp_path / "out" / "robot.toml").exists()
