@@ -24,7 +24,8 @@ from ctrplan.storage.toml_document import Document, toml_text
 
 INPUTS, MANIFEST, SCENARIO = "inputs.zip", "manifest.json", "scenario.toml"
 SUFFIX = ".ctrplan"  # of a plan's folder as one file
-MOST_BYTES = 2_000_000_000  # of all that is packed or unpacked
+MOST_BYTES = 2_000_000_000  # of all that is unpacked
+MOST_PACKED = 300_000_000  # of all that is packed: a plan in larger images opens where they are
 _OPENED: list[tempfile.TemporaryDirectory[str]] = []  # folders of this process, removed when it ends
 
 
@@ -47,7 +48,7 @@ def inputs_of(scenario: Scenario) -> bytes | None:
             for name, place in zip(listed, places, strict=True):
                 packed |= _packed(folder / str(name), place)
             table[key] = places if isinstance(table[key], list) else places[0]
-    if sum(map(len, packed.values())) > MOST_BYTES:
+    if sum(map(len, packed.values())) > MOST_PACKED:
         return None
     packed[SCENARIO] = toml_text(content).encode()
     manifest = {"scenario_sha256": scenario.sha256, "robot_sha256": scenario.robot.sha256, "named": names}

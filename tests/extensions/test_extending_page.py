@@ -147,7 +147,8 @@ def test_an_output_format_is_one_file(tmp_path: Path) -> None:
     printed = used(tmp_path, "An output format")
     assert "plan.json, trajectory.csv, trajectory.jsonl, report.html, plan.png" in printed
     names = {file.name for file in (tmp_path / "out").iterdir()}
-    assert names == {"plan.json", "trajectory.csv", "trajectory.jsonl", "report.html", "plan.png", "SHA256SUMS"}
+    written = {"plan.json", "trajectory.csv", "trajectory.jsonl", "report.html", "plan.png", "inputs.zip"}
+    assert names == written | {"SHA256SUMS"}
     samples = [json.loads(line) for line in (tmp_path / "out" / "trajectory.jsonl").read_text().splitlines()]
     columns = columns_of(tmp_path / "out" / "trajectory.csv")
     for name, column in (("time_s", "time_s"), ("rotate 2", "rotate_2_position_rad")):

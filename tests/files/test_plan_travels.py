@@ -122,3 +122,16 @@ def test_the_command_writes_one_file(tmp_path: Path) -> None:
     assert main(["plan", str(tmp_path / "s.toml"), "-o", str(output), "--time", "1", "--quiet"]) in (0, 1)
     assert output.is_file() and [p.name for p in tmp_path.iterdir() if p.is_dir()] == []
     assert ctrplan.load_plan(output).scenario.name == "my task"
+
+
+def test_two_plans_side_by_side(saved: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    said = ["compare", str(saved / "out"), str(saved / "plan.ctrplan")]
+    assert main([*said, "-o", str(tmp_path / "c")]) == 0
+    told = capsys.readouterr().out
+    assert "the same robot" in told and "the same scenario" in told and "Duration of the motion" in told
+    differences = [line.split()[-2] for line in told.splitlines()[5:] if line.endswith("mm")]
+    assert differences and set(differences) <= {"+0"}
+    assert (tmp_path / "c" / "compare.png").stat().st_size > 20_000
+    assert main([*said, "--json"]) == 0
+    rows = json.loads(capsys.readouterr().out)
+    assert all(row["a"] == row["b"] for row in rows.values()) and len(rows) > 6

@@ -44,6 +44,7 @@ def test_plan_writes_everything_whole(tmp_path: Path, capsys: pytest.CaptureFixt
         "trajectory.yaml",
         "report.html",
         "plan.png",
+        "inputs.zip",
     }
     content = json.loads((tmp_path / "plan.json").read_text())
     assert content["certificate"]["valid"] is True
