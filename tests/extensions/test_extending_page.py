@@ -134,7 +134,8 @@ def test_keys_of_an_obstacle_of_ones_own_are_read_strictly(tmp_path: Path) -> No
     rules = {
         'anatomy=[{kind = "box", lower_mm = [0, 0, 0]}]': "upper_mm: is missing, a box needs lower_mm, upper_mm.",
         "anatomy.1.radius_mm=1": "radius_mm = 1 mm: does not go with kind = 'box'.",
-        "anatomy.1.colour=1": "colour = 1: unknown key, known ones are lower_mm, upper_mm, kind, role, margin_mm.",
+        "anatomy.1.colour=1": "colour = 1: unknown key, known ones are lower_mm, upper_mm, kind, "
+        "and optional role, margin_mm.",
         "anatomy.1.upper_mm=[-60, 20, 140]": "upper_mm = [-60, 20, 140]: must exceed lower_mm.",
         "anatomy.1.kind=cube": "kind = 'cube': must be one of box, capsule, mesh, sphere, surface, volume.",
     }
