@@ -83,6 +83,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Runs the command; returns its exit code. Raises CtrplanError when there is no plan to write."""
     with interrupt_event() as interrupted:
+        from ctrplan.files.plan_inputs import SUFFIX
         from ctrplan.files.scenario_file import load_scenario
         from ctrplan.files.trajectory_file import left_over, trajectory_formats
         from ctrplan.pipeline.installed import plan_range_notes
@@ -92,7 +93,8 @@ def run(arguments: argparse.Namespace) -> int:
 
         scenario = load_scenario(arguments.scenario, arguments.overrides, allow_outside=arguments.allow_outside)
         formats = trajectory_formats(arguments.formats)
-        folder = output_folder(arguments.output, plan_outputs(formats))
+        is_file = str(arguments.output).lower().endswith(SUFFIX)
+        folder = Path(arguments.output) if is_file else output_folder(arguments.output, plan_outputs(formats))
         warn(scenario.warnings)
         if interrupted.is_set():
             raise KeyboardInterrupt
@@ -108,7 +110,7 @@ def run(arguments: argparse.Namespace) -> int:
         result.save(folder, arguments.formats)
         warn(plan_range_notes(scenario.robot, result.waypoints))
         print(_summary(folder, result, formats))
-        tell_next(f"open {folder}/report.html; ctrplan verify {folder}/plan.json")
+        tell_next(f"ctrplan verify {folder}" + ("" if is_file else f"; open {folder}/report.html"))
         warn(f"{folder / name} is of an earlier plan." for name in left_over(folder, formats))
         if interrupted.is_set():
             return INTERRUPTED

@@ -24,6 +24,7 @@ COMMANDS = {
     "plan": "plan a certified motion and write a trajectory for the drive",
     "case": "a patient's scan and points to a certified plan: scenario, base, plan, report, 3D Slicer's scene",
     "verify": "judge a written plan: hunt for what breaks its certificate",
+    "compare": "two plans side by side: figures, curves, the tip's way",
     "render": "a plan's motion as MP4 or GIF",
     "export": "write a plan for 3D Slicer: curves, models, a sequence over time, a scene",
     "init": "write a robot, scenario or mapping file to begin with, commented and ready to run",

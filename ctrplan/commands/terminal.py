@@ -24,8 +24,8 @@ def warn(sentences: Iterable[str]) -> None:
 
 
 def tell_next(command: str) -> None:
-    """Prints on standard error what to do with a result."""
-    print(f"ctrplan: next: {command}", file=sys.stderr)
+    """Prints what to do with a result, below it."""
+    print(f"next: {command}")
 
 
 def finite(value: float) -> float | None:

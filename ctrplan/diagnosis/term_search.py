@@ -30,7 +30,7 @@ from ctrplan.effects.learned.inputs import InputRange, Situation, Target, values
 from ctrplan.effects.learned.learned import Learned, learned, named, split_name
 from ctrplan.effects.learned.parts import Part
 from ctrplan.measurement.approach import last_directions
-from ctrplan.measurement.sensor import Poses, frames_along
+from ctrplan.measurement.measurements import Poses, frames_along
 from ctrplan.pipeline.parametric_chain import ParametricChain
 from ctrplan.pipeline.term import SensorPrediction, Term
 

@@ -17,8 +17,7 @@ from ctrplan.base.arrays import Array
 from ctrplan.base.catalogue import Catalogue
 from ctrplan.drive.legs import Collars
 from ctrplan.errors import InputError
-from ctrplan.measurement.measurements import Measurements
-from ctrplan.measurement.sensor import Poses
+from ctrplan.measurement.measurements import Measurements, Poses
 from ctrplan.robot.robot import Robot
 
 Stage = Literal["clock", "drive", "mechanics", "sensor"]

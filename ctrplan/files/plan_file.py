@@ -19,6 +19,7 @@ from ctrplan.certificate.certificate import FIGURES, Closest
 from ctrplan.drive.drive import Drive
 from ctrplan.errors import InputError
 from ctrplan.files.joint_path_file import played_columns
+from ctrplan.files.plan_inputs import plan_json_of, scenario_within
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.plans.plan import SCHEMA_VERSION, SI_UNITS, Plan, plan_to_json
 from ctrplan.scenario.scenario import Scenario
@@ -231,17 +232,20 @@ def load_plan(
     trajectory: str | os.PathLike[str] | None = None,
     allow_outside: bool = False,
 ) -> WrittenPlan:
-    """The plan in a plan.json, with the trajectory.csv beside it, or the one named.
+    """The plan in a plan.json, in its folder, or in that folder as one .ctrplan file, with its trajectory.csv.
 
-    The scenario is one that was read before, that of the file named, or else of the one that the plan names, from here
-    or from the plan's folder; `overrides` are those that files were planned with. Raises InputError, one sentence, for
-    what is malformed, of an older version, or of another scenario or robot; and for a trajectory that leaves the legs.
+    trajectory: another one. The scenario is one that was read before, that of the file named, the one in inputs.zip
+    beside the plan, or else that of the file which the plan names, from here or from the plan's folder; `overrides` are
+    those that files were planned with. Raises InputError, one sentence, for what is malformed, of an older version, or
+    of another scenario or robot; and for a trajectory that leaves the legs.
     """
-    file = file_name(path, "a plan.json")
+    file = plan_json_of(file_name(path, "a plan.json"))
     content = _json_object(file)
     entry = Document(content, file).to(PlanEntry)
     if isinstance(scenario, Scenario):
         result = scenario
+    elif scenario is None and not overrides and (within := scenario_within(Path(file).parent)) is not None:
+        result = within
     else:
         result = load_scenario(scenario or _scenario_file(entry, file), overrides, allow_outside=allow_outside)
     _check_origin(entry, result, file)

@@ -18,6 +18,7 @@ from ctrplan.certificate.certificate import Certificate, CertificateSamples, Set
 from ctrplan.drive.trajectory import PERIOD_S, Trajectory, remade_trajectory
 from ctrplan.errors import InputError
 from ctrplan.files.plan_file import WrittenPlan, load_plan, played_samples
+from ctrplan.files.plan_inputs import plan_json_of
 from ctrplan.plans.plan import Plan
 from ctrplan.plans.planned_motion import Compensation, Leg, ReorderReport, leg_kind
 from ctrplan.uncertainty.result import Uncertainty
@@ -36,8 +37,9 @@ def open_plan(
     Its figures are those of plan.json; its trajectory is made anew and must be the one in trajectory.csv. Raises
     InputError for anything malformed, of another scenario or robot, or that does not belong together.
     """
-    place = Path(os.fspath(folder))
-    written = load_plan(place / "plan.json", scenario, overrides)
+    file = plan_json_of(os.fspath(folder))
+    place = Path(file).parent
+    written = load_plan(file, scenario, overrides)
     content, drive = written.content, written.scenario.robot.drive
     try:
         return Plan(

@@ -13,7 +13,7 @@ from msgspec import Meta, Struct, to_builtins
 
 from ctrplan.files.drive_file import ExecutionEntry, HomeEntry, JointEntry, build_drive
 from ctrplan.files.robot_intervals import UncertaintyEntry, build_intervals
-from ctrplan.measurement.sensor import Marker, SensorNoise
+from ctrplan.measurement.measurements import Marker, SensorNoise
 from ctrplan.mechanics.tube import RANGES, SOFTEST_NM2, STIFFEST_NM2, Contact, Tube, TubeSection
 from ctrplan.robot.magnitudes import one_sentence, robot_doubts
 from ctrplan.robot.robot import Robot, diametral_gap_m, never_nests

@@ -21,8 +21,7 @@ from ctrplan.drive.legs import Collars
 from ctrplan.effects.effect import Effect, Stage, Values
 from ctrplan.effects.learned.learned import FILE_NOTES, effect_of
 from ctrplan.measurement.approach import friction_state
-from ctrplan.measurement.measurements import Measurements
-from ctrplan.measurement.sensor import Poses, moved_rigidly
+from ctrplan.measurement.measurements import Measurements, Poses, moved_rigidly
 from ctrplan.robot.named_numbers import with_values
 from ctrplan.robot.robot import Robot
 

@@ -19,7 +19,7 @@ from ctrplan.effects.effect import CATALOGUE, Parameter
 from ctrplan.effects.learned import learned as learned_table
 from ctrplan.effects.learned.inputs import Situation, unit
 from ctrplan.effects.learned.learned import COMMON_NOTES, FILE_NOTES, Learned, effect_of
-from ctrplan.measurement.sensor import Poses
+from ctrplan.measurement.measurements import Poses
 from ctrplan.pipeline.chain import Chain
 from ctrplan.robot.robot import Robot
 from ctrplan.storage.toml_document import Document, interval_fault

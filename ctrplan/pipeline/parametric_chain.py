@@ -22,8 +22,7 @@ from ctrplan.effects.effect import Effect
 from ctrplan.effects.learned.learned import FILE_NOTES
 from ctrplan.errors import InputError
 from ctrplan.measurement.approach import friction_state, last_directions
-from ctrplan.measurement.measurements import Measurements
-from ctrplan.measurement.sensor import Poses, frames_along
+from ctrplan.measurement.measurements import Measurements, Poses, frames_along
 from ctrplan.pipeline.chain import Acting, Chain, taken_along
 from ctrplan.pipeline.installed import with_chain
 from ctrplan.pipeline.stage_columns import StageColumns, unit

@@ -14,8 +14,7 @@ import numpy as np
 from ctrplan.base.arrays import Array
 from ctrplan.drive.legs import Collars
 from ctrplan.effects.effect import Parameter
-from ctrplan.measurement.measurements import Measurements
-from ctrplan.measurement.sensor import Poses, frames_along
+from ctrplan.measurement.measurements import Measurements, Poses, frames_along
 from ctrplan.pipeline.chain import Chain
 from ctrplan.pipeline.term import Term
 from ctrplan.pipeline.tip_table import TipTable, point_table

@@ -13,7 +13,7 @@ import numpy as np
 from ctrplan.anatomy.patient_frame import Frame, signs
 from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.errors import InputError
-from ctrplan.measurement.sensor import frames_along
+from ctrplan.measurement.measurements import frames_along
 from ctrplan.reports.robot_surface import RobotPose
 from ctrplan.studies.simulate import Simulation
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import tempfile
 from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ctrplan.certificate.certificate import FIGURES
+from ctrplan.files.plan_inputs import INPUTS, SUFFIX, inputs_of, write_as_one
 from ctrplan.files.trajectory_file import TrajectoryFormat, trajectory_formats, write_trajectory
 from ctrplan.plans.plan import Plan, write_plan_json
 from ctrplan.plans.planned_motion import leg_end_s, marked_trajectory
@@ -179,12 +181,24 @@ def plan_outputs(formats: Sequence[TrajectoryFormat]) -> list[str]:
 
 
 def save_plan(plan: Plan, folder: str | os.PathLike[str], formats: Sequence[str] = FORMATS) -> Path:
-    """Writes them as `ctrplan plan` does; returns the folder, which is made if need be. Raises CtrplanError."""
+    """Writes them as `ctrplan plan` does; returns the folder, which is made if need be. Raises CtrplanError.
+
+    Scenario, robot and meshes are in inputs.zip, so that the folder opens from anywhere. A name that ends in .ctrplan
+    is that of the folder as one file.
+    """
+    if os.fspath(folder).lower().endswith(SUFFIX):
+        with tempfile.TemporaryDirectory() as within:
+            write_as_one(save_plan(plan, within, formats), Path(folder))
+        return Path(folder)
     chosen = trajectory_formats(formats)
     outputs = plan_outputs(chosen)
     place = output_folder(os.fspath(folder), outputs)
-    scene = plan_scene(plan)  # writers solve nothing
-    with written_together(place, outputs) as made:
+    scene, inputs = plan_scene(plan), inputs_of(plan.scenario)  # writers solve nothing
+    if inputs is None:
+        (place / INPUTS).unlink(missing_ok=True)  # of an earlier plan
+    with written_together(place, [*outputs, *([] if inputs is None else [INPUTS])]) as made:
+        if inputs is not None:
+            write_atomically(made / INPUTS, inputs)
         write_plan_json(made / "plan.json", plan)
         write_trajectory(made, marked_trajectory(plan), chosen)
         write_plan_png(made / "plan.png", scene)

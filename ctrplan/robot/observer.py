@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 from ctrplan.base.arguments import SEED, Choice, Made, Whole, checked
 from ctrplan.base.arrays import Array, numbers
 from ctrplan.errors import InputError, SolverError
-from ctrplan.measurement.sensor import SensorNoise
+from ctrplan.measurement.measurements import SensorNoise
 from ctrplan.mechanics.core_arrays import joint_row, joint_rows
 from ctrplan.mechanics.history import HistoryPath
 from ctrplan.robot.observer_histories import Histories, Member, RobotWith, probed, states_nearby, tidied, weights

@@ -15,7 +15,7 @@ from ctrplan.base.arrays import Array, are_degrees, numbers, read_only
 from ctrplan.base.package import shown
 from ctrplan.drive.drive import Drive
 from ctrplan.errors import InputError
-from ctrplan.measurement.sensor import Marker, SensorNoise
+from ctrplan.measurement.measurements import Marker, SensorNoise
 from ctrplan.mechanics.tube import TOLERANCE_M, Contact, Loads, Tube, least_distance_m, nesting_inequalities
 
 if TYPE_CHECKING:

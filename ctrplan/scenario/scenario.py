@@ -9,7 +9,8 @@ L-shaped motion driven backwards is another motion.
 from __future__ import annotations
 
 from abc import abstractmethod
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 from weakref import WeakKeyDictionary
 
@@ -164,6 +165,7 @@ class Scenario:
     registration: Registration = Registration()
     via: tuple[Goal, ...] = ()  # goals to reach before `goal`, in this order
     frame: Literal["RAS", "LPS"] | None = None  # of the patient, which the anatomy's frame is; None where not said
+    content: Mapping[str, Any] = field(default_factory=dict)  # of the scenario's file after overrides
     start_state: ObserverState | None = None  # of a robot that was followed to `start`, where friction is "observed"
 
     @property

@@ -19,6 +19,7 @@ from ctrplan.robot.robot import Robot
 NEAR = 0.01  # share of the robot's length: a tip that is nearer to the base lies in the plate
 PLAUSIBLE = 0.05, 1.05  # shares of it at which goals are
 LARGEST_PART = 25.0  # lengths of the robot
+LUMEN = 0.2, 5.0  # of a lumen whose size gives no reason to doubt it, wherever the goals are
 USUAL_PART = 0.02, 5.0  # of a part that is meant to be next to it
 
 
@@ -94,9 +95,11 @@ def part_doubts(robot: Robot, parts: Sequence[AnatomyPart], tips_m: Sequence[Arr
             if USUAL_PART[0] <= size * factor / length <= USUAL_PART[1]
             and (part.role != "inside" or not tips_m or any(_holds(part, tip, factor) for tip in tips_m))
         ]
-        if likely and (small or large or (lost and part.role == "inside" and tips_m)):
-            where = " and none of the goals is in it" if lost and part.role == "inside" else ""
-            yield k, SizeDoubt(likely[0], f"{said}{where}: is it {' or '.join(likely)}?", bool(where))
+        missed = lost and part.role == "inside" and bool(tips_m) and not LUMEN[0] <= size / length <= LUMEN[1]
+        if likely and (small or large or missed):
+            where = " and none of the goals is in it" if missed else ""
+            sure = missed and not USUAL_PART[0] <= size / length <= USUAL_PART[1]
+            yield k, SizeDoubt(likely[0], f"{said}{where}: is it {' or '.join(likely)}?", sure)
 
 
 def _factors() -> Iterator[tuple[str, float]]:

@@ -21,8 +21,7 @@ from ctrplan.base.long_work import Progress
 from ctrplan.drive.legs import Collars
 from ctrplan.errors import NoAnswerError, SolverError
 from ctrplan.measurement.approach import last_directions
-from ctrplan.measurement.measurements import Measurements
-from ctrplan.measurement.sensor import Poses, SensorNoise, frames_along
+from ctrplan.measurement.measurements import Measurements, Poses, SensorNoise, frames_along
 from ctrplan.mechanics.history import HistoryPath
 from ctrplan.mechanics.shapes import Status
 from ctrplan.pipeline.chain import Chain

@@ -23,8 +23,7 @@ from ctrplan.errors import InputError
 from ctrplan.files.joint_path_file import joint_columns
 from ctrplan.measurement.approach import last_directions
 from ctrplan.measurement.joint_path import JointPath
-from ctrplan.measurement.measurements import Measurements
-from ctrplan.measurement.sensor import Poses, frames_along
+from ctrplan.measurement.measurements import Measurements, Poses, frames_along
 from ctrplan.mechanics.history import History, Start
 from ctrplan.mechanics.shapes import Accuracy, Bounds, Status
 from ctrplan.pipeline.chain import Chain, at_instants

@@ -11,8 +11,7 @@ from measured_data import chain_of, pair_robot, waypoints
 from ctrplan.base.arrays import Array
 from ctrplan.effects.effect import CATALOGUE
 from ctrplan.effects.sensor.frame_shift import MOST_FRAMES
-from ctrplan.measurement.measurements import Measurements
-from ctrplan.measurement.sensor import Poses, rotation
+from ctrplan.measurement.measurements import Measurements, Poses, rotation
 
 EFFECT = CATALOGUE["frame_shift"]
 ROBOT = pair_robot()

@@ -12,7 +12,7 @@ from ctrplan.drive.legs import Collars
 from ctrplan.effects.learned.inputs import InputRange, Situation, Target
 from ctrplan.effects.learned.learned import LearnedSensor, effect_of, learned, named
 from ctrplan.errors import InputError
-from ctrplan.measurement.sensor import Poses
+from ctrplan.measurement.measurements import Poses
 from ctrplan.pipeline.installed import range_notes
 from ctrplan.robot.robot import Robot
 

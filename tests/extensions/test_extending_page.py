@@ -134,7 +134,8 @@ def test_keys_of_an_obstacle_of_ones_own_are_read_strictly(tmp_path: Path) -> No
     rules = {
         'anatomy=[{kind = "box", lower_mm = [0, 0, 0]}]': "upper_mm: is missing, a box needs lower_mm, upper_mm.",
         "anatomy.1.radius_mm=1": "radius_mm = 1 mm: does not go with kind = 'box'.",
-        "anatomy.1.colour=1": "colour = 1: unknown key, known ones are lower_mm, upper_mm, kind, role, margin_mm.",
+        "anatomy.1.colour=1": "colour = 1: unknown key, known ones are lower_mm, upper_mm, kind, "
+        "and optional role, margin_mm.",
         "anatomy.1.upper_mm=[-60, 20, 140]": "upper_mm = [-60, 20, 140]: must exceed lower_mm.",
         "anatomy.1.kind=cube": "kind = 'cube': must be one of box, capsule, mesh, sphere, surface, volume.",
     }
@@ -147,7 +148,8 @@ def test_an_output_format_is_one_file(tmp_path: Path) -> None:
     printed = used(tmp_path, "An output format")
     assert "plan.json, trajectory.csv, trajectory.jsonl, report.html, plan.png" in printed
     names = {file.name for file in (tmp_path / "out").iterdir()}
-    assert names == {"plan.json", "trajectory.csv", "trajectory.jsonl", "report.html", "plan.png", "SHA256SUMS"}
+    written = {"plan.json", "trajectory.csv", "trajectory.jsonl", "report.html", "plan.png", "inputs.zip"}
+    assert names == written | {"SHA256SUMS"}
     samples = [json.loads(line) for line in (tmp_path / "out" / "trajectory.jsonl").read_text().splitlines()]
     columns = columns_of(tmp_path / "out" / "trajectory.csv")
     for name, column in (("time_s", "time_s"), ("rotate 2", "rotate_2_position_rad")):

@@ -16,7 +16,7 @@ from ctrplan.effects.drive.backlash import Backlash
 from ctrplan.effects.effect import CATALOGUE, Stage
 from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.measurement.joint_path import JointPath
-from ctrplan.measurement.sensor import Poses, frames_along
+from ctrplan.measurement.measurements import Poses, frames_along
 from ctrplan.pipeline.chain import Acting, Chain
 from ctrplan.pipeline.installed import with_chain
 from ctrplan.robot.robot import Robot

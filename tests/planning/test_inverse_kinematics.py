@@ -128,7 +128,7 @@ def test_ik_prints_a_table_and_json(capsys: pytest.CaptureFixture[str]) -> None:
     arguments = ["ik", str(ROBOTS / "table_5_pair.toml"), "--tip-mm", "50", "10", "200", "--tolerance-mm", "1"]
     assert main(arguments) == 0
     table = capsys.readouterr().out.splitlines()
-    assert "2 configurations in 2 branches" in table[0] and "rotate inner (deg)" in table[1] and len(table) == 4
+    assert "2 configurations in 2 branches" in table[0] and "rotate inner (deg)" in table[1] and len(table) == 5
     assert main([*arguments, "--json"]) == 0
     content = json.loads(capsys.readouterr().out)
     assert content["reachable"] and content["branches"] == 2

@@ -55,7 +55,7 @@ def test_no_code_is_made_from_text() -> None:
 PICKLING = {
     "walk.py",
     "search.py",
-    "design_definition.py",
+    "space.py",
     "study.py",
     "engine.py",
     "study_definition.py",

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from ctrplan.base.arrays import Array
 from ctrplan.effects.effect import DEGREE, MILLIMETRE, Stage
 from ctrplan.measurement.approach import friction_state, time_at_rest_s, turning_speeds
-from ctrplan.measurement.measurements import Measurements
-from ctrplan.measurement.sensor import Poses
+from ctrplan.measurement.measurements import Measurements, Poses
 from ctrplan.mechanics.tube import Tube
 
 WHOLE_TURN_DEG = 300.0  # of a rotation, with which a periodic part has seen the whole turn

@@ -15,8 +15,7 @@ from ctrplan.effects.learned import learned as learned_table
 from ctrplan.effects.learned import parts
 from ctrplan.effects.learned.inputs import AXES, PREFIX, InputRange, Ranges, Situation, Target, outside, target
 from ctrplan.effects.learned.parts import Part, formula, likeness
-from ctrplan.measurement.measurements import Measurements
-from ctrplan.measurement.sensor import Poses
+from ctrplan.measurement.measurements import Measurements, Poses
 from ctrplan.robot.robot import Robot
 
 DIGITS = 6

@@ -8,8 +8,7 @@ import numpy as np
 
 from ctrplan.base.arrays import Array
 from ctrplan.effects.effect import DEGREE, MILLIMETRE, Effect, Parameter, Values, register
-from ctrplan.measurement.measurements import Measurements
-from ctrplan.measurement.sensor import Poses, moved_rigidly
+from ctrplan.measurement.measurements import Measurements, Poses, moved_rigidly
 from ctrplan.robot.robot import Robot
 
 MOST_FRAMES = 12

@@ -9,8 +9,7 @@ import numpy as np
 
 from ctrplan.base.arrays import Array
 from ctrplan.effects.effect import MILLIMETRE, Effect, Parameter, Values, register
-from ctrplan.measurement.measurements import Measurements
-from ctrplan.measurement.sensor import Poses, frames_along
+from ctrplan.measurement.measurements import Measurements, Poses, frames_along
 from ctrplan.robot.robot import Robot
 
 MONOMIALS = tuple("".join(m) or "1" for k in range(4) for m in itertools.combinations_with_replacement("xyz", k))

@@ -7,8 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ctrplan.effects.effect import DEGREE, MILLIMETRE, Effect, Parameter, Values, register
-from ctrplan.measurement.measurements import Measurements
-from ctrplan.measurement.sensor import Poses, rotation
+from ctrplan.measurement.measurements import Measurements, Poses, rotation
 from ctrplan.robot.robot import Robot
 
 

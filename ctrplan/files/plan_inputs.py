@@ -1,0 +1,146 @@
+"""inputs.zip of a plan's folder: the scenario, its robot and the files it names, by content; and a folder as one file.
+
+With it a plan opens from anywhere. The scenario keeps its own content: files in its folder or below keep their places,
+others get one, and the manifest says which name stood there, so that the hash of what was planned can be taken again.
+"""
+
+from __future__ import annotations
+
+import copy
+import io
+import json
+import tempfile
+import zipfile
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from ctrplan.errors import InputError
+from ctrplan.files.scenario_file import load_scenario
+from ctrplan.scenario.scenario import Scenario
+from ctrplan.storage.output_folder import write_atomically
+from ctrplan.storage.toml_document import Document, toml_text
+
+INPUTS, MANIFEST, SCENARIO = "inputs.zip", "manifest.json", "scenario.toml"
+SUFFIX = ".ctrplan"  # of a plan's folder as one file
+MOST_BYTES = 2_000_000_000  # of all that is unpacked
+MOST_PACKED = 300_000_000  # of all that is packed: a plan in larger images opens where they are
+_OPENED: list[tempfile.TemporaryDirectory[str]] = []  # folders of this process, removed when it ends
+
+
+def inputs_of(scenario: Scenario) -> bytes | None:
+    """The content of inputs.zip; None of a scenario that was read from no file and names some."""
+    content: dict[str, Any] = copy.deepcopy(dict(scenario.content))
+    if not content:
+        return None
+    folder = Path(scenario.path or ".").parent
+    packed, names = dict[str, bytes](), dict[str, str]()
+    robot = _place(str(content["robot"]), folder, names)
+    packed[robot] = toml_text(scenario.robot.content).encode()
+    content["robot"] = robot
+    for table in [*content.get("anatomy", []), *content.get("fixture", [])]:
+        for key in ("file", "files"):
+            if key not in table:
+                continue
+            listed = table[key] if isinstance(table[key], list) else [table[key]]
+            places = [_place(str(name), folder, names) for name in listed]
+            for name, place in zip(listed, places, strict=True):
+                packed |= _packed(folder / str(name), place)
+            table[key] = places if isinstance(table[key], list) else places[0]
+    if sum(map(len, packed.values())) > MOST_PACKED:
+        return None
+    packed[SCENARIO] = toml_text(content).encode()
+    manifest = {"scenario_sha256": scenario.sha256, "robot_sha256": scenario.robot.sha256, "named": names}
+    packed[MANIFEST] = json.dumps(manifest, indent=1, ensure_ascii=False).encode()
+    return _zipped(packed)
+
+
+def _place(name: str, folder: Path, names: dict[str, str]) -> str:
+    """Where a file is in the archive: in its own place where that lies in the scenario's folder or below."""
+    try:
+        inside = not Path(name).is_absolute() and (folder / name).resolve().is_relative_to(folder.resolve())
+    except OSError:
+        inside = False
+    if inside and PurePosixPath(name).as_posix() == name and ".." not in PurePosixPath(name).parts:
+        return name
+    place = f"elsewhere/{len(names) + 1}/{Path(name).name}"
+    names[place] = name
+    return place
+
+
+def _packed(path: Path, place: str) -> dict[str, bytes]:
+    """The bytes of a file, or of the files of a folder, such as a DICOM series; with the data file of a header."""
+    if path.is_dir():
+        return {f"{place}/{part.name}": part.read_bytes() for part in sorted(path.iterdir()) if part.is_file()}
+    beside = [part for part in path.parent.glob(f"{path.stem}.*") if path.suffix.lower() in (".mhd", ".nhdr")]
+    others = {str(PurePosixPath(place).with_name(part.name)): part.read_bytes() for part in beside if part != path}
+    return {place: path.read_bytes(), **others}
+
+
+def _zipped(packed: Mapping[str, bytes]) -> bytes:
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, data in packed.items():
+            archive.writestr(zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0)), data, zipfile.ZIP_DEFLATED)
+    return stream.getvalue()
+
+
+def scenario_within(folder: Path) -> Scenario | None:
+    """The scenario that a plan's folder holds, as it was planned; None where it holds none. Raises InputError."""
+    if not (folder / INPUTS).is_file():
+        return None
+    place = unpacked(folder / INPUTS)
+    try:
+        manifest = json.loads((place / MANIFEST).read_text(encoding="utf-8"))
+        named, said = dict(manifest["named"]), str(manifest["scenario_sha256"])
+    except (OSError, ValueError, KeyError, TypeError):
+        raise InputError("is damaged: it has no manifest", file=str(folder / INPUTS)) from None
+    scenario = load_scenario(place / SCENARIO)
+    if Document(_renamed(scenario.content, named), None).sha256 != said:
+        raise InputError("is damaged: its scenario is not the one that its manifest says", file=str(folder / INPUTS))
+    return replace(scenario, sha256=said)
+
+
+def _renamed(content: Mapping[str, Any], named: Mapping[str, str]) -> dict[str, Any]:
+    """The content with the names that stood in it before it was packed."""
+    result: dict[str, Any] = copy.deepcopy(dict(content))
+    result["robot"] = named.get(result["robot"], result["robot"])
+    for table in [*result.get("anatomy", []), *result.get("fixture", [])]:
+        for key in ("file", "files"):
+            if isinstance(table.get(key), list):
+                table[key] = [named.get(name, name) for name in table[key]]
+            elif key in table:
+                table[key] = named.get(table[key], table[key])
+    return result
+
+
+def unpacked(path: Path) -> Path:
+    """A folder with the content of an archive, there until this process ends. Raises InputError."""
+    folder = tempfile.TemporaryDirectory(prefix="ctrplan-")
+    _OPENED.append(folder)
+    try:
+        with zipfile.ZipFile(path) as archive:
+            members = archive.infolist()
+            if sum(member.file_size for member in members) > MOST_BYTES:
+                raise InputError(f"unpacks to more than {MOST_BYTES / 1e9:g} GB", file=str(path))
+            for member in members:
+                if PurePosixPath(member.filename).is_absolute() or ".." in PurePosixPath(member.filename).parts:
+                    raise InputError(f"holds {member.filename}, which leads out of it", file=str(path))
+            archive.extractall(folder.name)
+    except (zipfile.BadZipFile, OSError, RuntimeError, NotImplementedError) as error:
+        raise InputError(f"can't be unpacked ({' '.join(str(error).split())})", file=str(path)) from None
+    return Path(folder.name)
+
+
+def plan_json_of(path: str) -> str:
+    """The plan.json that a path stands for: itself, within a folder, or within a plan's folder as one file."""
+    if path.lower().endswith(SUFFIX):
+        return str(unpacked(Path(path)) / "plan.json")
+    return str(Path(path) / "plan.json") if Path(path).is_dir() else path
+
+
+def write_as_one(folder: Path, path: Path) -> None:
+    """Writes the files of a plan's folder as one file, whole or not at all. Raises CtrplanError."""
+    files = {part.name: part.read_bytes() for part in sorted(folder.iterdir()) if part.is_file()}
+    write_atomically(path, _zipped(files))

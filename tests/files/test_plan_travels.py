@@ -1,0 +1,137 @@
+"""A plan opens from anywhere: its folder holds scenario, robot and meshes by content, and goes into one file."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tomli_w
+import trimesh
+from places import ROBOTS
+
+import ctrplan
+from ctrplan.cli import main
+from ctrplan.errors import InputError
+from ctrplan.files.plan_inputs import INPUTS, MANIFEST
+
+START = {"rotate outer": 0.0, "rotate inner": 0.0, "translate inner": 0.0}
+
+
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A plan past a mesh, of a robot outside the scenario's folder; what it was made from is gone afterwards."""
+    home = tmp_path_factory.mktemp("home")
+    (home / "task" / "meshes").mkdir(parents=True)
+    shutil.copy(ROBOTS / "table_5_pair.toml", home / "pair.toml")
+    trimesh.creation.box((5, 5, 5)).apply_translation((120, 0, 60)).export(home / "task" / "meshes" / "box.stl")
+    part = {"kind": "mesh", "file": "meshes/box.stl", "unit": "mm"}
+    goal = {"joints": START | {"rotate inner": 120.0}}
+    content = {"name": "a task", "robot": "../pair.toml", "start": START, "goal": goal, "anatomy": [part]}
+    (home / "task" / "task.toml").write_text(tomli_w.dumps(content))
+    scenario = ctrplan.load_scenario(home / "task" / "task.toml", ["margins.stability=0.05"], allow_outside=True)
+    plan = ctrplan.plan(scenario, seed=0, time_s=0.5)
+    away = tmp_path_factory.mktemp("away")
+    plan.save(away / "out")
+    plan.save(away / "plan.ctrplan")
+    shutil.rmtree(home)
+    return away
+
+
+@pytest.mark.parametrize("name", ["out", "out/plan.json", "plan.ctrplan"])
+def test_it_opens_where_nothing_else_is(
+    name: str, saved: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    written = ctrplan.load_plan(saved / name)
+    assert written.scenario.name == "a task" and written.scenario.margins.stability == 0.05
+    (part,) = written.scenario.anatomy
+    np.testing.assert_allclose(np.array(part.box) * 1e3, [[117.5, -2.5, 57.5], [122.5, 2.5, 62.5]], atol=1e-4)
+    assert written.content["scenario"]["sha256"] == written.scenario.sha256
+
+
+@pytest.mark.parametrize("name", ["out", "plan.ctrplan"])
+def test_commands_take_either(name: str, saved: Path, tmp_path: Path) -> None:
+    assert main(["render", str(saved / name), "-o", str(tmp_path / "a.png"), "--size", "320x240", "--quiet"]) == 0
+    assert (
+        main(["export", str(saved / name), "--to", "slicer", "--frame", "RAS", "-o", str(tmp_path / "s"), "--quiet"])
+        == 0
+    )
+    assert ctrplan.Plan.load(saved / name).scenario.name == "a task"
+    assert ctrplan.check(saved / "out").kind == "plan"
+
+
+def test_the_folder_is_whole_and_its_sums_say_so(saved: Path) -> None:
+    sums = (saved / "out" / "SHA256SUMS").read_text()
+    assert all(name in sums for name in ("plan.json", "trajectory.csv", "report.html", "plan.png", INPUTS))
+    with zipfile.ZipFile(saved / "out" / INPUTS) as archive:
+        names = set(archive.namelist())
+        manifest = json.loads(archive.read(MANIFEST))
+    assert names == {"scenario.toml", "meshes/box.stl", "elsewhere/1/pair.toml", MANIFEST}
+    assert manifest["named"] == {"elsewhere/1/pair.toml": "../pair.toml"}
+    with zipfile.ZipFile(saved / "plan.ctrplan") as archive:
+        assert set(archive.namelist()) >= {"plan.json", "trajectory.csv", INPUTS, "SHA256SUMS"}
+
+
+def changed(source: Path, target: Path, member: str, change: object) -> None:
+    """A copy of an archive with one member changed."""
+    with zipfile.ZipFile(source) as old, zipfile.ZipFile(target, "w") as new:
+        for name in old.namelist():
+            data = old.read(name)
+            new.writestr(name, change(data) if name == member else data)  # type: ignore[operator]
+
+
+def test_inputs_that_are_not_those_of_the_plan_are_refused(saved: Path, tmp_path: Path) -> None:
+    shutil.copytree(saved / "out", tmp_path / "out")
+    changed(saved / "out" / INPUTS, tmp_path / "out" / INPUTS, "scenario.toml", lambda d: d.replace(b"0.05", b"0.5"))
+    with pytest.raises(InputError, match="its scenario is not the one that its manifest says"):
+        ctrplan.load_plan(tmp_path / "out")
+    changed(
+        saved / "out" / INPUTS,
+        tmp_path / "out" / INPUTS,
+        "elsewhere/1/pair.toml",
+        lambda d: d.replace(b"pair", b"tube"),
+    )
+    with pytest.raises(InputError, match="is that of another robot"):
+        ctrplan.load_plan(tmp_path / "out")
+    (tmp_path / "out" / INPUTS).write_bytes(b"PK nonsense")
+    with pytest.raises(InputError, match=r"inputs.zip: can't be unpacked"):
+        ctrplan.load_plan(tmp_path / "out")
+
+
+def test_an_archive_that_leads_elsewhere_is_refused(tmp_path: Path) -> None:
+    with zipfile.ZipFile(tmp_path / "evil.ctrplan", "w") as archive:
+        archive.writestr("../plan.json", "{}")
+    with pytest.raises(InputError, match="leads out of it"):
+        ctrplan.load_plan(tmp_path / "evil.ctrplan")
+    assert not (tmp_path.parent / "plan.json").exists()
+
+
+def test_the_command_writes_one_file(tmp_path: Path) -> None:
+    assert (
+        main(
+            ["init", "robot", str(tmp_path / "r.toml"), "--tube", "2.64x2.39,0,100,265", "--tube", "1.825x1.6,60,90,55"]
+        )
+        == 0
+    )
+    assert main(["init", "scenario", str(tmp_path / "s.toml"), "--robot", str(tmp_path / "r.toml")]) == 0
+    output = tmp_path / "plan.ctrplan"
+    assert main(["plan", str(tmp_path / "s.toml"), "-o", str(output), "--time", "1", "--quiet"]) in (0, 1)
+    assert output.is_file() and [p.name for p in tmp_path.iterdir() if p.is_dir()] == []
+    assert ctrplan.load_plan(output).scenario.name == "my task"
+
+
+def test_two_plans_side_by_side(saved: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    said = ["compare", str(saved / "out"), str(saved / "plan.ctrplan")]
+    assert main([*said, "-o", str(tmp_path / "c")]) == 0
+    told = capsys.readouterr().out
+    assert "the same robot" in told and "the same scenario" in told and "Duration of the motion" in told
+    differences = [line.split()[-2] for line in told.splitlines()[5:] if line.endswith("mm")]
+    assert differences and set(differences) <= {"+0"}
+    assert (tmp_path / "c" / "compare.png").stat().st_size > 20_000
+    assert main([*said, "--json"]) == 0
+    rows = json.loads(capsys.readouterr().out)
+    assert all(row["a"] == row["b"] for row in rows.values()) and len(rows) > 6
