@@ -81,13 +81,19 @@ def shortest_rotation(direction: ArrayLike) -> Array:
 
 
 WINDING_RAD = 2 * math.pi  # beyond which whole numbers of radians are degrees
+MOST_DEGREES = 1e5  # beyond which a number is no angle of a tube in any unit
 MOST_WINDING_RAD = 50 * math.pi  # beyond which any number is
 
 
 def are_degrees(theta: ArrayLike) -> bool:
     """Whether angles that are meant to be radians are most likely degrees: whole numbers beyond a turn, or huge."""
-    angles = np.asarray(theta, dtype=np.float64)
+    try:
+        angles = np.asarray(theta, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError):  # no numbers, which is refused where they are read
+        return False
     if not angles.size or not np.isfinite(angles).all():
         return False
     largest = float(np.abs(angles).max())
+    if largest > MOST_DEGREES:
+        return False
     return largest > MOST_WINDING_RAD or (largest > WINDING_RAD and bool((angles == np.round(angles)).all()))

@@ -189,7 +189,10 @@ def friction_memory(robot: Robot, data: Measurements, position_sigma_m: float) -
     squares = []
     for poses in repeated:
         row = data.rows[poses[0]]
-        bound_m = robot.bound(collars[0][row], collars[1][row]).position_m
+        try:
+            bound_m = robot.bound(collars[0][row], collars[1][row]).position_m
+        except CtrplanError:  # effects of the drive may leave collars where they do not nest
+            continue
         for a, b in itertools.combinations(poses.tolist(), 2):
             model_m = np.linalg.norm(predicted[data.rows[a]] - predicted[data.rows[b]])
             apart_m = np.linalg.norm(data.position_m[a] - data.position_m[b])

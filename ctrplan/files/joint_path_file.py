@@ -101,14 +101,18 @@ def _check_columns(table: CsvTable, n: int, needed: Sequence[str]) -> None:
 KNOWN = re.compile(r"(?:theta_\d+_rad|l_\d+_m|[xyz]_m|t[xyz]|sequence|time_s)")  # columns that are called so
 
 
+LONGEST_NAME = 40  # letters of a column's name in a sentence
+
+
 def _nearest(name: str, header: Sequence[str]) -> str:
     """The columns that there are, and the one most like the missing one."""
-    shown = ", ".join(header[:20]) + (" ..." if len(header) > 20 else "")
+    short = [given if len(given) <= LONGEST_NAME else f"{given[:LONGEST_NAME]}..." for given in header[:20]]
+    shown = ", ".join(short) + (" ..." if len(header) > 20 else "")
     others = [given for given in header if not KNOWN.fullmatch(given)]
     axis = re.fullmatch(r"t?([xyz])(?:_m)?", name)
     same = [given for given in others if axis and re.fullmatch(rf".*[_. ]{axis[1]}|{axis[1]}[_. ].*", given, re.I)]
     close = same or difflib.get_close_matches(name, others, n=1, cutoff=0.5)
-    meant = f" (is {close[0]} meant?)" if close else ""
+    meant = f" (is {close[0][:LONGEST_NAME]} meant?)" if close else ""
     return f"{meant}: the columns are {shown}; a mapping file says what each of them is (ctrplan init mapping)"
 
 

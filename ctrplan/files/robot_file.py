@@ -62,7 +62,7 @@ class SectionEntry(Struct, forbid_unknown_fields=True):
     length_mm: Length
     curvature_x_per_m: Curvature | None = None  # both, or radius_mm, or none of a straight section
     curvature_y_per_m: Curvature | None = None
-    radius_mm: Annotated[float, Meta(gt=0)] | None = None  # bent towards +x at theta = 0
+    radius_mm: Annotated[float, Meta(gt=0, le=1e6)] | None = None  # bent towards +x at theta = 0
 
 
 class TubeEntry(Struct, forbid_unknown_fields=True):

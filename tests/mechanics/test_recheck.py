@@ -101,9 +101,10 @@ def test_what_is_made_when_it_is_looked_at_is_what_the_tip_is_the_end_of(
         return
     robot = Mechanics(ROBOT.tubes, ROBOT.clearance_m, ROBOT.friction[:, 1], loads)
     bound, single = robot.bound(THETA, L, accuracy=accuracy), robot.solve(THETA, L, accuracy=accuracy)
-    for shape in (bound.frictionless, *bound.corners, single, robot.zero_clearance(THETA, L)):
+    stiff = robot.zero_clearance(THETA, L)  # under loads its tubes are made as it is solved
+    for shape in (bound.frictionless, *bound.corners, single, stiff):
         tip, tangent = shape.tip_m, shape.tip_tangent
-        assert "tubes" not in vars(shape)
+        assert "tubes" not in vars(shape) or (loads and shape is stiff)
         copied = copy.deepcopy(shape)
         np.testing.assert_array_equal(tip, shape.centreline_m[-1])
         np.testing.assert_array_equal(tangent, shape.tubes[-1].frames[-1, :, 2])

@@ -35,7 +35,7 @@ from ctrplan.storage.output_folder import written_together
 THREE = str(SCENARIOS / "robots" / "three_tube.toml")
 PAIR = str(SCENARIOS / "robots" / "table_1_pair.toml")
 OUTPUTS = {
-    "plan": {"SHA256SUMS", "plan.json", "plan.png", "report.html", "trajectory.csv", "trajectory.yaml"},
+    "plan": {"SHA256SUMS", "inputs.zip", "plan.json", "plan.png", "report.html", "trajectory.csv", "trajectory.yaml"},
     "diagnose": {"SHA256SUMS", "diagnosis.json", "report.html", "robot.toml"},
 }
 PATIENCE_S = 120  # on a busy machine; a process that ignores Ctrl-C would take far longer
