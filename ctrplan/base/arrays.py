@@ -88,9 +88,12 @@ MOST_WINDING_RAD = 50 * math.pi  # beyond which any number is
 def are_degrees(theta: ArrayLike) -> bool:
     """Whether angles that are meant to be radians are most likely degrees: whole numbers beyond a turn, or huge."""
     try:
-        angles = np.asarray(theta, dtype=np.float64)
-    except (TypeError, ValueError, OverflowError):  # no numbers, which is refused where they are read
+        given = np.asarray(theta)
+    except (TypeError, ValueError, OverflowError):
         return False
+    if given.dtype.kind not in "iuf":  # no numbers, which is refused where they are read
+        return False
+    angles = given.astype(np.float64)
     if not angles.size or not np.isfinite(angles).all():
         return False
     largest = float(np.abs(angles).max())
