@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, get_args
 
@@ -50,7 +50,7 @@ class Motion:
     length_mm: float
     error_integral_mm: float  # integral of the error over the joint length, per mm_per_rad of length
     end_bound_m: float  # whatever the history
-    left_m: Callable[[], float]  # `end_error_m`, which is asked for at goals only
+    left_m: Callable[[], float] = field(compare=False, repr=False)  # `end_error_m`, which is asked for at goals only
     legs: int = 0  # the drive stops after each
 
     @cached_property
