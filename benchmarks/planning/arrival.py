@@ -216,6 +216,10 @@ def way_to(robot: Robot, theta: Array, l: Array, turn: Array, slide: Array, rows
     return 1e3 * apart[0], [(above[-1] + 1) / rows if above[-1] < rows else np.inf for above in last]
 
 
+def said(motion: float, unit: str) -> str:
+    return f"{motion:.{0 if unit == 'deg' else 1}f} {unit}" if np.isfinite(motion) else "never"
+
+
 def erasure() -> None:
     rows = []
     pair, three = (read_document(ROBOTS / name).content for name in ("table_5_pair.toml", "three_tube.toml"))
@@ -232,10 +236,10 @@ def erasure() -> None:
         place = np.array([0, -90e-3])
         what = f"pair, {angle} deg, friction {mu}" + (f", clearance {gap} mm" if gap else "")
         first, left = way_to(robot, np.radians([0, angle]), place, np.zeros(2), np.array([0, 30e-3]), 300)
-        rows.append((what, "slide", f"{first:.1f} mm", *(f"{30 * x:.1f} mm" for x in left)))
+        rows.append((what, "slide", f"{first:.1f} mm", *(said(30 * x, "mm") for x in left)))
         if gap is None:
             first, left = way_to(robot, np.radians([0, angle]), place, np.radians([0, 180]), np.zeros(2), 360)
-            rows.append((what, "turn", f"{first:.1f} mm", *(f"{180 * x:.0f} deg" for x in left)))
+            rows.append((what, "turn", f"{first:.1f} mm", *(said(180 * x, "deg") for x in left)))
     robot, at = robot_from_dict(three), (np.radians([0, 60, 40]), np.array([0, -17e-3, -80e-3]))
     moves = {
         "inner slides": ([0, 0, 0], [0, 0, 40e-3]),         "inner turns": ([0, 0, np.pi], [0, 0, 0]),
@@ -245,7 +249,7 @@ def erasure() -> None:
     for what, (turn, slide) in moves.items():
         first, left = way_to(robot, *at, np.array(turn), np.array(slide), 200)
         scale, unit = (180, "deg") if any(turn) else (1e3 * max(map(abs, slide)), "mm")
-        rows.append(("three tubes", what, f"{first:.1f} mm", *(f"{scale * x:.1f} {unit}" for x in left)))
+        rows.append(("three tubes", what, f"{first:.1f} mm", *(said(scale * x, unit) for x in left)))
     table("erasure", ("robot", "motion", "apart at first", "1 % is left after", "0.1 %"), rows)
 
 

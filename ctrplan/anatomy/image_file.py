@@ -265,7 +265,7 @@ MOST_BYTES = 2_000_000_000
 SMALLEST_M, LARGEST_M = 1e-3, 4.0  # from the first to the last voxel
 FINEST_M, COARSEST_M = 1e-6, 50e-3
 ROUNDING, LARGEST_WHOLE = 1e-6, 1e9  # of single precision, with room for a scaling; what is taken for whole numbers
-SAMPLED = 10_000
+SAMPLED = 10_000  # voxels by which most images that are no whole numbers are told: a budget
 SKEW = 1e-3
 VOXEL_BYTES = {"8": 1, "16": 2, "32": 4, "64": 8}
 

@@ -24,6 +24,7 @@ from ctrplan.base.arrays import Array
 from ctrplan.base.long_work import cores
 from ctrplan.errors import CtrplanError
 from ctrplan.mechanics.history import HistoryState
+from ctrplan.robot.friction_calibration import friction_law
 from ctrplan.scenario.joint_space import JointSpace
 from ctrplan.scenario.prediction import (
     TIP_TOLERANCE_M,
@@ -43,8 +44,6 @@ if TYPE_CHECKING:
     from ctrplan.scenario.scenario import Scenario
 
 FORGOTTEN = 0.01  # share of all friction states below which a pair has forgotten its past
-LEAST_TURN_RAD, LEAST_SLIDE_M = 0.1, 0.3e-3  # of a pair, below which no motion is worth a try as a restart
-FORGETS_TURN_RAD, FORGETS_SLIDE_M = 1.0, 6e-3  # of a pair, which leave nothing (benchmarks/run.py erasure)
 ROUNDING = 1e-9  # rad or m by which joints at rest may differ
 MOST_RESTARTS = 3  # waypoints that are tried, a budget
 LAST_LEGS = 2  # whose inexact execution is simulated: those before leave next to nothing, a budget
@@ -229,12 +228,13 @@ def restart_waypoint(
     """
     robot = scenario.robot
     is_known = scenario.start_friction != "unknown" or any(isinstance(start, HistoryState) for start in starts)
-    collars, tried = robot.drive.collars(joints), 0
+    law, tried = friction_law(robot), 0
     begins = np.flatnonzero(np.diff(leg, prepend=leg[0]) > 0) - 1  # last rows of the legs before
+    ends = np.flatnonzero(np.diff(leg, append=leg[-1] + 1) > 0).tolist()
     for waypoint, row in reversed(list(zip(leg[begins + 1].tolist(), begins.tolist(), strict=True))):
-        turned, slid = (np.abs(np.diff(np.diff(part[row:], axis=1), axis=0)).sum(axis=0) for part in collars)
-        if not np.all((turned > LEAST_TURN_RAD) | (slid > LEAST_SLIDE_M)):
-            continue
+        onward = robot.drive.collars(joints[[row, *(end for end in ends if end > row)]])
+        if not np.all(law.unknown_after(np.ones(robot.n - 1), *onward) < FORGOTTEN):
+            continue  # the friction law sees no use in a simulation
         if all(_all_end_at(robot, joints[row:], end_m, some) for some in opposite_first(robot.n - 1)):
             return int(waypoint)
         tried += 1
@@ -331,17 +331,14 @@ def _execution(robot: Robot, joints: Array, leg: NDArray[np.int_], prediction: P
     """[m] by which inexact execution of the last legs may move the tip at the end: their effects added up.
 
     Joints go beyond the end of a leg by the drive's tolerance and come back; where several move, the first or the last
-    of them is late by it. What is left of that after the rest of the motion is simulated, unless every pair forgets it.
+    of them is late by it. What is left of that after the rest of the motion is simulated.
     """
-    drive, kept, collars = robot.drive, dict(prediction.states), robot.drive.collars(joints)
+    drive, kept = robot.drive, dict(prediction.states)
     space = JointSpace.of_robot(robot)
     most = np.where(drive.is_rotation, drive.execution.rotation_rad, drive.execution.translation_m)
     last = np.flatnonzero(np.diff(leg, append=leg[-1] + 1) > 0)
     runs: list[tuple[HistoryState, Array]] = []
     for row in last[-LAST_LEGS:].tolist():
-        turned, slid = (np.abs(np.diff(part[row] - part[-1])) for part in collars)
-        if np.all((turned > FORGETS_TURN_RAD) | (slid > FORGETS_SLIDE_M)) and robot.n > 1:
-            continue
         begin = max(int(np.argmax(leg == leg[row])) - 1, 0)
         moved = joints[row] - joints[begin]
         way = np.where(np.abs(moved) > ROUNDING, np.sign(moved) * most, 0.0)

@@ -297,7 +297,7 @@ class _File:
         return position[kept][good], model[good]
 
     def rms_m(self, one: _Again) -> float:
-        """Of the tips; infinite where most poses have no equilibrium."""
+        """Distance [mm] of the tips from the measured ones; infinite where most poses have no equilibrium."""
         measured, model = self.pairs(one)
         if len(model) < 0.8 * len(self.kept):
             return np.inf

@@ -11,6 +11,7 @@ import io
 import json
 import tempfile
 import zipfile
+import zlib
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
@@ -128,8 +129,12 @@ def unpacked(path: Path) -> Path:
                 if PurePosixPath(member.filename).is_absolute() or ".." in PurePosixPath(member.filename).parts:
                     raise InputError(f"holds {member.filename}, which leads out of it", file=str(path))
             archive.extractall(folder.name)
-    except (zipfile.BadZipFile, OSError, RuntimeError, NotImplementedError) as error:
+    except (zipfile.BadZipFile, zlib.error, EOFError) as error:
+        raise InputError(f"is damaged ({' '.join(str(error).split())})", file=str(path)) from None
+    except RuntimeError as error:  # of zipfile: a password, or a way of packing that it does not know
         raise InputError(f"can't be unpacked ({' '.join(str(error).split())})", file=str(path)) from None
+    except OSError as error:
+        raise InputError(f"can't be read or unpacked ({error.strerror or error})", file=str(path)) from None
     return Path(folder.name)
 
 

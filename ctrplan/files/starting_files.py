@@ -17,16 +17,17 @@ import numpy as np
 from ctrplan.anatomy.mesh_file import usual_unit
 from ctrplan.base.arrays import MM_PER_M
 from ctrplan.errors import InputError
+from ctrplan.files.drive_file import DEFAULT_MOTION
 from ctrplan.mechanics.shapes import Status
 from ctrplan.robot.robot import Robot
 from ctrplan.scenario.joint_space import JointSpace, retracted
 from ctrplan.storage.csv_table import CsvTable, file_name
 
+# What a first file says where nobody measured: austenitic nitinol, and the friction and collars of the paper's robot.
 NITINOL_GPA, NITINOL_RATIO, FRICTION = 65.0, 0.3, 0.2
 COLLAR_MM = 17.0
-SPEED = {"deg": (60, 240, 2400), "mm": (10, 50, 500)}
 DRAWN = 400  # configurations among which the goal of a first scenario is chosen
-TOLERANCE_MM = 2.0
+TOLERANCE_MM = 2.0  # of a first goal, which nearly every robot can keep
 
 
 @dataclass(frozen=True)
@@ -125,7 +126,7 @@ def _travel_mm(tubes: Sequence[TubeChoice], i: int) -> float:
 
 
 def _joint(name: str, kind: str, i: int, n: int, unit: str, limits: str) -> list[str]:
-    velocity, acceleration, jerk = SPEED[unit]
+    velocity, acceleration, jerk = DEFAULT_MOTION["rotation" if unit == "deg" else "translation"]
     moves = [int(k == i) for k in range(1, n + 1)]
     return [
         "",

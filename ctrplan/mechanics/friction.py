@@ -79,6 +79,10 @@ class FrictionLaw:
         left: Array = np.minimum(1.0, np.where(travel > 0, released, loaded))
         return left
 
+    def forgets_m(self, left: float) -> Array:
+        """(P,) [m] translation after which a share `left` of a full load is left; inf: never."""
+        return np.asarray(self.release_m * np.interp(-left, -_SHARES, _TRAVEL))
+
     def unknown_after(self, load: Array, theta_b: Array, l_b: Array) -> Array:
         """(P,) half the interval of each pair's state after waypoints (K, n) [rad], (K, n) [m].
 

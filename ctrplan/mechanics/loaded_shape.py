@@ -22,11 +22,11 @@ from ctrplan.mechanics.tube import Loads, Tube
 
 STEP_M = 5e-3  # longest of the integration; halving it moves no tip by more than 2e-8 m (test)
 STATION_M = 2e-3  # between the stations of a shape
-NEWTON_STEPS, LOAD_STEPS = 12, 32  # at most
+NEWTON_STEPS, LOAD_STEPS = 12, 32  # for one load, and parts into which a load is divided at most: budgets
 SETTLED = 1e-10  # of what is left at the tips over the largest moment of a precurvature
 SMALL = 1e-7  # step of the unknowns over their size, for derivatives
 LEAST_MOMENT_NM = 1e-6  # that counts as a scale, of straight tubes
-SOFTENING_STEPS = 30
+SOFTENING_STEPS = 30  # of the fixed point by which softened tubes share a bend, at most: a budget
 ROWS_AT_ONCE = 256  # integrated side by side, with n + 3 variants each
 
 
@@ -150,7 +150,7 @@ def _twist_at_plate(bare: Shape) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class _State:
-    """Of K configurations at one station."""
+    """Frames, twists and moments of K configurations at one station."""
 
     s_m: Array  # (K,)
     p: Array  # (K, 3)

@@ -72,8 +72,9 @@ def compensate(
     """The path (K, m) with its last legs changed so that the middle of its arrival meets the goal's tip.
 
     The change stays within limits and margins, and the target within the worst-case envelope of the commanded
-    configuration; the path is certified again. Where correcting with all joints is not certified, rotations or
-    translations alone are tried, and then part of the way. A path that can't be improved so is returned as it was.
+    configuration; the path is certified again. Changing the last legs costs no stop, but moves the body all along them.
+    Where that is not certified, two short legs at the end correct the path, or slides alone, or part of the change is
+    made. A path that can't be improved so is returned as it was.
     """
     scenario, begun = checker.scenario, start_states(checker.scenario) if starts is None else list(starts)
     without = arrival_error(certificate)
@@ -178,28 +179,57 @@ def shifted_start(corners: Array, is_rotation: NDArray[np.bool_], delta: Array, 
 def _corrected_ways(
     checker: MotionChecker, corners: Array, certificate: Certificate, starts: Sequence[FrictionStart]
 ) -> Iterator[_Corrected]:
-    """Corrected paths: with all joints, one kind of joints alone, and parts of the way."""
+    """Corrected paths: in their last legs, in legs of their own at the end, by slides alone, and parts of the way."""
     if checker.scenario.goal.line_m is not None:
         moved = _corrected_line(checker, corners, certificate, starts)
         for share in (1.0, *SHARES):
             yield _Corrected(corners + share * (moved - corners), share * (moved[-1] - corners[-1]), share == 1)
         return
-    drive = checker.space.drive
     legs = certificate.settling.first_leg if certificate.settling else len(corners) - 1
-    kinds = [np.ones(len(drive.joints), bool), ~drive.is_rotation, drive.is_rotation]
-    scenario, first = checker.scenario, None
-    is_interval = bool(friction_variants(scenario.robot))
-    for kind in kinds:
-        delta = _correction(checker, corners, legs, _aim(scenario, certificate), starts, kind)
+    places = [_Place(corners, legs), _Place(corners, legs, slides_alone=True)]
+    if not certificate.settling:  # nothing comes after an oscillation
+        places.insert(1, _Place(corners, legs, of_its_own=True))
+    scenario, deltas = checker.scenario, list[Array]()
+    is_interval, is_rotation = bool(friction_variants(scenario.robot)), checker.space.drive.is_rotation
+    for place in places:
+        delta = _correction(checker, place, _aim(scenario, certificate), starts, np.zeros(corners.shape[1]))
         for _ in range(REFINED if is_interval else 0):
-            moved = corrected(corners, legs, drive.is_rotation, delta)
-            aim = target_in_robot_frame(scenario) - beside_nominal(scenario, moved, starts)
-            delta = _correction(checker, corners, legs, aim, starts, kind, delta)
-        first = delta if first is None else first
+            aim = target_in_robot_frame(scenario) - beside_nominal(scenario, place.path(is_rotation, delta), starts)
+            delta = _correction(checker, place, aim, starts, delta)
+        deltas.append(delta)
         if delta.any():
-            yield _Corrected(corrected(corners, legs, drive.is_rotation, delta), delta, True)
-    for delta in (share * first for share in SHARES if first is not None and first.any()):
-        yield _Corrected(corrected(corners, legs, drive.is_rotation, delta), delta, False)
+            yield _Corrected(place.path(is_rotation, delta), delta, True)
+    for delta in (share * deltas[0] for share in SHARES if deltas[0].any()):
+        yield _Corrected(places[0].path(is_rotation, delta), delta, False)
+
+
+@dataclass(frozen=True, eq=False)
+class _Place:
+    """Where on a path its end is corrected."""
+
+    corners: Array  # (K, m)
+    legs: int  # before an oscillation that ends the path
+    of_its_own: bool = False  # in two short legs at the end, the path before them as it was
+    slides_alone: bool = False  # by translations, which take the body along its own track
+
+    def path(self, is_rotation: NDArray[np.bool_], delta: Array) -> Array:
+        """The path whose end is changed by delta (m,)."""
+        if not self.of_its_own:
+            return corrected(self.corners, self.legs, is_rotation, delta)
+        end = self.corners[-1]
+        added = [end + np.where(is_rotation, delta, 0.0), end + delta]
+        return np.vstack(
+            [
+                self.corners,
+                *(row for row, kind in zip(added, (is_rotation, ~is_rotation), strict=True) if delta[kind].any()),
+            ]
+        )
+
+    def unchanged(self, is_rotation: NDArray[np.bool_]) -> int:
+        """Index of the last corner before any change."""
+        changed = self.path(is_rotation, np.ones(self.corners.shape[1]))[: len(self.corners)]
+        same = np.all(changed == self.corners, axis=1)
+        return len(self.corners) - 1 if same.all() else max(int(np.argmin(same)) - 1, 0)
 
 
 def _aim(scenario: Scenario, certificate: Certificate) -> Array:
@@ -210,25 +240,18 @@ def _aim(scenario: Scenario, certificate: Certificate) -> Array:
 
 
 def _correction(
-    checker: MotionChecker,
-    corners: Array,
-    legs: int,
-    aim: Array,
-    starts: Sequence[FrictionStart],
-    movable: NDArray[np.bool_],
-    begin: Array | None = None,
+    checker: MotionChecker, place: _Place, aim: Array, starts: Sequence[FrictionStart], delta: Array
 ) -> Array:
-    """(m,) change of movable joints whose simulated path ends nearest to the aim: damped Newton steps from the end.
+    """(m,) change of joints whose simulated path ends nearest to the aim: damped Newton steps from delta (m,).
 
     Only what follows the first changed corner is simulated again.
     """
     robot, is_rotation = checker.scenario.robot, checker.space.drive.is_rotation
-    unchanged = _unchanged(corners, legs, is_rotation)
-    _, states = predict_end(robot, corners[: unchanged + 1], starts)
-    delta: Array = np.zeros(corners.shape[1]) if begin is None else begin
+    unchanged = place.unchanged(is_rotation)
+    _, states = predict_end(robot, place.corners[: unchanged + 1], starts)
     best = (np.inf, delta)
     for _ in range(ITERATIONS if states else 0):
-        path = corrected(corners, legs, is_rotation, delta)
+        path = place.path(is_rotation, delta)
         prediction = predict_from(robot, states, path[unchanged:])
         miss = aim - prediction.end_middle_m
         distance = float(np.linalg.norm(miss))
@@ -236,6 +259,7 @@ def _correction(
             best = (distance, delta)
         if not CLOSE_M / 2 < distance < np.inf:
             break
+        movable = ~is_rotation if place.slides_alone else np.ones(len(delta), bool)
         step = _newton_step(checker, path[-1], miss, prediction.tangent[:, -1].mean(axis=0), movable)
         if not step.any():
             break
@@ -265,13 +289,6 @@ def _corrected_line(
         for k in range(1, len(moved)):
             moved[k] += _newton_step(checker, moved[k], misses[k], None, every)
     return best[1]
-
-
-def _unchanged(corners: Array, legs: int, is_rotation: NDArray[np.bool_]) -> int:
-    """Index of the last corner before any correction."""
-    changed = corrected(corners, legs, is_rotation, np.ones(corners.shape[1]))
-    same = np.all(changed[: len(corners)] == corners, axis=1)
-    return max(int(np.argmin(same)) - 1, 0)
 
 
 def _newton_step(

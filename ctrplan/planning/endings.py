@@ -22,10 +22,10 @@ from ctrplan.drive.drive import Drive
 from ctrplan.drive.legs import merge_legs
 from ctrplan.mechanics.history import OSCILLATION_DEG
 from ctrplan.motion.checker import MotionChecker
+from ctrplan.robot.friction_calibration import friction_law
 from ctrplan.scenario.prediction import FrictionStart, predict_end, predict_from, start_states
 
-TURN_DEG = 45.0  # to one side and back: most pairs slip along all of their contact within 24 to 33 deg
-SLIDE_M = 10e-3  # out and in again: a pair forgets within 1 to 6 mm
+SIZES = (1.0, 2.0, 4.0)  # of what the friction law says erases all; simulations took up to 2.4 times as much
 MOST_ENDINGS = 24  # that are simulated, the cheapest first
 
 
@@ -83,16 +83,19 @@ def erase(
     return Settled(corners, certificate, f"No ending within limits and margins makes tubes {pairs} slip: {rest}.")
 
 
-def _endings(checker: MotionChecker, joints: Array, pairs: Sequence[int]) -> list[tuple[float, Array]]:
+def _endings(checker: MotionChecker, joints: Array, pairs: list[int]) -> list[tuple[float, Array]]:
     """Prices [mm] and waypoints (W, m) of motions that leave joints (m,) and come back to them, the cheapest first."""
     drive, space, cost = checker.space.drive, checker.space, checker.scenario.cost
+    law = friction_law(checker.scenario.robot)
+    turned_rad = 2 * float(law.loading_rad[pairs].max())  # from the Coulomb limit on one side to the other
+    slid_m = float(law.forgets_m(FORGOTTEN)[pairs].max())
     turns = [np.zeros(len(joints))]
     for turn in (*turnings(drive), *np.eye(len(joints))[drive.is_rotation]):
         if any(abs(np.diff(drive.matrix_theta @ turn)[pair]) > FEASIBLE for pair in pairs):
-            turns += [side * np.radians(TURN_DEG) * turn for side in (1, -1)]
+            turns += [side * size * turned_rad * turn for side in (1, -1) for size in SIZES]
     slides = [np.zeros(len(joints))]
     for slide in np.eye(len(joints))[~drive.is_rotation]:
-        slides += [side * SLIDE_M * slide for side in (-1, 1)]
+        slides += [side * size * slid_m * slide for side in (-1, 1) for size in SIZES if np.isfinite(slid_m)]
     results = []
     for turn in turns:
         for slide in slides:

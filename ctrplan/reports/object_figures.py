@@ -33,8 +33,8 @@ if TYPE_CHECKING:
     from ctrplan.studies.study.study import Study
     from ctrplan.studies.study.table import StudyTable
 
-ARC_STEP_M = 0.5e-3
-WIDE = 10.0  # inches
+ARC_STEP_M = 0.5e-3  # between drawn points of a centreline: no more than a pixel off the arc
+WIDE = 10.0  # inches of a picture in a notebook
 
 
 def plot(subject: Robot | Bound | Shape | Plan, **keys: Any) -> Figure:

@@ -72,13 +72,13 @@ class TargetArrival:
     def sentence(self) -> str:
         """The distance and what it holds for; where it is too large, by what."""
         distance, tolerance = millimetres(self.error_m), f"tolerance {millimetres(self.tolerance_m)}"
-        before, model = BEFORE[self.start], "by the model, " if self.by_model and self._forgets else ""
+        before = BEFORE[self.start] + (" (by the model)" if self.by_model and self._forgets else "")
         if not self.error_m <= self.tolerance_m:
-            return f"{model}may end {distance} from {self.target} {before}, {tolerance}{self._causes}"
+            return f"may end {distance} from {self.target} {before}, {tolerance}{self._causes}"
         if self.is_turned and self.arrival and self.direction_tolerance_rad:
             turned, most = degrees(self.arrival.error_rad), degrees(self.direction_tolerance_rad)
-            return f"{model}may be turned by {turned} at {self.target} {before}, tolerance {most}"
-        return f"{model}arrives within {distance} of {self.target} {before}, {tolerance}"
+            return f"may be turned by {turned} at {self.target} {before}, tolerance {most}"
+        return f"arrives within {distance} of {self.target} {before}, {tolerance}"
 
     @property
     def afterwards(self) -> str:
@@ -258,8 +258,8 @@ def _forgotten(plan: Plan) -> str:
     for pair, erased in enumerate(arrival.erased, start=1):
         tubes = f"tubes {pair} and {pair + 1}"
         if erased.leg is not None:
-            slip = f"{degrees(erased.turned_rad)} and {millimetres(erased.slid_m)} of slip"
-            parts.append(f"{tubes} on leg {erased.leg + 1} after {slip}")
+            moved = f"{degrees(erased.turned_rad)} and {millimetres(erased.slid_m)} between their bases"
+            parts.append(f"{tubes} on leg {erased.leg + 1} after {moved}")
         elif erased.kept:
             parts.append(f"{tubes} keep {100 * erased.kept:.0f} %")
         else:

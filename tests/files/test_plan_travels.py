@@ -16,7 +16,7 @@ from places import ROBOTS
 import ctrplan
 from ctrplan.cli import main
 from ctrplan.errors import InputError
-from ctrplan.files.plan_inputs import INPUTS, MANIFEST
+from ctrplan.files.plan_inputs import INPUTS, MANIFEST, unpacked
 
 START = {"rotate outer": 0.0, "rotate inner": 0.0, "translate inner": 0.0}
 
@@ -98,8 +98,37 @@ def test_inputs_that_are_not_those_of_the_plan_are_refused(saved: Path, tmp_path
     with pytest.raises(InputError, match="is that of another robot"):
         ctrplan.load_plan(tmp_path / "out")
     (tmp_path / "out" / INPUTS).write_bytes(b"PK nonsense")
-    with pytest.raises(InputError, match=r"inputs.zip: can't be unpacked"):
+    with pytest.raises(InputError, match=r"inputs.zip: is damaged"):
         ctrplan.load_plan(tmp_path / "out")
+
+
+def test_no_damage_to_an_archive_ends_in_a_bare_error(tmp_path: Path) -> None:
+    """Every byte changed, and every length cut off: unpacked all the same, or refused in a sentence."""
+    whole, source = tmp_path / "whole.zip", b"tubes and joints " * 8
+    with zipfile.ZipFile(whole, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("scenario.toml", source)
+    data, refused = whole.read_bytes(), 0
+    for k in range(len(data)):
+        for changed_data in (data[:k], data[:k] + bytes([data[k] ^ 0xFF]) + data[k + 1 :]):
+            whole.write_bytes(changed_data)
+            try:
+                unpacked(whole)
+            except InputError:
+                refused += 1
+    assert refused > len(data)
+
+
+@pytest.mark.parametrize(("place", "value", "words"), [(6, 1, "password"), (8, 97, "not supported")])
+def test_an_archive_that_nothing_here_unpacks_says_why(tmp_path: Path, place: int, value: int, words: str) -> None:
+    """Bytes of its headers say that it is encrypted, or packed in a way that nobody knows."""
+    path = tmp_path / "odd.zip"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("scenario.toml", b"x")
+    data = bytearray(path.read_bytes())
+    data[place] = data[data.index(b"PK\x01\x02") + place + 2] = value
+    path.write_bytes(data)
+    with pytest.raises(InputError, match=f"can't be unpacked.*{words}"):
+        unpacked(path)
 
 
 def test_an_archive_that_leads_elsewhere_is_refused(tmp_path: Path) -> None:
@@ -119,7 +148,7 @@ def test_the_command_writes_one_file(tmp_path: Path) -> None:
     )
     assert main(["init", "scenario", str(tmp_path / "s.toml"), "--robot", str(tmp_path / "r.toml")]) == 0
     output = tmp_path / "plan.ctrplan"
-    assert main(["plan", str(tmp_path / "s.toml"), "-o", str(output), "--time", "1", "--quiet"]) in (0, 1)
+    assert main(["plan", str(tmp_path / "s.toml"), "-o", str(output), "--time", "1", "--quiet"]) in (0, 3)
     assert output.is_file() and [p.name for p in tmp_path.iterdir() if p.is_dir()] == []
     assert ctrplan.load_plan(output).scenario.name == "my task"
 

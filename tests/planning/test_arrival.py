@@ -20,7 +20,7 @@ from ctrplan.drive.drive import ExecutionTolerance
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.mechanics.friction import FrictionLaw
 from ctrplan.motion.checker import MotionChecker
-from ctrplan.planning.compensate import compensate
+from ctrplan.planning.compensate import _Place, compensate
 from ctrplan.planning.endings import erase
 from ctrplan.scenario.prediction import TIP_TOLERANCE_M, ball_centre, predict, start_states
 from ctrplan.scenario.scenario import Registration, Scenario
@@ -265,3 +265,22 @@ def test_a_path_of_someone_elses_leads_from_start_to_goal() -> None:
     aimed = replace(aimed, goal=replace(aimed.goal, direction=direction, direction_tolerance_rad=0.05))
     with pytest.raises(ctrplan.InputError, match="deg off"):
         ctrplan.reorder(PATH, aimed)
+
+
+def test_corrections_change_the_last_legs_or_add_two() -> None:
+    turns, delta = np.array([True, True, False]), np.array([0.1, -0.2, 0.001])
+    within, added = _Place(PATH, 2), _Place(PATH, 2, of_its_own=True)
+    np.testing.assert_allclose(within.path(turns, delta)[-1], GOAL + delta)
+    assert len(within.path(turns, delta)) == len(PATH) and within.unchanged(turns) == 0
+    longer = added.path(turns, delta)
+    np.testing.assert_array_equal(longer[: len(PATH)], PATH)
+    np.testing.assert_allclose(np.diff(longer, axis=0)[-2:], [[0.1, -0.2, 0], [0, 0, 0.001]], atol=1e-12)
+    assert added.unchanged(turns) == len(PATH) - 1 and len(added.path(turns, 0 * delta)) == len(PATH)
+
+
+def test_a_correction_keeps_clear_of_what_stands_beside_the_way() -> None:
+    """A body beside the last leg leaves no room for the leg to be moved: legs of their own at the end do it."""
+    scenario = load_scenario(SCENARIOS / "ventricle.toml")
+    plan = ctrplan.plan(scenario)
+    found = plan.certificate.arrival
+    assert found is not None and found.by_cause.offset_m < TIP_TOLERANCE_M and plan.certificate.min_clearance_m >= 0
