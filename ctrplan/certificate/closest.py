@@ -56,11 +56,14 @@ def closest_places(scenario: Scenario, pieces: Sequence[Piece], samples: Certifi
     at = cache(partial(_configuration, scenario, samples))
     results = [_closest(distance, samples, k, at(k), rest) for k in nominal.tolist()]
     corners = corner_states(pairs) if scenario.robot.friction.any() else []
-    certified = int(np.argmin(samples.clearance_m))
-    by_row = {
-        k: _closest(distance, samples, k, at(k), [*rest, *corners, tuple(phi[k].tolist())])
-        for k in dict.fromkeys([*narrow.tolist(), certified])
-    }
+    certified, variants = int(np.argmin(samples.clearance_m)), pieces[0].variants
+    by_row: dict[int, Closest | None] = {}
+    for k in dict.fromkeys([*narrow.tolist(), certified]):
+        by_row[k] = _closest(distance, samples, k, at(k), [*rest, *corners, tuple(phi[k, :pairs].tolist())])
+        for s in [tuple(phi[k, pairs:].tolist()), *corner_states(len(variants.large))] if variants.large else ():
+            there = variants.configuration(variants.at(s), samples.joints[k], "certificate")
+            other = _closest(distance, samples, k, there, [*rest, *corners, tuple(phi[k, :pairs].tolist())])
+            by_row[k] = _least([by_row[k], other])
     tied = [place for k, place in by_row.items() if samples.clearance_m[k] <= samples.clearance_m[certified] + TIGHT_M]
     return ClosestPlaces(_least(results), _least([*by_row.values(), *results]), _least(tied))
 
@@ -74,7 +77,7 @@ def _as_solved(scenario: Scenario, piece: Piece) -> Array:
     return clearance
 
 
-def _least(results: list[Closest | None]) -> Closest | None:
+def _least(results: Sequence[Closest | None]) -> Closest | None:
     """The closest of the states that were solved."""
     return min(filter(None, results), key=lambda place: place.clearance_m, default=None)
 

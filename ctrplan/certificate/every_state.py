@@ -4,8 +4,10 @@ Bodies in friction states bend away from the multilinear interpolation of the si
 slowly along a path and little with the mesh. A sample whose corners were solved takes it from the solved states of
 the samples on both sides; what that may be off by is taken off the clearance.
 
-Every few samples are solved in states of the cube, those between them are interpolated along the path
-(`states_between.py`). What that, or the mesh of the search, would refuse is solved itself on the certificate mesh.
+Every few samples are solved in states of the cube, those between them are interpolated along the path. What that, or
+the mesh of the search, would refuse is solved itself on the certificate mesh. Where stated intervals or play of the
+drive move the body much, they are further axes of the cube (`variants.py`): a state is then a friction state phi, and
+a place s in the box of what the robot may be.
 """
 
 from __future__ import annotations
@@ -48,7 +50,8 @@ from ctrplan.certificate.friction_states import (
     corner_weights,
     mesh_allowance_m,
 )
-from ctrplan.certificate.walked_piece import Piece, narrowest_of, shapes_of
+from ctrplan.certificate.variants import Point, alike, shares_of_length
+from ctrplan.certificate.walked_piece import Piece, filled_radius, narrowest_of
 from ctrplan.mechanics.friction import Doubts, bodies_between
 from ctrplan.motion.checker import path_limits
 
@@ -56,6 +59,9 @@ if TYPE_CHECKING:
     from ctrplan.mechanics.friction import FrictionStates
     from ctrplan.mechanics.shapes import Accuracy, FrictionBodies
     from ctrplan.scenario.scenario import Scenario
+
+
+NUMBERS = ("stability", "max_strain", "solved")  # of friction bodies, one a state
 
 
 @dataclass(eq=False)
@@ -72,51 +78,67 @@ class SampleStates:
     apart_m: float = 0.0  # of bodies solved from scratch from those walked to, less what meshes differ by
     _compared: bool = field(default=False, repr=False)
     _solved: dict[State, Solved] = field(default_factory=dict, repr=False)
-    _start: FrictionStates | None = field(default=None, repr=False)  # of all states that are solved
+    _starts: dict[Point, FrictionStates] = field(default_factory=dict, repr=False)  # of points of the box
     _bends: dict[tuple[State, ...], Array] = field(default_factory=dict, repr=False)
     _lock: RLock = field(default_factory=RLock, repr=False)  # so that nothing is solved twice
 
     @property
     def states(self) -> list[State]:
-        """phi = 0 and the sign corners, which were walked to."""
-        pairs = self.scenario.robot.n - 1
-        return [(0.0,) * pairs, *corner_states(pairs)]
+        """All zero and the sign corners, which were walked to."""
+        dimensions = self.piece.phi.shape[1]
+        return [(0.0,) * dimensions, *corner_states(dimensions)]
 
     @cached_property
     def known(self) -> CornerShapes:
         """What was walked to, on the certificate mesh solved once more."""
-        samples, k = self.piece.samples, self.sample
         if self.accuracy == self.piece.accuracy:
-            bodies, radius = self.walked
-            return CornerShapes(bodies, samples.shape_stability[k], samples.shape_max_strain[k], radius)
-        if k in self.piece.finer:
-            return self.piece.finer[k]
+            return self.walked
+        if self.sample in self.piece.finer:
+            return self.piece.finer[self.sample]
         with self._lock:
             result = self.solve(self.states)
             self._compare(result.point_m)
-        return CornerShapes(result.point_m, result.stability, result.max_strain, result.radius_m)
+        filled = self.walked.radius_m
+        if len(filled) != result.point_m.shape[1]:
+            filled = filled_radius(result.radius_m, result.point_m[0], self.piece, self.sample)
+        return CornerShapes(result.point_m, result.stability, result.max_strain, filled)
 
     @cached_property
-    def walked(self) -> tuple[Array, Array]:
-        """Points (1 + C, N, 3) and outer radii (N,)."""
-        return shapes_of(self.scenario, self.piece.samples.bodies[self.sample])
+    def walked(self) -> CornerShapes:
+        """As they were walked to."""
+        return self.piece.shapes(self.sample)
 
     def let_go(self) -> None:
         """Forgets what further states would be solved from: it is solved anew if they are needed."""
         with self._lock:
-            self._start = None
+            self._starts.clear()
 
-    def solve(self, phi: Iterable[State]) -> FrictionBodies:
-        """Points (S, N, 3) are NaN where no equilibrium was found."""
-        if self._start is None:
-            at = self.piece.theta_b[self.sample], self.piece.l_b[self.sample]
-            self._start = self.scenario.robot.mechanics.friction_states(*at, accuracy=self.accuracy)
-        result = self._start.bodies(np.array(list(phi)), spacing_m=POINT_SPACING_M)
-        return (
-            result
-            if result.solved.all()
-            else replace(result, point_m=np.where(result.solved[:, None, None], result.point_m, np.nan))
-        )
+    def solve(self, states: Iterable[State]) -> FrictionBodies:
+        """Points (S, N, 3) are NaN where no equilibrium was found.
+
+        The file's robot has the state of all zeros that comes first: its frictionless shape.
+        """
+        given = np.array(list(states))
+        pairs, results = self.piece.pairs, dict[int, FrictionBodies]()
+        points = [tuple(row) for row in given[:, pairs:].tolist()]
+        for point in dict.fromkeys(points):
+            rows = [k for k, other in enumerate(points) if other == point]
+            bodies = self._at(point).bodies(given[rows, :pairs], spacing_m=POINT_SPACING_M)
+            results |= {row: _row(bodies, k) for k, row in enumerate(rows)}
+        pattern = self.walked.bodies_m[0] if self.piece.variants.large else results[0].point_m[0]
+        return _joined([results[k] for k in range(len(given))], pattern)
+
+    def _at(self, s: Point) -> FrictionStates:
+        """The configuration at s (A,) of the large axes."""
+        if s not in self._starts:
+            piece, k = self.piece, self.sample
+            if piece.variants.large:
+                at = piece.variants.configuration(piece.variants.at(s), piece.joints[k], self.accuracy)
+            else:
+                mechanics = self.scenario.robot.mechanics
+                at = mechanics.friction_states(piece.theta_b[k], piece.l_b[k], accuracy=self.accuracy)
+            self._starts[s] = at
+        return self._starts[s]
 
     def __call__(self, phi: Iterable[State]) -> list[Solved]:
         """Without a body where no equilibrium was found on the branch that was walked to."""
@@ -155,7 +177,9 @@ class SampleStates:
 
     def _compare(self, bodies: Array) -> None:
         """Those of `states` with what was walked to: whole bodies on the same mesh, tips on another one."""
-        self._compared, walked = True, self.walked[0]
+        self._compared, walked = True, self.walked.bodies_m
+        if self.piece.variants.large and not self.piece.variants.has_middle:  # the file's robot is not the middle
+            bodies, walked = bodies[1:], walked[1:]
         if bodies.shape == walked.shape and self.accuracy == self.piece.accuracy:
             apart, allowed = lengths(bodies - walked), 0.0
         else:
@@ -164,11 +188,21 @@ class SampleStates:
         self.apart_m = max(0.0, float(np.nan_to_num(apart.max(), nan=np.inf)) - allowed)
 
 
-def shares_of_length(body_m: Array) -> Array:
-    """(N,) share of a body's length at its points (N, 3)."""
-    length = np.append(0.0, np.cumsum(lengths(np.diff(body_m, axis=0))))
-    share: Array = length / length[-1]
-    return share
+def _row(bodies: FrictionBodies, k: int) -> FrictionBodies:
+    """One of the states alone; without points where no equilibrium was found."""
+    point = bodies.point_m[k : k + 1]
+    return replace(
+        bodies,
+        point_m=point if bodies.solved[k] else np.full_like(point, np.nan),
+        **{name: getattr(bodies, name)[k : k + 1] for name in NUMBERS},
+    )
+
+
+def _joined(rows: Sequence[FrictionBodies], pattern: Array) -> FrictionBodies:
+    """Several states in one, all on as many points as a body (N, 3)."""
+    columns = {name: np.concatenate([getattr(row, name) for row in rows]) for name in NUMBERS}
+    points = np.concatenate([alike(row.point_m, pattern) for row in rows])
+    return replace(rows[0], point_m=points, **columns)
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,7 +244,8 @@ def in_every_friction_state(scenario: Scenario, pieces: Sequence[Piece], spare_m
     shapes less TIGHT_M; no more than `spare_m` beyond the limit is asked for.
     """
     limits = path_limits(scenario)
-    if scenario.robot.n == 1 or not scenario.robot.friction.any():
+    is_known = scenario.robot.n == 1 or not scenario.robot.friction.any()
+    if is_known and not any(piece.variants.large for piece in pieces):
         return list(pieces)
     solved, distance = narrowest_of(pieces), AnatomyDistance.of(scenario)
     enough = max(limits.clearance_m, min(solved - TIGHT_M, limits.clearance_m + spare_m))
@@ -370,15 +405,23 @@ class _PieceView:
         """Only what is solved for itself is looked at in all cells, whatever is found in some."""
         states = self._of(sample, one.accuracy)
         return CubeQuery(
-            states.known.solved,
+            self._known(states),
             states.known.radius_m,
             self._between(sample, one.accuracy) if one.is_between else states,
             replace(self.needed, clearance_m=self.needed.clearance_m + self._offset_m(sample, one)),
             one.depth,
             self._least_depth(sample),
             is_attempt=one.is_between,
+            pairs=self.piece.pairs if self.scenario.robot.friction.any() else 0,
             floor_m=self.limit_m + self._offset_m(sample, one) if one.is_last else np.inf,
         )
+
+    def _known(self, states: SampleStates) -> dict[State, Solved]:
+        """What was walked to; without the frictionless shape where that is not the middle of the box."""
+        solved, variants = states.known.solved, self.piece.variants
+        if not variants.large or variants.has_middle:
+            return solved
+        return {state: one for state, one in solved.items() if any(state)}
 
     def _offset_m(self, sample: int, one: _Try) -> float:
         return float(self.piece.offset_m(self.scenario, one.accuracy)[sample])
@@ -392,7 +435,7 @@ class _PieceView:
 
     def _least_depth(self, sample: int) -> int:
         """How often all cells of a sample are halved."""
-        if sample % CLOSE_EVERY == 0 and self.scenario.robot.n <= CLOSE_TUBES:
+        if sample % CLOSE_EVERY == 0 and self.piece.phi.shape[1] < CLOSE_TUBES:
             return CLOSE_DEPTH
         is_near = self.piece.as_walked_m[sample] < self.needed.clearance_m + NEAR_M
         return LEAST_DEPTH if is_near or sample % LOOK_EVERY == 0 else 0

@@ -15,7 +15,7 @@ compute of each.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -223,6 +223,7 @@ DEPTH = 3  # halvings: 9 states along every pair
 LEAST_DEPTH = 1  # the middle of the cube alone is where errors may vanish by symmetry, beside a fold
 NUMBERS_DEPTH = 6  # where only stability or strain ask for them: near a fold both bend sharply
 LESS_M = 0.1e-3  # than the least clearance found is asked for, until it is kept
+MOST_HALVED = 2  # axes at once where a cube has others than friction's, a budget
 MOST_TUBES = 6  # whose cube, halved once, has 275 corners and middles; of seven 793
 
 Solve = Callable[[Sequence[State]], Sequence[Solved]]
@@ -247,6 +248,7 @@ class CubeQuery:
     least_depth: int = LEAST_DEPTH  # and all of them at least
     is_attempt: bool = False  # ends at the first cells that will not keep what is needed
     floor_m: float = np.inf  # where less clearance than needed is left: how little of it is still asked for
+    pairs: int | None = None  # first axes of the cube that are friction's; None: all of them
 
 
 def cube_minima(asked: CubeQuery, distance: Distance | None) -> StateMinima:
@@ -314,12 +316,24 @@ class _Cube:
             is_open = cell.depth < self.asked.least_depth or not of_cell.keeps(self.needed)
             is_short = of_cell.clearance_m < self.needed.clearance_m
             if is_open and self._is_halved(cell, is_short=is_short) and np.isfinite(of_cell.stability):
-                halved += cell.halves()
+                halved += cell.halves(self._axes(cell))
             else:
                 self.least = self.least.with_less_of(of_cell)
         self.cells = [] if self.asked.is_attempt and not self.least.keeps(self.needed) else halved
         if not self.cells:
             self._ask_for_less()
+
+    def _axes(self, cell: Cell) -> Collection[int] | None:
+        """Along which a cell is halved: all that are friction's, then those along which bodies lie farthest apart."""
+        dimensions, pairs = len(cell.low), self.asked.pairs
+        if pairs is None or pairs == dimensions or dimensions <= MOST_HALVED:
+            return None
+        if cell.depth == 0 and pairs:
+            return range(pairs)
+        bodies = np.array([self.solved[state].body_m for state in cell.corners])
+        cube = bodies.reshape(*[2] * dimensions, -1)
+        extent = [float(np.abs(np.diff(cube, axis=axis)).mean()) for axis in range(dimensions)]
+        return set(np.argsort(extent)[-MOST_HALVED:].tolist())
 
     def _is_halved(self, cell: Cell, *, is_short: bool) -> bool:
         """Whether a cell that does not keep what is needed, of clearance if it is short, may be halved."""

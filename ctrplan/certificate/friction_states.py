@@ -1,12 +1,14 @@
 """Friction states: points phi of the cube [-1, 1]^P, one number per pair of tubes; and allowances for what was
 measured.
+
+Where intervals or play of a robot are large, their axes are further ones of the cube.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 from typing import TYPE_CHECKING
@@ -75,16 +77,16 @@ class Solved:
 
 @dataclass(frozen=True, eq=False)
 class CornerShapes:
-    """A configuration without friction and in its sign corners, in the order of `corner_states`."""
+    """A configuration without friction and in the corners of its cube, in the order of `corner_states`."""
 
     bodies_m: Array  # (1 + C, N, 3)
     stability: Array  # (1 + C,)
     max_strain: Array  # (1 + C,)
-    radius_m: Array  # (N,) outer radii
+    radius_m: Array  # (N,) of what the body fills
 
     @property
     def pairs(self) -> int:
-        """Number of pairs of tubes."""
+        """Number of axes of the cube."""
         return len(self.bodies_m).bit_length() - 1
 
     @cached_property
@@ -118,10 +120,11 @@ class Cell:
         low, high = np.array(self.low), np.array(self.high)
         return tuple((low + unit * (high - low)).tolist())
 
-    def halves(self) -> list[Cell]:
-        """Its 2^P parts."""
+    def halves(self, axes: Collection[int] | None = None) -> list[Cell]:
+        """Its 2^P parts, or 2 for each of some axes together."""
         ends = list(zip(self.low, self.middle, self.high, strict=True))
-        parts = itertools.product(*(((a, m), (m, b)) for a, m, b in ends))
+        whole = range(len(ends)) if axes is None else axes
+        parts = itertools.product(*(((a, m), (m, b)) if k in whole else ((a, b),) for k, (a, m, b) in enumerate(ends)))
         return [Cell(tuple(p[0] for p in part), tuple(p[1] for p in part), self.depth + 1) for part in parts]
 
 

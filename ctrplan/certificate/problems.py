@@ -107,11 +107,13 @@ def problems_of_walk(scenario: Scenario, space: JointSpace, corners: Array, piec
         where = f"leg {piece.leg + 1}"
         if piece.samples.fraction[-1] < 1 and len(pieces) > 1 or breach(piece.samples, PathLimits()):
             results.append(f"On {where}: {breach(piece.samples, PathLimits()) or 'the walk did not reach its end'}.")
+        elif piece.walks.fault:
+            results.append(f"On {where}: {piece.walks.fault}.")
         elif before is not None and _apart(scenario, before, piece) > BRANCH_TOLERANCE_M:
             results.append(f"On {where}: the shape depends on the way there, several equilibria exist.")
         if piece.apart_m > SAME_BRANCH_M:
             results.append(f"On {where}: another equilibrium exists for the same joints and friction.")
-        if (leap := float(piece.samples.motion_m.max())) > LEAP_M:
+        if (leap := float(piece.motion_m.max())) > LEAP_M:
             results.append(
                 f"On {where}: a shape leaps by {leap * MM_PER_M:.1f} mm, its friction state loses its equilibrium."
             )
@@ -190,6 +192,6 @@ def _apart(scenario: Scenario, before: Piece, after: Piece) -> float:
 
     Less what their meshes may differ by.
     """
-    ends = [np.vstack([s.tip_m[k], *s.corner_tip_m[k][:, None]]) for s, k in ((before.samples, -1), (after.samples, 0))]
+    ends = before.end_tips_m[1], after.end_tips_m[0]
     gap = float(np.linalg.norm(ends[0] - ends[1], axis=1).max())
     return gap if before.accuracy == after.accuracy else gap - mesh_allowance_m(scenario.robot, "search")

@@ -19,6 +19,7 @@ from ctrplan.base.arrays import Array
 from ctrplan.base.long_work import cores
 from ctrplan.certificate.anatomy_distance import AnatomyDistance
 from ctrplan.certificate.friction_states import POINT_SPACING_M, UNEVEN_FRICTION_M
+from ctrplan.certificate.narrow_samples import narrow_places
 from ctrplan.certificate.walked_piece import Piece
 from ctrplan.motion.checker import path_limits
 
@@ -31,7 +32,6 @@ GRID = 5  # uniform states along each pair to begin with
 STEP, LEAST_STEP = 1.0, 1 / 16  # of friction states
 WORTH_M = 1e-6  # of a step that is taken
 NEAR_LIMIT_M = 0.5e-3  # of what has to be clear: samples that uneven friction might break
-MOST, APART = 4, 10  # of the narrowest of them, so many samples from one another
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ def with_uneven_friction(scenario: Scenario, pieces: Sequence[Piece]) -> list[Pi
         return worst_uneven_friction(distance, piece.theta_b[k], piece.l_b[k]).nearer_m
 
     with ThreadPoolExecutor(cores()) as pool:
-        result = pool.map(nearer, _narrow_places(pieces, limit + NEAR_LIMIT_M))
+        result = pool.map(nearer, narrow_places(pieces, limit + NEAR_LIMIT_M))
         beyond = max([0.0, *(value - UNEVEN_FRICTION_M for value in result)])
     return [
         replace(piece, clearance_m=piece.clearance_m - np.where(_is_near(piece.clearance_m, limit), beyond, 0.0))
@@ -83,18 +83,6 @@ def with_uneven_friction(scenario: Scenario, pieces: Sequence[Piece]) -> list[Pi
 def _is_near(clearance_m: Array, limit_m: float) -> NDArray[np.bool_]:
     near: NDArray[np.bool_] = clearance_m < limit_m + NEAR_LIMIT_M
     return near
-
-
-def _narrow_places(pieces: Sequence[Piece], below_m: float) -> list[tuple[int, int]]:
-    """Pieces and samples, the narrowest first, none within APART samples of another of its piece."""
-    rows = sorted((float(c), p, k) for p, piece in enumerate(pieces) for k, c in enumerate(piece.clearance_m))
-    chosen: list[tuple[int, int]] = []
-    for clearance, p, k in rows:
-        if clearance >= below_m or len(chosen) == MOST:
-            break
-        if all(p != other or abs(k - sample) >= APART for other, sample in chosen):
-            chosen.append((p, k))
-    return chosen
 
 
 def _uniform(pairs: int) -> Array:

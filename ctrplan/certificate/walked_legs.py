@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import TYPE_CHECKING
 
@@ -16,6 +16,7 @@ from ctrplan.certificate.certificate import CertificateSamples
 from ctrplan.certificate.every_state import in_every_friction_state
 from ctrplan.certificate.friction_cube import refuse_many_tubes
 from ctrplan.certificate.friction_states import bound_allowance_m
+from ctrplan.certificate.narrow_samples import at_worst_ends, closely_solved
 from ctrplan.certificate.other_equilibria import other_equilibrium, other_start
 from ctrplan.certificate.problems import (
     StatedBounds,
@@ -25,47 +26,16 @@ from ctrplan.certificate.problems import (
     stated_bounds,
 )
 from ctrplan.certificate.uneven_friction import with_uneven_friction
-from ctrplan.certificate.walked_piece import Piece, checked_samples, closely_solved, joined_samples, walk_pieces
+from ctrplan.certificate.walked_piece import Piece, checked_samples, joined_samples, walk_pieces
 from ctrplan.drive.legs import merge_legs
 from ctrplan.mechanics.shapes import Accuracy
 from ctrplan.motion.checker import left_at_end, path_limits
 from ctrplan.scenario.joint_space import JointSpace
 from ctrplan.scenario.prediction import start_load
 from ctrplan.scenario.scenario import path_cost_mm
-from ctrplan.uncertainty.body_clearance import is_uncertain, parameter_allowance
 
 if TYPE_CHECKING:
     from ctrplan.scenario.scenario import Scenario
-
-
-def with_parameters(
-    scenario: Scenario, pieces: Sequence[Piece], samples: CertificateSamples, bounds: StatedBounds
-) -> tuple[CertificateSamples, StatedBounds, list[str]]:
-    """Samples and bounds with what is uncertain in them, and sentences about the limits that this breaks.
-
-    The same ones and no sentence where nothing is uncertain.
-    """
-    allowed = parameter_allowance(scenario, samples.joints)
-    if not any(column.any() for column in allowed):
-        return samples, bounds, []
-    if not np.all(allowed.is_finite):
-        leg = samples.leg[int(np.argmin(allowed.is_finite))] + 1
-        return samples, bounds, [f"On leg {leg}: a robot within the stated intervals has no equilibrium."]
-    bound = allowed.bound_m
-    friction = np.minimum(bounds.worst_m, samples.bound_m + bound_allowance_m(scenario.robot, "search"))
-    wider = StatedBounds(bounds.goal_m + float(bound[-1]), float((friction + bound).max()))
-    result = replace(
-        samples,
-        bound_m=samples.bound_m + bound,
-        clearance_m=samples.clearance_m - allowed.clearance_m,
-        stability=samples.stability - allowed.stability,
-        max_strain=samples.max_strain + allowed.strain,
-        parameter_bound_m=bound,
-        parameter_clearance_m=allowed.clearance_m,
-        parameter_stability=allowed.stability,
-        parameter_strain=allowed.strain,
-    )
-    return result, wider, problems_of_limits(scenario, pieces, result, lambda: wider)
 
 
 Look = Callable[["Scenario", list[Piece]], list[Piece]]  # at pieces, more closely
@@ -151,8 +121,7 @@ def walk_legs(
     space = JointSpace.of(scenario)
     known = failed.walked if failed and failed.scenario is scenario else ()
     walked = pieces = walk_pieces(scenario, space, corners, accuracy, progress, known)
-    samples = joined_samples(scenario, space, corners, pieces)
-    asked_m = np.inf if is_uncertain(scenario) else spare_m  # what parameters take off has to be left
+    samples = joined_samples(scenario, space, pieces)
     with ThreadPoolExecutor(1) as beside:  # a few bounds and a few narrow samples leave half of the machine idle each
         stated = beside.submit(_bounds, scenario, samples, pieces)
 
@@ -166,25 +135,32 @@ def walk_legs(
         problems += problems_of_walk(scenario, space, corners, pieces)
         for look_closer in (closely_solved, in_every_friction_state):
             if not problems:
-                pieces, samples, problems = looked(partial(look_closer, spare_m=asked_m), pieces)
+                pieces, samples, problems = looked(partial(look_closer, spare_m=spare_m), pieces)
         if not problems:
             equilibria = beside.submit(_other_equilibria, scenario, space, pieces)
             pieces, samples, problems = looked(with_uneven_friction, pieces)
             problems = problems or equilibria.result()
         bounds = stated.result()
     if not problems:
-        samples, bounds, problems = with_parameters(scenario, pieces, samples, bounds)
+        pieces, samples, problems = looked(at_worst_ends, pieces)
     light = [piece.light() for piece in pieces]
     kept = walked if problems else ()
     return WalkedLegs(scenario, corners, accuracy, light, samples, bounds, problems, spare_m, kept)
 
 
 def _other_equilibria(scenario: Scenario, space: JointSpace, pieces: Sequence[Piece]) -> list[str]:
-    lengths_mm = [space.length_mm(piece.end - piece.start) for piece in pieces]
+    lengths_mm = [float(space.lengths_mm(np.diff(piece.joints, axis=0)).sum()) for piece in pieces]
     result = other_equilibrium(scenario.robot, pieces, lengths_mm)
     return [result.sentence] if result else []
 
 
 def _bounds(scenario: Scenario, samples: CertificateSamples, pieces: list[Piece]) -> StatedBounds:
+    """Friction's by the file's robot, on the certificate mesh where it matters; what parameters add comes on top."""
     accuracies = [piece.accuracy for number, piece in enumerate(pieces) for _ in range(len(piece.l_b) - (number > 0))]
-    return stated_bounds(scenario.robot, samples.joints, samples.bound_m, accuracies)
+    added = samples.parameter_bound_m
+    walked = samples.bound_m - added
+    stated = stated_bounds(scenario.robot, samples.joints, walked, accuracies)
+    if not added.any():
+        return stated
+    friction = np.minimum(stated.worst_m, walked + bound_allowance_m(scenario.robot, "search"))
+    return StatedBounds(stated.goal_m + float(added[-1]), float((friction + added).max()))

@@ -1,16 +1,16 @@
-"""Pieces of legs walked densely for a certificate, the narrowest samples solved on its mesh, all samples in one
-table.
+"""Pieces of legs walked densely for a certificate, and all their samples in one table.
 
-Pieces are walked on the mesh of the search, whose allowance may take too much from a clearance. Samples one after the
-other are walked to as pieces are, the first of them from scratch.
+The file's robot is walked, and beside it what the robot may be as well: the corners of what is large of stated
+intervals and play, and single ends of what is small (`variants.py`). Samples are so close that no body point of any of
+these moves farther between them than what is allowed for.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,16 +22,25 @@ from ctrplan.certificate.anatomy_distance import AnatomyDistance
 from ctrplan.certificate.certificate import CertificateSamples
 from ctrplan.certificate.friction_states import (
     POINT_SPACING_M,
-    SAME_BRANCH_M,
     SPACING_M,
     UNEVEN_FRICTION_M,
     CornerShapes,
     mesh_allowance_m,
 )
+from ctrplan.certificate.variants import (
+    VARIANT_SPACING_M,
+    Variants,
+    VariantWalks,
+    alike,
+    rows_of,
+    shares_of_length,
+    walk_corners,
+    walk_variants,
+)
 from ctrplan.mechanics.shapes import Status
 from ctrplan.mechanics.walk import PathDensity, PathSamples
-from ctrplan.motion.checker import path_limits, released_error
-from ctrplan.motion.play import play_reach
+from ctrplan.motion.checker import released_error
+from ctrplan.pipeline.driven_way import driven_ways
 from ctrplan.robot.friction_calibration import friction_law
 from ctrplan.scenario.joint_space import JointSpace
 from ctrplan.scenario.prediction import start_load
@@ -41,34 +50,54 @@ if TYPE_CHECKING:
     from ctrplan.scenario.scenario import Scenario
 
 PIECE_MM = 40.0  # joint length of the pieces that run in parallel
-BENT_STEP_RAD = np.radians(2.0)  # of a joint, along which a drive with effects is taken to be straight
+BENT_STEP_RAD, BENT_STEP_M = np.radians(2.0), 0.5e-3  # of a joint, along which a drive with effects moves straight
 FROM_PLATE_M = 5e-3  # points of a body farther from where it leaves the plate have to stay in front of it
 
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """A straight part of a leg, walked; K samples."""
+    """A part of a leg, walked; K samples."""
 
     leg: int
-    start: Array  # (m,)
-    end: Array  # (m,)
-    samples: PathSamples  # fractions are of the piece
+    way: Array  # (S, m) joints driven, straight in between
+    joints: Array  # (K, m)
+    samples: PathSamples  # of the file's robot
     theta_b: Array  # (K, n)
     l_b: Array  # (K, n)
     accuracy: Accuracy  # of the walk
-    allowance_m: Array  # (K,) half the motion to the neighbours, uneven friction and play: not that of the mesh
+    variants: Variants
+    walks: VariantWalks  # of what else the robot may be
+    motion_m: Array  # (K,) largest of a body point since the sample before, whatever the robot is
+    allowance_m: Array  # (K,) half the motion to the neighbours and uneven friction: not that of the mesh
     nominal_m: Array  # (K,) clearance of the frictionless shape as solved; inf in free space
     as_walked_m: Array  # (K,) clearance of the solved shapes on this mesh, all allowances taken off
     clearance_m: Array  # (K,) the same, then on the certificate mesh where it matters, then of every friction state
+    taken_m: Array  # (K,) how much of it what the robot may be besides took from shapes solved, small axes included
     stability: Array  # (K,) likewise
     max_strain: Array  # (K,) likewise
     height_m: Array  # (K,) least of a body point over the front plate, beyond FROM_PLATE_M; inf where there is none
-    phi: Array  # (K, P) friction state in which less than in the solved shapes was found, else 0
-    play_m: float  # how far play of the drive may move the robot, the largest of both ends and the middle
+    phi: Array  # (K, P + A) state in which less than in the solved shapes was found, else 0
     apart_m: float = 0.0  # how far bodies solved from scratch lay from those walked to, where that was looked at
     finer: Mapping[int, CornerShapes] = field(
         default_factory=dict
     )  # on the certificate mesh, of samples solved closely
+
+    @property
+    def pairs(self) -> int:
+        """P."""
+        return self.l_b.shape[1] - 1
+
+    @property
+    def play_m(self) -> Array:
+        """(K,) how far play of the drive may move the tip."""
+        return np.zeros(len(self.l_b)) if self.walks.play_m is None else self.walks.play_m
+
+    @property
+    def end_tips_m(self) -> tuple[Array, Array]:
+        """(T, 3) tips of every shape that was walked, at the first and at the last sample."""
+        walks = [self.samples, *self.walks.corners]
+        first, last = ([np.vstack([w.tip_m[k], *w.corner_tip_m[k][:, None]]) for w in walks] for k in (0, -1))
+        return np.vstack(first), np.vstack(last)
 
     def offset_m(self, scenario: Scenario, accuracy: Accuracy) -> Array:
         """(K,) all that is taken off clearances of shapes solved at an accuracy."""
@@ -76,7 +105,54 @@ class Piece:
 
     def light(self) -> Piece:
         """Without the shapes."""
-        return replace(self, samples=replace(self.samples, bodies=()), finer={})
+        corners = tuple(replace(walk, bodies=()) for walk in self.walks.corners)
+        return replace(
+            self,
+            samples=replace(self.samples, bodies=()),
+            walks=replace(self.walks, corners=corners, reach_m=()),
+            finer={},
+        )
+
+    @property
+    def scenario(self) -> Scenario:
+        """Whose robot it is."""
+        return self.variants.scenario
+
+    def shapes(self, sample: int) -> CornerShapes:
+        """The frictionless shape, and those in corners of friction and of the large axes, as they were walked."""
+        return composed(self.scenario, [(walk, sample) for walk in (self.samples, *self.walks.corners)], self, sample)
+
+
+def composed(scenario: Scenario, rows: Sequence[tuple[PathSamples, int]], piece: Piece, sample: int) -> CornerShapes:
+    """The shapes of a sample from rows of walks: of the file's robot, then of every corner of the large axes."""
+    own, radius = shapes_of(scenario, rows[0][0].bodies[rows[0][1]])
+    bodies = [alike(shapes_of(scenario, walk.bodies[row])[0], own[0]) for walk, row in rows]
+    stability = [walk.shape_stability[row] for walk, row in rows]
+    strain = [walk.shape_max_strain[row] for walk, row in rows]
+    corners = slice(1 if len(rows) > 1 else 0, None)
+    filled = filled_radius(radius, own[0], piece, sample)
+
+    def joined(parts: Sequence[Array]) -> Array:
+        """Friction states first, then the large axes, the last of them fastest."""
+        states = np.stack([part[1:] for part in parts[corners]], axis=1)
+        return np.concatenate([parts[0][:1], states.reshape(-1, *states.shape[2:])])
+
+    return CornerShapes(joined(bodies), joined(stability), joined(strain), filled)
+
+
+def filled_radius(radius_m: Array, body_m: Array, piece: Piece | None, sample: int) -> Array:
+    """(N,) outer radii of a body (N, 3), and how far small axes and base may move its points: a neighbour's if more."""
+    if piece is None or not piece.walks.reach_m:
+        return radius_m
+    return np.asarray(radius_m + reach_on(body_m, piece.walks, sample))
+
+
+def reach_on(body_m: Array, walks: VariantWalks, sample: int) -> Array:
+    """(N,) [m] the reach of a sample on a body (N, 3): of neighbouring points the larger."""
+    reach = walks.reach_m[sample]
+    if len(reach) != len(body_m):
+        reach = np.interp(shares_of_length(body_m), np.linspace(0, 1, len(reach)), reach)
+    return np.asarray(np.maximum(reach, np.maximum(np.append(reach[1:], reach[-1]), np.append(reach[0], reach[:-1]))))
 
 
 def walk_pieces(
@@ -91,83 +167,136 @@ def walk_pieces(
 
     Those that are among the `known` ones of the same scenario, as they were walked, are not walked again.
     """
-    memory = {(piece.start.tobytes(), piece.end.tobytes(), piece.accuracy): piece for piece in known}
-    ends: list[tuple[int, Array, Array]] = []
-    for leg, (a, b) in enumerate(zip(corners[:-1], corners[1:], strict=True)):
-        count = max(1, int(np.ceil(space.length_mm(b - a) / PIECE_MM)))
-        points = a + np.linspace(0, 1, count + 1)[:, None] * (b - a)
-        ends += [(leg, points[k], points[k + 1]) for k in range(count)]
-    if not ends:
-        ends = [(0, corners[0], corners[0])]
+    memory = {(piece.way.tobytes(), piece.variants.large, piece.accuracy): piece for piece in known}
+    ways = _cut(space, driven_ways(scenario.robot, corners))
+    variants = Variants.of(scenario, np.concatenate([way for _, way in ways]))
 
-    def walk(end: tuple[int, Array, Array]) -> Piece:
-        leg, a, b = end
-        same = memory.get((a.tobytes(), b.tobytes(), accuracy))
-        return replace(same, leg=leg) if same else walked(scenario, space, leg, a, b, accuracy)
+    def walk(leg_way: tuple[int, Array]) -> Piece:
+        leg, way = leg_way
+        same = memory.get((way.tobytes(), variants.large, accuracy))
+        return replace(same, leg=leg) if same else walked(variants, space, leg, way, accuracy)
 
     pieces: list[Piece] = []
     with ThreadPoolExecutor(cores()) as pool:
-        for piece in pool.map(walk, ends):
+        for piece in pool.map(walk, ways):
             pieces.append(piece)
             if progress:  # told by this thread alone, so that whoever listens needs no lock
-                progress(len(pieces) / len(ends))
+                progress(len(pieces) / len(ways))
     return pieces
 
 
-def walked(scenario: Scenario, space: JointSpace, leg: int, start: Array, end: Array, accuracy: Accuracy) -> Piece:
-    """One piece, from joints start (m,) to end (m,)."""
+def _cut(space: JointSpace, ways: Sequence[tuple[int, Array]]) -> list[tuple[int, Array]]:
+    """Ways (S, m) of legs in parts of about PIECE_MM of joint length."""
+    results: list[tuple[int, Array]] = []
+    for leg, way in ways:
+        lengths_mm = np.append(0.0, np.cumsum(space.lengths_mm(np.diff(way, axis=0))))
+        count = max(1, int(np.ceil(lengths_mm[-1] / PIECE_MM - 1e-9)))
+        at = np.linspace(0, lengths_mm[-1], count + 1)
+        ends = [_at(lengths_mm, way, float(mm)) for mm in at]
+        ends[0], ends[-1] = way[0], way[-1]
+        for k in range(count):
+            between = way[(lengths_mm > at[k] + 1e-9) & (lengths_mm < at[k + 1] - 1e-9)]
+            results.append((leg, np.vstack([ends[k], between, ends[k + 1]])))
+    return results
+
+
+def _at(place: Array, rows: Array, where: Array | float) -> Array:
+    """Rows (S, c) at places (S,), interpolated where it is asked for."""
+    return np.array([np.interp(where, place, column) for column in rows.T]).T
+
+
+def walked(variants: Variants, space: JointSpace, leg: int, way: Array, accuracy: Accuracy) -> Piece:
+    """One piece, along the joints of a way (S, m)."""
+    scenario, mechanics = variants.scenario, variants.scenario.robot.mechanics
     density = PathDensity(motion_m=SPACING_M, near_m=SPACING_M, point_spacing_m=POINT_SPACING_M)
-    theta, l = space.drive.collars(_straight_steps(space, start, end))  # noqa: E741 (as in the equations)
-    result = scenario.robot.mechanics.check_path(theta, l, density=density, accuracy=accuracy, bodies=True)
-    place = result.segment + result.fraction
-    samples = replace(result, segment=np.zeros_like(result.segment), fraction=place / max(len(theta) - 1, 1))
-    rows = np.arange(len(theta))
-    theta_b, l_b = (np.column_stack([np.interp(place, rows, c) for c in part.T]) for part in (theta, l))
-    places = [start] if np.array_equal(start, end) else [start, (start + end) / 2, end]
-    play = max(play_reach(scenario.robot, *space.drive.collars(q)) for q in places)
-    motion = np.maximum(samples.motion_m, np.append(samples.motion_m[1:], 0.0))  # on both sides of a sample
-    allowance = motion / 2 + UNEVEN_FRICTION_M + play
-    nominal, solved = _solved_clearances(scenario, samples)
+    rows = _straight_steps(space, way)
+    samples = mechanics.check_path(*space.drive.collars(rows), density=density, accuracy=accuracy, bodies=True)
+    joints, corners = _at(np.arange(len(rows)), rows, samples.segment + samples.fraction), list[PathSamples]()
+    if variants.large and samples.status[-1] < Status.UNSTABLE:
+        corners, finer = walk_corners(variants, joints, accuracy)
+        if len(finer) > len(joints):  # the file's robot and all corners once more, at the samples of any
+            wider = replace(density, motion_m=VARIANT_SPACING_M, near_m=VARIANT_SPACING_M)
+            again = mechanics.check_path(*space.drive.collars(finer), density=wider, accuracy=accuracy, bodies=True)
+            if (at_rows := rows_of(again, len(finer))) is not None:
+                samples, joints = at_rows, finer
+                corners, _ = walk_corners(variants, joints, accuracy)
+    theta_b, l_b = space.drive.collars(joints)
+    place = np.append(0.0, np.cumsum(space.lengths_mm(np.diff(joints, axis=0))))
+    whole = samples.segment[-1] + samples.fraction[-1] >= len(rows) - 1 or np.array_equal(joints[-1], way[-1])
+    share = place / place[-1] if place[-1] > 0 else np.linspace(0, 1, len(place))
+    samples = replace(
+        samples, segment=np.zeros_like(samples.segment), fraction=share if whole else np.minimum(share, 1 - 1e-9)
+    )
+    shapes = [shapes_of(scenario, body) for body in samples.bodies]
+    walks = VariantWalks()
+    if whole and samples.status[-1] < Status.UNSTABLE:
+        walks = walk_variants(variants, joints, samples, [bodies[0] for bodies, _ in shapes], corners, accuracy)
+    moved = np.max([samples.motion_m, *(walk.motion_m for walk in walks.corners)], axis=0)
+    motion = np.maximum(moved, np.append(moved[1:], 0.0))  # on both sides of a sample
+    allowance = motion / 2 + UNEVEN_FRICTION_M
+    nominal, bare, solved = _solved_clearances(scenario, samples, walks)
     as_walked = solved - allowance - mesh_allowance_m(scenario.robot, accuracy)
+    every = [samples, *walks.corners]
     return Piece(
         leg=leg,
-        start=start,
-        end=end,
+        way=way,
+        joints=joints,
         samples=samples,
         theta_b=theta_b,
         l_b=l_b,
         accuracy=accuracy,
+        variants=variants,
+        walks=walks,
+        motion_m=moved,
         allowance_m=allowance,
         nominal_m=nominal,
         as_walked_m=as_walked,
         clearance_m=as_walked,
-        stability=np.nan_to_num(samples.shape_stability, nan=-np.inf).min(axis=1),
-        max_strain=samples.max_strain,
-        height_m=np.array([_height(body) for body in samples.bodies]),
-        phi=np.zeros((len(place), scenario.robot.n - 1)),
-        play_m=play,
+        taken_m=np.where(np.isfinite(bare), bare - np.where(np.isfinite(bare), solved, 0.0), 0.0),
+        stability=np.min([np.nan_to_num(w.shape_stability, nan=-np.inf).min(axis=1) for w in every], axis=0),
+        max_strain=np.max([w.max_strain for w in every], axis=0),
+        height_m=np.array([_height(scenario, every, walks, k) for k in range(len(joints))]),
+        phi=np.zeros((len(place), scenario.robot.n - 1 + len(variants.large))),
     )
 
 
-def _straight_steps(space: JointSpace, start: Array, end: Array) -> Array:
-    """(S, m) joint values between which the drive's collars may be taken to move straight."""
+def _straight_steps(space: JointSpace, way: Array) -> Array:
+    """(S', m) joint values of a way (S, m) between which the drive's collars may be taken to move straight."""
     if not space.drive.terms:
-        return np.array([start, end])
-    turned = np.abs(end - start)[space.drive.is_rotation].max(initial=0.0)
-    count = max(1, int(np.ceil(turned / BENT_STEP_RAD)))
-    steps: Array = start + np.linspace(0, 1, count + 1)[:, None] * (end - start)
-    return steps
+        return way
+    most = np.where(space.drive.is_rotation, BENT_STEP_RAD, BENT_STEP_M)
+    parts = [way[:1]]
+    for a, b in itertools.pairwise(way):
+        count = max(1, int(np.ceil(np.max(np.abs(b - a) / most))))
+        parts.append(a + np.linspace(0, 1, count + 1)[1:, None] * (b - a))
+    return np.concatenate(parts)
 
 
-def _solved_clearances(scenario: Scenario, samples: PathSamples) -> tuple[Array, Array]:
-    """(K,) of the frictionless shape, (K,) of all solved shapes, beyond the margins [m]; inf in free space."""
+def _solved_clearances(scenario: Scenario, samples: PathSamples, walks: VariantWalks) -> tuple[Array, Array, Array]:
+    """(K,) of the frictionless shape, of all shapes of the file's robot, and of all that it may be [m].
+
+    Beyond the margins; inf in free space.
+    """
     distance, count = AnatomyDistance.of(scenario), len(samples.bodies)
     if distance is None:
-        return np.full(count, np.inf), np.full(count, np.inf)
+        return np.full(count, np.inf), np.full(count, np.inf), np.full(count, np.inf)
     points = np.concatenate(samples.bodies)
     owner = np.concatenate([_groups(len(body), 2 * k, scenario.robot.n) for k, body in enumerate(samples.bodies)])
     least = distance.least(points[:, :3], points[:, 3], owner, 2 * count)
-    return least[::2], least.reshape(-1, 2).min(axis=1)
+    nominal, bare = least[::2], least.reshape(-1, 2).min(axis=1)
+    if not walks.reach_m:
+        return nominal, bare, bare
+    every = np.full(count, np.inf)
+    shapes = 2 ** (scenario.robot.n - 1) + 1
+    for walk in (samples, *walks.corners):
+        radii = []
+        for k, body in enumerate(walk.bodies):
+            own = body[: len(body) // shapes]
+            radii.append(np.tile(own[:, 3] + reach_on(own[:, :3], walks, k), shapes))
+        body_owner = np.repeat(np.arange(count), [len(body) for body in walk.bodies])
+        points = np.concatenate(walk.bodies)[:, :3]
+        every = np.minimum(every, distance.least(points, np.concatenate(radii), body_owner, count))
+    return nominal, bare, every
 
 
 def _groups(points: int, first: int, tubes: int) -> NDArray[np.intp]:
@@ -178,10 +307,15 @@ def _groups(points: int, first: int, tubes: int) -> NDArray[np.intp]:
     return groups
 
 
-def _height(body: Array) -> float:
-    """Least [m] of points (N, 4) over the plate of those that have left it by more than FROM_PLATE_M."""
-    beyond = lengths(body[:, :3]) > FROM_PLATE_M
-    return float(body[beyond, 2].min(initial=np.inf))
+def _height(scenario: Scenario, every: Sequence[PathSamples], walks: VariantWalks, sample: int) -> float:
+    """Least [m] over the plate of body points of a sample that have left it by more than FROM_PLATE_M."""
+    least = np.inf
+    for walk in every:
+        bodies, _ = shapes_of(scenario, walk.bodies[sample])
+        reach = reach_on(bodies[0], walks, sample) if walks.reach_m else 0.0
+        beyond = lengths(bodies) - reach > FROM_PLATE_M
+        least = min(least, float((bodies[..., 2] - reach)[beyond].min(initial=np.inf)))
+    return least
 
 
 def shapes_of(scenario: Scenario, body: Array) -> tuple[Array, Array]:
@@ -195,42 +329,59 @@ def narrowest_of(pieces: Sequence[Piece]) -> float:
     return min(float(piece.clearance_m.min()) for piece in pieces)
 
 
-def joined_samples(scenario: Scenario, space: JointSpace, corners: Array, pieces: list[Piece]) -> CertificateSamples:
+def joined_samples(scenario: Scenario, space: JointSpace, pieces: Sequence[Piece]) -> CertificateSamples:
     """One table over all pieces; the first sample of every piece but the first repeats the last one before it."""
-    starts = np.append(0.0, np.cumsum(space.lengths_mm(np.diff(corners, axis=0))))
+    travelled = 0.0
     columns: dict[str, list[NDArray[Any]]] = {name: [] for name in CertificateSamples.__dataclass_fields__}
     load = start_load(scenario)
     for number, piece in enumerate(pieces):
-        s = piece.samples
+        s, count = piece.samples, len(piece.joints)
         keep = slice(0 if number == 0 else 1, None)
-        joints = piece.start + s.fraction[:, None] * (piece.end - piece.start)
-        ends = space.drive.collars(np.array([piece.start, piece.end]))
-        loads = friction_law(scenario.robot).load_left(load, *ends, s.fraction)
+        loads = _loads_left(piece, space, load)
         load = loads[-1]
+        path_mm = travelled + np.append(0.0, np.cumsum(space.lengths_mm(np.diff(piece.joints, axis=0))))
+        travelled = float(path_mm[-1])
+        bound = np.zeros(count) if piece.walks.bound_m is None else piece.walks.bound_m
         rows: dict[str, NDArray[Any]] = {
-            "leg": np.full(len(s.fraction), piece.leg),
-            "joints": joints,
-            "path_mm": starts[piece.leg] + space.lengths_mm(joints - corners[piece.leg]),
-            "bound_m": s.position_m,
+            "leg": np.full(count, piece.leg),
+            "joints": piece.joints,
+            "path_mm": path_mm,
+            "bound_m": s.position_m + bound,
             "bound_rad": s.tangent_rad,
-            "stability": piece.stability,
-            "max_strain": piece.max_strain,
+            "stability": piece.stability - _or_zeros(piece.walks.stability, count),
+            "max_strain": piece.max_strain + _or_zeros(piece.walks.strain, count),
             "clearance_m": piece.clearance_m,
-            "motion_m": s.motion_m,
+            "motion_m": piece.motion_m,
             "tip_m": s.tip_m,
             "released_m": released_error(s, loads),
             "predicted_m": s.position_m,  # until it is simulated
-            "play_m": np.full(len(s.fraction), piece.play_m),
-            "parameter_bound_m": np.zeros(len(s.fraction)),  # until they are allowed for
-            "parameter_clearance_m": np.zeros(len(s.fraction)),
-            "parameter_stability": np.zeros(len(s.fraction)),
-            "parameter_strain": np.zeros(len(s.fraction)),
+            "play_m": piece.play_m,
+            "parameter_bound_m": bound,
+            "parameter_clearance_m": piece.taken_m,
+            "parameter_stability": _or_zeros(piece.walks.stability, count),
+            "parameter_strain": _or_zeros(piece.walks.strain, count),
             "spread_m": s.position_m,  # until it is simulated
-            "friction_spread": np.ones((len(s.fraction), scenario.robot.n - 1)),
+            "friction_spread": np.ones((count, scenario.robot.n - 1)),
         }
         for name, values in rows.items():
             columns[name].append(values[keep])
     return CertificateSamples(**{name: np.concatenate(parts) for name, parts in columns.items()})
+
+
+def _or_zeros(values: Array | None, count: int) -> Array:
+    return np.zeros(count) if values is None else values
+
+
+def _loads_left(piece: Piece, space: JointSpace, load: Array) -> Array:
+    """(K, P) largest |phi| possible at the samples, given the largest possible at the first (P,)."""
+    law = friction_law(piece.scenario.robot)
+    if len(piece.way) == 2:
+        return law.load_left(load, *space.drive.collars(piece.way), piece.samples.fraction)
+    theta, l = space.drive.collars(piece.joints)  # noqa: E741 (as in the equations)
+    loads = [np.minimum(load, 1.0)]
+    for k in range(1, len(theta)):
+        loads.append(law.load_left(loads[-1], theta[k - 1 : k + 1], l[k - 1 : k + 1], np.ones(1))[0])
+    return np.array(loads)
 
 
 def checked_samples(samples: CertificateSamples, pieces: list[Piece]) -> CertificateSamples:
@@ -242,79 +393,6 @@ def checked_samples(samples: CertificateSamples, pieces: list[Piece]) -> Certifi
     return replace(
         samples,
         clearance_m=column("clearance_m"),
-        stability=column("stability"),
-        max_strain=column("max_strain"),
+        stability=column("stability") - samples.parameter_stability,
+        max_strain=column("max_strain") + samples.parameter_strain,
     )
-
-
-FIRST = 4  # narrowest samples: no others than those that seem to have less have to be solved
-LONGEST = 12  # samples that one thread walks to
-ONLY_THESE = PathDensity(near_m=20e-3, point_spacing_m=POINT_SPACING_M)  # samples; more only where shapes leap
-
-Run = tuple[int, list[int]]  # piece, samples one after the other
-
-
-def closely_solved(scenario: Scenario, pieces: Sequence[Piece], spare_m: float) -> list[Piece]:
-    """The narrowest samples solved on the certificate mesh: all for which the search mesh shows less than is left.
-
-    So the least clearance does not depend on the mesh that a sample happened to be walked on, unless it is more than
-    `spare_m` beyond the limit.
-    """
-    distance, limits = AnatomyDistance.of(scenario), path_limits(scenario)
-    if distance is None or spare_m < 0:
-        return list(pieces)
-    closer = [piece.clearance_m.copy() for piece in pieces]
-    finer: list[dict[int, CornerShapes]] = [{} for _ in pieces]
-    rows = sorted((float(c), p, k) for p, piece in enumerate(pieces) for k, c in enumerate(piece.clearance_m))
-    narrow = [row for row in rows if pieces[row[1]].accuracy == "search"]
-    ceiling = limits.clearance_m + spare_m  # of the least clearance that is asked for
-    with ThreadPoolExecutor(cores()) as pool:
-        for some in (narrow[:FIRST], narrow[FIRST:]):
-            runs = _runs([(p, k) for value, p, k in some if value < ceiling])
-            solved = pool.map(lambda run: _on_certificate_mesh(scenario, distance, pieces[run[0]], run[1]), runs)
-            for (p, samples), result in zip(runs, solved, strict=True):
-                for k, (clearance, shapes) in zip(samples, result, strict=True):
-                    closer[p][k] = max(closer[p][k], clearance)
-                    ceiling = min(ceiling, closer[p][k])
-                    if shapes:
-                        finer[p][k] = shapes
-    changed = zip(pieces, closer, finer, strict=True)
-    return [replace(piece, clearance_m=values, finer=shapes) for piece, values, shapes in changed]
-
-
-def _runs(places: Sequence[tuple[int, int]]) -> list[Run]:
-    """Pieces and samples as runs of samples one after the other, none longer than LONGEST."""
-    results = list[Run]()
-    for (piece, _), of_run in groupby(enumerate(sorted(places)), lambda row: (row[1][0], row[1][1] - row[0])):
-        samples = [k for _, (_, k) in of_run]
-        results += [(piece, samples[i : i + LONGEST]) for i in range(0, len(samples), LONGEST)]
-    return results
-
-
-def _on_certificate_mesh(
-    scenario: Scenario, distance: AnatomyDistance, piece: Piece, samples: Sequence[int]
-) -> list[tuple[float, CornerShapes | None]]:
-    """Clearance of each sample's solved shapes, all allowances taken off, and these; -inf on another branch."""
-    result = scenario.robot.mechanics.check_path(
-        piece.theta_b[samples], piece.l_b[samples], density=ONLY_THESE, accuracy="certificate", bodies=True
-    )
-    offset, nothing = piece.offset_m(scenario, "certificate"), (-np.inf, None)
-    solved: list[tuple[float, CornerShapes | None]] = [nothing] * len(samples)
-    is_asked = (result.fraction == 1) | (np.arange(len(result.fraction)) == 0)
-    for row in np.flatnonzero(is_asked & (result.status != Status.FAILED)):
-        at = int(result.segment[row] + result.fraction[row])
-        bodies, radius = shapes_of(scenario, result.bodies[row])
-        if _apart_m(scenario, piece, samples[at], bodies) > SAME_BRANCH_M:
-            continue
-        shapes = CornerShapes(bodies, result.shape_stability[row], result.shape_max_strain[row], radius)
-        owner = np.zeros(bodies.shape[0] * bodies.shape[1], dtype=np.intp)
-        least = distance.least(bodies.reshape(-1, 3), np.tile(radius, len(bodies)), owner, 1)[0]
-        solved[at] = float(least) - float(offset[samples[at]]), shapes
-    return solved
-
-
-def _apart_m(scenario: Scenario, piece: Piece, sample: int, bodies: Array) -> float:
-    """How far tips of shapes (1 + C, N, 3) lie from those that were walked to, beyond what meshes differ by."""
-    walked = shapes_of(scenario, piece.samples.bodies[sample])[0]
-    apart = np.linalg.norm(bodies[:, -1] - walked[:, -1], axis=1)
-    return float(np.nan_to_num(apart.max(), nan=np.inf)) - mesh_allowance_m(scenario.robot, piece.accuracy)

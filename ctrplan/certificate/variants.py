@@ -1,0 +1,315 @@
+"""What a robot may be besides what its file says: a box, its sides the stated intervals of parameters and the play of
+the drive.
+
+An axis of the box is a number s from -1 to 1. The robot of a point of the box and its collars there are solved as the
+file's own. What is large bends, and is looked at together with friction in cells (`every_state.py`). What is small is
+first order: a body point moves with every small axis by as much as it does from the middle of the box to the end of
+that axis, and these lengths are added up. They are not projected on the way to the anatomy: points came up to 0.35 mm
+nearer than that says. The base, of which only a ball of positions and rotations is known, moves points as a rigid body.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrplan.base.arrays import Array, lengths
+from ctrplan.certificate.friction_states import POINT_SPACING_M, SPACING_M, corner_states
+from ctrplan.mechanics.shapes import Status
+from ctrplan.mechanics.walk import PathDensity, PathSamples
+from ctrplan.pipeline.tip_table import nested
+from ctrplan.uncertainty.parameters import UncertainParameters, uncertain_parameters
+from ctrplan.uncertainty.tip_slopes import clamped_collars
+from ctrplan.uncertainty.worst_case import BaseBall, OffsetBox
+
+if TYPE_CHECKING:
+    from ctrplan.mechanics.friction import FrictionStates
+    from ctrplan.mechanics.shapes import Accuracy
+    from ctrplan.robot.robot import Robot
+    from ctrplan.scenario.scenario import Scenario
+
+# What moves the tip less than that is first order: of second order is a tenth of it at most, and the corners of all
+# small axes together are solved where the anatomy is nearest.
+LARGE_M = 0.2e-3
+MOST_LARGE = 2  # axes in cells, a budget: each doubles what is solved of a sample
+MOST_DIMENSIONS = 5  # of friction and large axes together, as of six tubes
+PLACES = 5  # of the path where axes are ranked, its ends among them
+
+Point = tuple[float, ...]  # of the box, one number an axis
+
+
+@dataclass(frozen=True, eq=False)
+class Variants:
+    """The box of a scenario's robot: axes of its parameters first, then of collars with play. Empty of most robots."""
+
+    scenario: Scenario
+    parameters: UncertainParameters
+    box: OffsetBox
+    play: tuple[Array, ...]  # (2 n,) each: rotations [rad] and translations [m] of one collar with play
+    large: tuple[int, ...] = ()  # axes that are looked at in cells
+    _robots: dict[bytes, Robot] = field(default_factory=dict, repr=False)
+
+    @classmethod
+    def of(cls, scenario: Scenario, joints: Array) -> Variants:
+        """Of a path along joints (K, m): axes are large where they move the tip by more than LARGE_M on it."""
+        robot, parameters = scenario.robot, uncertain_parameters(scenario.robot)
+        held = np.zeros(2 * robot.n) if robot.drive.play is None else np.concatenate(robot.drive.play)
+        play = tuple(row for row in np.diag(held) if row.any())
+        box = OffsetBox.of(parameters) if parameters.count else OffsetBox(np.zeros(0), np.zeros((0, 0)))
+        result = cls(scenario, parameters, box, play)
+        if not result.count:
+            return result
+        rows = joints[np.unique(np.linspace(0, len(joints) - 1, PLACES).round().astype(int))]
+        moved_m = result.tip_moves(rows)
+        most = max(0, min(MOST_LARGE, MOST_DIMENSIONS - (robot.n - 1)))
+        order = np.argsort(-moved_m, kind="stable")[:most]
+        return cls(scenario, parameters, box, play, tuple(sorted(int(k) for k in order if moved_m[k] > LARGE_M)))
+
+    @property
+    def count(self) -> int:
+        """Number of axes."""
+        return self.box.axes.shape[1] + len(self.play)
+
+    @property
+    def of_parameters(self) -> int:
+        """Number of axes that are the parameters'; the others are the play's."""
+        return self.box.axes.shape[1]
+
+    @property
+    def small(self) -> tuple[int, ...]:
+        """Axes that are first order."""
+        return tuple(k for k in range(self.count) if k not in self.large)
+
+    @property
+    def has_middle(self) -> bool:
+        """Whether the file's robot is the middle of the box."""
+        return not self.box.middle.any()
+
+    @property
+    def base(self) -> BaseBall:
+        """Where the base may stand instead."""
+        given = self.scenario.registration
+        return BaseBall.of(given.position_sigma_m, given.rotation_sigma_rad)
+
+    def end(self, axis: int, s: float = 1.0) -> Point:
+        """The point at s of one axis, in the middle of the others."""
+        return tuple(s if k == axis else 0.0 for k in range(self.count))
+
+    def at(self, s: Sequence[float]) -> Point:
+        """The point at s (A,) of the large axes, in the middle of the small ones."""
+        result = [0.0] * self.count
+        for axis, value in zip(self.large, s, strict=True):
+            result[axis] = value
+        return tuple(result)
+
+    def robot(self, point: Point) -> Robot:
+        """The robot with its parameters there."""
+        if not self.parameters.count:
+            return self.scenario.robot
+        offset = self.box.middle + self.box.axes @ np.array(point[: self.of_parameters])
+        key = offset.tobytes()
+        if key not in self._robots:
+            self._robots[key] = self.parameters.robot_at(offset) if offset.any() else self.scenario.robot
+        return self._robots[key]
+
+    def collars(self, point: Point, joints: Array) -> tuple[Array, Array]:
+        """(K, n) [rad], (K, n) [m] where the drive may hold collars there, joints (K, m) driven; nested."""
+        robot = self.robot(point)
+        theta_b, l_b = clamped_collars(self.parameters, robot, *self.scenario.robot.drive.commanded(joints))
+        for row, s in zip(self.play, point[self.of_parameters :], strict=True):
+            theta_b, l_b = theta_b + s * row[: robot.n], l_b + s * row[robot.n :]
+        return theta_b, nested(robot, l_b)
+
+    def configuration(self, point: Point, joints: Array, accuracy: Accuracy) -> FrictionStates:
+        """Its configuration at joints (m,). Raises what the mechanics do."""
+        theta_b, l_b = self.collars(point, joints[None])
+        return self.robot(point).mechanics.friction_states(theta_b[0], l_b[0], accuracy=accuracy)
+
+    def tip_moves(self, joints: Array) -> Array:
+        """(A,) [m] largest displacement of the frictionless tip by either half of each axis; inf where it is lost."""
+        middle = self._tips(self.end(-1), joints)
+        ends = [[self._tips(self.end(axis, side), joints) for side in (1.0, -1.0)] for axis in range(self.count)]
+        moved = np.array([[lengths(tips - middle).max() for tips in of_axis] for of_axis in ends]).reshape(-1, 2)
+        return np.asarray(np.nan_to_num(moved, nan=np.inf).max(axis=1))
+
+    def _tips(self, point: Point, joints: Array) -> Array:
+        """(K, 3); NaN without an equilibrium."""
+        robot = self.robot(point)
+        tips = robot.mechanics.tips_with_friction(*self.collars(point, joints), np.zeros((len(joints), robot.n - 1)))
+        return np.where((tips.status == Status.FAILED)[:, None], np.nan, tips.position_m)
+
+
+def shares_of_length(body_m: Array) -> Array:
+    """(N,) share of a body's length at its points (N, 3)."""
+    length = np.append(0.0, np.cumsum(lengths(np.diff(body_m, axis=0))))
+    share: Array = length / length[-1] if length[-1] > 0 else np.linspace(0.0, 1.0, len(length))
+    return share
+
+
+def alike(bodies: Array, pattern: Array) -> Array:
+    """(S, N, 3) as many points on bodies (S, M, 3) as a body (N, 3) has, at the same shares of the first's length."""
+    if bodies.shape[1] == len(pattern):
+        return bodies
+    if not np.isfinite(bodies).all():
+        return np.full((len(bodies), len(pattern), 3), np.nan)
+    own, share = shares_of_length(bodies[0]), shares_of_length(pattern)
+    columns = [[np.interp(share, own, column) for column in body.T] for body in bodies]
+    return np.array(columns).transpose(0, 2, 1)
+
+
+# A variant is walked along the samples of the file's robot; more are taken where it moves farther between them.
+VARIANT_SPACING_M = 1.5 * SPACING_M
+EVERY = 4  # samples of the file's robot, between which what small axes do is taken to be the larger of both sides
+COARSE_M = EVERY * 2 * SPACING_M  # motion between these
+NO_EQUILIBRIUM = "a robot that the stated intervals and play allow has no equilibrium, or snaps"
+
+
+@dataclass(frozen=True, eq=False)
+class VariantWalks:
+    """What was walked of a box along K samples of a path, beside the file's robot."""
+
+    corners: tuple[PathSamples, ...] = ()  # K rows each: corners of the large axes in the order of `corner_states`
+    reach_m: tuple[Array, ...] = ()  # per sample (N,): how far small axes and base move its points; empty if not
+    bound_m: Array | None = None  # (K,) what parameters add to the bound of the tip; None without them
+    play_m: Array | None = None  # (K,) how far play moves the tip, every collar's added up
+    stability: Array | None = None  # (K,) what small axes take off the stability
+    strain: Array | None = None  # (K,) and add to the strain
+    fault: str = ""  # why it could not be walked
+
+
+def walk_corners(variants: Variants, joints: Array, accuracy: Accuracy) -> tuple[list[PathSamples], Array]:
+    """Corners of the large axes walked along joints (K, m), and the (L, m) samples that they need, these among them."""
+    density = PathDensity(motion_m=VARIANT_SPACING_M, near_m=VARIANT_SPACING_M, point_spacing_m=POINT_SPACING_M)
+    points = [variants.at(s) for s in corner_states(len(variants.large))]
+    walks = [_walked(variants, point, joints, density, accuracy) for point in points]
+    places = np.unique(np.concatenate([np.arange(len(joints)), *(walk.segment + walk.fraction for walk in walks)]))
+    rows = np.arange(len(joints))
+    finer = np.array([np.interp(places, rows, column) for column in joints.T]).T
+    return walks, finer
+
+
+def walk_variants(
+    variants: Variants,
+    joints: Array,
+    samples: PathSamples,
+    nominal: Sequence[Array],
+    corners: Sequence[PathSamples],
+    accuracy: Accuracy,
+) -> VariantWalks:
+    """The box along joints (K, m), whose file's robot was walked: its samples, and its frictionless bodies (N, 3)."""
+    count = len(joints)
+    if not variants.count and variants.scenario.registration.is_exact:
+        return VariantWalks()
+    at_rows = [rows_of(walk, count) for walk in corners]
+    if any(walk is None for walk in at_rows):
+        return VariantWalks(fault=NO_EQUILIBRIUM)
+    base = variants.base
+    reach = [base.shift_m + base.rotation_rad * lengths(body) for body in nominal]
+    result = VariantWalks(tuple(filter(None, at_rows)), tuple(reach))
+    return _with_axes(variants, joints, samples, nominal, result, accuracy) if variants.count else result
+
+
+def _with_axes(
+    variants: Variants,
+    joints: Array,
+    samples: PathSamples,
+    nominal: Sequence[Array],
+    walks: VariantWalks,
+    accuracy: Accuracy,
+) -> VariantWalks:
+    """The walks with what single axes do, each at its end, at every few samples."""
+    count = len(joints)
+    rows = np.unique(np.append(np.arange(0, count, EVERY), count - 1))
+    density = PathDensity(motion_m=COARSE_M, near_m=COARSE_M, point_spacing_m=POINT_SPACING_M)
+    middle = _at_rows(variants, variants.end(-1), joints[rows], density, accuracy)
+    single = {k: _at_rows(variants, variants.end(k), joints[rows], density, accuracy) for k in range(variants.count)}
+    other = {k: _at_rows(variants, variants.end(k, -1.0), joints[rows], density, accuracy) for k in variants.large}
+    if middle is None or any(walk is None for walk in [*single.values(), *other.values()]):
+        return replace(walks, fault=NO_EQUILIBRIUM)
+    shapes = 1 + 2 ** (variants.scenario.robot.n - 1)
+    moved = [np.zeros(len(nominal[row])) for row in rows]
+    bound, play, stability, strain = (np.zeros(len(rows)) for _ in range(4))
+    own = samples.position_m[rows]
+    for k, walk in single.items():
+        assert walk is not None
+        sides = [walk, back] if (back := other.get(k)) else [walk]
+        if k < variants.of_parameters:
+            bound += np.max([np.abs(side.position_m - middle.position_m) for side in sides], axis=0)
+        else:
+            play += np.max([lengths(side.tip_m - middle.tip_m) for side in sides], axis=0)
+        if k in variants.large:
+            continue
+        stability += np.abs(walk.shape_stability - middle.shape_stability).max(axis=1)
+        strain += np.abs(walk.shape_max_strain - middle.shape_max_strain).max(axis=1)
+        for j, row in enumerate(rows):
+            off = _points(walk, j, shapes, nominal[row]) - _points(middle, j, shapes, nominal[row])
+            moved[j] += np.linalg.norm(off, axis=2).max(axis=0)
+    if not variants.has_middle:  # the small axes are counted from the middle, the file's robot lies beside it
+        bound += np.abs(middle.position_m - own)
+        stability += np.abs(middle.shape_stability - samples.shape_stability[rows]).max(axis=1)
+        strain += np.abs(middle.shape_max_strain - samples.shape_max_strain[rows]).max(axis=1)
+        for j, row in enumerate(rows):
+            off = _points(middle, j, shapes, nominal[row])[0] - nominal[row]
+            moved[j] += 0.0 if variants.large else lengths(off)
+    reach = [own_m + between for own_m, between in zip(walks.reach_m, _between(rows, moved, nominal), strict=True)]
+    every, spread = np.arange(count), [_larger(rows, values, count) for values in (bound, stability, strain)]
+    return replace(
+        walks,
+        reach_m=tuple(reach),
+        bound_m=spread[0] if variants.of_parameters else None,
+        play_m=np.interp(every, rows, play) if variants.play else None,
+        stability=spread[1],
+        strain=spread[2],
+    )
+
+
+def _points(walk: PathSamples, row: int, shapes: int, pattern: Array) -> Array:
+    """(1 + C, N, 3) bodies of a row of a walk, on as many points as the pattern (N, 3) has."""
+    return alike(walk.bodies[row].reshape(shapes, -1, 4)[:, :, :3], pattern)
+
+
+def _between(rows: NDArray[np.intp], moved: Sequence[Array], nominal: Sequence[Array]) -> list[Array]:
+    """(N,) of every sample: the larger of the rows on both sides, at the same shares of the length."""
+    results, right = [], np.searchsorted(rows, np.arange(len(nominal)))
+    for k, body in enumerate(nominal):
+        share, sides = shares_of_length(body), {int(right[k])} | ({int(right[k]) - 1} if rows[right[k]] != k else set())
+        values = [np.interp(share, shares_of_length(nominal[rows[j]]), moved[j]) for j in sides]
+        results.append(np.max(values, axis=0))
+    return results
+
+
+def _larger(rows: NDArray[np.intp], values: Array, count: int) -> Array:
+    """(count,) values at `rows`; in between the larger of both sides."""
+    right = np.searchsorted(rows, np.arange(count))
+    left = np.where(rows[right] == np.arange(count), right, np.maximum(right - 1, 0))
+    return np.asarray(np.maximum(values[left], values[right]))
+
+
+def _at_rows(
+    variants: Variants, point: Point, joints: Array, density: PathDensity, accuracy: Accuracy
+) -> PathSamples | None:
+    return rows_of(_walked(variants, point, joints, density, accuracy), len(joints))
+
+
+def _walked(variants: Variants, point: Point, joints: Array, density: PathDensity, accuracy: Accuracy) -> PathSamples:
+    collars = variants.collars(point, joints)
+    return variants.robot(point).mechanics.check_path(*collars, density=density, accuracy=accuracy, bodies=True)
+
+
+def rows_of(walk: PathSamples, count: int) -> PathSamples | None:
+    """The samples of a walk at the `count` configurations that it was given, motion in between summed up.
+
+    None where it ended before the last of them, or there.
+    """
+    place = walk.segment + walk.fraction
+    rows = np.flatnonzero(place == np.round(place))
+    if len(rows) < count or walk.status[-1] >= Status.UNSTABLE:
+        return None
+    columns = {entry.name: getattr(walk, entry.name)[rows] for entry in fields(walk) if entry.name != "bodies"}
+    ends = np.append(0, rows[:-1] + 1)
+    columns["motion_m"] = np.add.reduceat(walk.motion_m, ends)
+    return PathSamples(**columns, bodies=tuple(walk.bodies[row] for row in rows))
