@@ -53,11 +53,12 @@ from ctrplan.certificate.friction_states import (
 from ctrplan.certificate.variants import Point, alike, shares_of_length
 from ctrplan.certificate.walked_piece import Piece, filled_radius, narrowest_of
 from ctrplan.mechanics.friction import Doubts, bodies_between
+from ctrplan.mechanics.shapes import FrictionBodies
 from ctrplan.motion.checker import path_limits
 
 if TYPE_CHECKING:
     from ctrplan.mechanics.friction import FrictionStates
-    from ctrplan.mechanics.shapes import Accuracy, FrictionBodies
+    from ctrplan.mechanics.shapes import Accuracy
     from ctrplan.scenario.scenario import Scenario
 
 
@@ -125,8 +126,14 @@ class SampleStates:
             rows = [k for k, other in enumerate(points) if other == point]
             bodies = self._at(point).bodies(given[rows, :pairs], spacing_m=POINT_SPACING_M)
             results |= {row: _row(bodies, k) for k, row in enumerate(rows)}
-        pattern = self.walked.bodies_m[0] if self.piece.variants.large else results[0].point_m[0]
+        pattern = self._pattern if self.piece.variants.large else results[0].point_m[0]
         return _joined([results[k] for k in range(len(given))], pattern)
+
+    @property
+    def _pattern(self) -> Array:
+        """(N, 3) the body whose points those of other robots are."""
+        finer = self.piece.finer.get(self.sample) if self.accuracy != self.piece.accuracy else None
+        return (finer or self.walked).bodies_m[0]
 
     def _at(self, s: Point) -> FrictionStates:
         """The configuration at s (A,) of the large axes."""

@@ -11,7 +11,7 @@ nearer than that says. The base, of which only a ball of positions and rotations
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,8 +23,8 @@ from ctrplan.mechanics.shapes import Status
 from ctrplan.mechanics.walk import PathDensity, PathSamples
 from ctrplan.pipeline.tip_table import nested
 from ctrplan.uncertainty.parameters import UncertainParameters, uncertain_parameters
-from ctrplan.uncertainty.tip_slopes import clamped_collars
-from ctrplan.uncertainty.worst_case import BaseBall, OffsetBox
+from ctrplan.uncertainty.tip_slopes import clamped_collars, friction_states
+from ctrplan.uncertainty.worst_case import BaseBall, IntervalSides, OffsetBox, farthest
 
 if TYPE_CHECKING:
     from ctrplan.mechanics.friction import FrictionStates
@@ -232,14 +232,11 @@ def _with_axes(
         return replace(walks, fault=NO_EQUILIBRIUM)
     shapes = 1 + 2 ** (variants.scenario.robot.n - 1)
     moved = [np.zeros(len(nominal[row])) for row in rows]
-    bound, play, stability, strain = (np.zeros(len(rows)) for _ in range(4))
-    own = samples.position_m[rows]
+    play, stability, strain = (np.zeros(len(rows)) for _ in range(3))
     for k, walk in single.items():
         assert walk is not None
         sides = [walk, back] if (back := other.get(k)) else [walk]
-        if k < variants.of_parameters:
-            bound += np.max([np.abs(side.position_m - middle.position_m) for side in sides], axis=0)
-        else:
+        if k >= variants.of_parameters:
             play += np.max([lengths(side.tip_m - middle.tip_m) for side in sides], axis=0)
         if k in variants.large:
             continue
@@ -249,22 +246,60 @@ def _with_axes(
             off = _points(walk, j, shapes, nominal[row]) - _points(middle, j, shapes, nominal[row])
             moved[j] += np.linalg.norm(off, axis=2).max(axis=0)
     if not variants.has_middle:  # the small axes are counted from the middle, the file's robot lies beside it
-        bound += np.abs(middle.position_m - own)
         stability += np.abs(middle.shape_stability - samples.shape_stability[rows]).max(axis=1)
         strain += np.abs(middle.shape_max_strain - samples.shape_max_strain[rows]).max(axis=1)
         for j, row in enumerate(rows):
             off = _points(middle, j, shapes, nominal[row])[0] - nominal[row]
             moved[j] += 0.0 if variants.large else lengths(off)
     reach = [own_m + between for own_m, between in zip(walks.reach_m, _between(rows, moved, nominal), strict=True)]
-    every, spread = np.arange(count), [_larger(rows, values, count) for values in (bound, stability, strain)]
+    every, spread = np.arange(count), [_larger(rows, values, count) for values in (stability, strain)]
+    bound = None
+    if variants.of_parameters:
+        of_rows = replace(samples.at_rows(rows), bodies=())
+        parameters = [walk for k, walk in single.items() if walk and k < variants.of_parameters]
+        bound = _larger(rows, _wider_bounds(variants, joints[rows], of_rows, middle, parameters, accuracy), count)
     return replace(
         walks,
         reach_m=tuple(reach),
-        bound_m=spread[0] if variants.of_parameters else None,
+        bound_m=bound,
         play_m=np.interp(every, rows, play) if variants.play else None,
-        stability=spread[1],
-        strain=spread[2],
+        stability=spread[0],
+        strain=spread[1],
     )
+
+
+def _wider_bounds(
+    variants: Variants,
+    joints: Array,
+    own: PathSamples,
+    middle: PathSamples,
+    ends: Sequence[PathSamples],
+    accuracy: Accuracy,
+) -> Array:
+    """(K,) [m] what parameters add to the bound at joints (K, m): how much farther corners' tips may come from the
+    tip that the file's robot has without friction. First order, and what the worst combinations differ by, solved.
+    """
+    tips = [np.concatenate([walk.tip_m[:, None], walk.corner_tip_m], axis=1) for walk in (own, middle, *ends)]
+    count, states = tips[0].shape[:2]
+    away = (tips[0] - tips[0][:, :1]).reshape(-1, 3)
+    sides = np.stack([tip - tips[1] for tip in tips[2:]], axis=3).reshape(count * states, 3, -1)
+    moved = IntervalSides((tips[1] - tips[0]).reshape(-1, 3), sides)
+    result = farthest(away, moved)
+    length = result.length_m.reshape(count, states)
+    state, friction = np.argmax(length, axis=1), lengths(away).reshape(count, states).max(axis=1)
+    wider = np.maximum(length.max(axis=1) - friction, 0.0)
+    beyond, signs = 0.0, result.signs.reshape(count, states, -1)
+    for k in {count - 1, int(np.argmax(wider))}:
+        point = variants.end(-1)
+        point = (*signs[k, state[k]].tolist(), *point[variants.of_parameters :])
+        robot, phi = variants.robot(point), friction_states(variants.scenario.robot)[state[k]]
+        solved = robot.mechanics.tips_with_friction(
+            *variants.collars(point, joints[k : k + 1]), phi[None], accuracy=accuracy
+        )
+        linear = tips[1][k, state[k]] + sides.reshape(count, states, 3, -1)[k, state[k]] @ signs[k, state[k]]
+        is_lost = solved.status[0] == Status.FAILED
+        beyond = max(beyond, np.inf if is_lost else float(np.linalg.norm(solved.position_m[0] - linear)))
+    return np.asarray(wider + beyond)
 
 
 def _points(walk: PathSamples, row: int, shapes: int, pattern: Array) -> Array:
@@ -309,7 +344,5 @@ def rows_of(walk: PathSamples, count: int) -> PathSamples | None:
     rows = np.flatnonzero(place == np.round(place))
     if len(rows) < count or walk.status[-1] >= Status.UNSTABLE:
         return None
-    columns = {entry.name: getattr(walk, entry.name)[rows] for entry in fields(walk) if entry.name != "bodies"}
-    ends = np.append(0, rows[:-1] + 1)
-    columns["motion_m"] = np.add.reduceat(walk.motion_m, ends)
-    return PathSamples(**columns, bodies=tuple(walk.bodies[row] for row in rows))
+    motion = np.add.reduceat(walk.motion_m, np.append(0, rows[:-1] + 1))
+    return replace(walk.at_rows(rows), motion_m=motion)

@@ -8,7 +8,7 @@ these moves farther between them than what is allowed for.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
@@ -98,6 +98,12 @@ class Piece:
         walks = [self.samples, *self.walks.corners]
         first, last = ([np.vstack([w.tip_m[k], *w.corner_tip_m[k][:, None]]) for w in walks] for k in (0, -1))
         return np.vstack(first), np.vstack(last)
+
+    @property
+    def margins(self) -> tuple[Array, Array]:
+        """(K,), (K,) least stability and largest strain of whatever the robot is."""
+        softer, strained = (0.0 if part is None else part for part in (self.walks.stability, self.walks.strain))
+        return self.stability - softer, self.max_strain + strained
 
     def offset_m(self, scenario: Scenario, accuracy: Accuracy) -> Array:
         """(K,) all that is taken off clearances of shapes solved at an accuracy."""
@@ -341,6 +347,7 @@ def joined_samples(scenario: Scenario, space: JointSpace, pieces: Sequence[Piece
         load = loads[-1]
         path_mm = travelled + np.append(0.0, np.cumsum(space.lengths_mm(np.diff(piece.joints, axis=0))))
         travelled = float(path_mm[-1])
+        stability, strain = piece.margins
         bound = np.zeros(count) if piece.walks.bound_m is None else piece.walks.bound_m
         rows: dict[str, NDArray[Any]] = {
             "leg": np.full(count, piece.leg),
@@ -348,8 +355,8 @@ def joined_samples(scenario: Scenario, space: JointSpace, pieces: Sequence[Piece
             "path_mm": path_mm,
             "bound_m": s.position_m + bound,
             "bound_rad": s.tangent_rad,
-            "stability": piece.stability - _or_zeros(piece.walks.stability, count),
-            "max_strain": piece.max_strain + _or_zeros(piece.walks.strain, count),
+            "stability": stability,
+            "max_strain": strain,
             "clearance_m": piece.clearance_m,
             "motion_m": piece.motion_m,
             "tip_m": s.tip_m,
@@ -358,18 +365,14 @@ def joined_samples(scenario: Scenario, space: JointSpace, pieces: Sequence[Piece
             "play_m": piece.play_m,
             "parameter_bound_m": bound,
             "parameter_clearance_m": piece.taken_m,
-            "parameter_stability": _or_zeros(piece.walks.stability, count),
-            "parameter_strain": _or_zeros(piece.walks.strain, count),
+            "parameter_stability": s.shape_stability.min(axis=1) - stability,
+            "parameter_strain": strain - s.max_strain,
             "spread_m": s.position_m,  # until it is simulated
             "friction_spread": np.ones((count, scenario.robot.n - 1)),
         }
         for name, values in rows.items():
             columns[name].append(values[keep])
     return CertificateSamples(**{name: np.concatenate(parts) for name, parts in columns.items()})
-
-
-def _or_zeros(values: Array | None, count: int) -> Array:
-    return np.zeros(count) if values is None else values
 
 
 def _loads_left(piece: Piece, space: JointSpace, load: Array) -> Array:
@@ -387,12 +390,13 @@ def _loads_left(piece: Piece, space: JointSpace, load: Array) -> Array:
 def checked_samples(samples: CertificateSamples, pieces: list[Piece]) -> CertificateSamples:
     """The table with what a closer look at the pieces found to be left."""
 
-    def column(name: str) -> Array:
-        return np.concatenate([getattr(piece, name)[number > 0 :] for number, piece in enumerate(pieces)])
+    def column(parts: Iterable[Array]) -> Array:
+        return np.concatenate([part[number > 0 :] for number, part in enumerate(parts)])
 
     return replace(
         samples,
-        clearance_m=column("clearance_m"),
-        stability=column("stability") - samples.parameter_stability,
-        max_strain=column("max_strain") + samples.parameter_strain,
+        clearance_m=column(piece.clearance_m for piece in pieces),
+        stability=column(piece.margins[0] for piece in pieces),
+        max_strain=column(piece.margins[1] for piece in pieces),
+        parameter_clearance_m=column(piece.taken_m for piece in pieces),
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pickle
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -55,8 +55,12 @@ class PathSamples:
 
     def at_end(self) -> PathSamples:
         """The last sample alone, without bodies."""
-        rows = {entry.name: getattr(self, entry.name)[-1:].copy() for entry in fields(self) if entry.name != "bodies"}
-        return PathSamples(**rows)
+        return replace(self.at_rows([-1]), bodies=())
+
+    def at_rows(self, rows: Sequence[int] | NDArray[np.intp]) -> PathSamples:
+        """Some of the samples; their motion is still that since the sample before."""
+        kept = {entry.name: getattr(self, entry.name)[rows] for entry in fields(self) if entry.name != "bodies"}
+        return PathSamples(**kept, bodies=tuple(self.bodies[row] for row in rows) if self.bodies else ())
 
 
 @checked(

@@ -16,7 +16,8 @@ from ctrplan.anatomy.parts import surface_distance
 from ctrplan.certificate.certificate import Certificate, Closest, joined_certificates
 from ctrplan.certificate.certify import certify
 from ctrplan.certificate.friction_states import TIGHT_M
-from ctrplan.certificate.walked_piece import closely_solved, narrowest_of, walk_pieces
+from ctrplan.certificate.narrow_samples import closely_solved
+from ctrplan.certificate.walked_piece import narrowest_of, walk_pieces
 from ctrplan.plans.plan import Plan
 from ctrplan.plans.planned_motion import joints_at
 from ctrplan.scenario.joint_space import JointSpace

@@ -220,7 +220,8 @@ def test_a_bent_drive_is_followed_and_not_its_chord() -> None:
     a, b = joints(0, 0, 0, -28.8), joints(0, 0, 90, -28.8)
     case = replace(with_sphere(a, (0.0, 90.0, 100.0), 1.0), robot=bent)
     for piece in walk_pieces(case, JointSpace.of(case), np.array([a, b]), "search", None):
-        rows = piece.start + piece.samples.fraction[:, None] * (piece.end - piece.start)
+        rows = piece.way[0] + piece.samples.fraction[:, None] * (piece.way[-1] - piece.way[0])
+        np.testing.assert_allclose(piece.joints, rows, atol=1e-12)
         np.testing.assert_allclose(piece.theta_b, bent.drive.collars(rows)[0], atol=np.radians(0.01))
 
 

@@ -13,6 +13,7 @@ from places import ROBOTS
 import ctrplan
 from ctrplan.certificate.every_state import LOOK_EVERY, SampleStates, StatesBetween
 from ctrplan.certificate.friction_states import Solved, State, corner_states, corner_weights
+from ctrplan.certificate.variants import Variants
 from ctrplan.certificate.walked_piece import walked
 from ctrplan.files.scenario_file import scenario_from_dict
 from ctrplan.mechanics.shapes import Accuracy
@@ -30,7 +31,8 @@ def solved() -> list[SampleStates]:
     names = {joint.name: value / joint.si_per_unit for joint, value in zip(ROBOT.drive.joints, start, strict=True)}
     content = {"robot": "three_tube.toml", "start": names, "goal": {"joints": names}}
     scenario = scenario_from_dict(content, file=str(ROBOTS / "made_up.toml"))
-    piece = walked(scenario, JointSpace.of(scenario), 0, start, start + turn, "search")
+    way = np.array([start, start + turn])
+    piece = walked(Variants.of(scenario, way), JointSpace.of(scenario), 0, way, "search")
     return [SampleStates(scenario, piece, k, "search") for k in range(len(piece.l_b))]
 
 

@@ -34,9 +34,9 @@ def test_pieces_of_a_failed_walk_are_not_walked_again(monkeypatch: pytest.Monkey
 
     monkeypatch.setattr(walked_piece, "walked", counted)
     after = walk_legs(strict, second, failed=failed)
-    shared = {piece.start.tobytes() for piece in failed.walked if piece.leg == 0}
+    shared = {piece.way.tobytes() for piece in failed.walked if piece.leg == 0}
     assert begun
-    assert not any(start.tobytes() in shared for start in begun)
+    assert not any(way.tobytes() in shared for way in begun)
     np.testing.assert_array_equal(after.samples.clearance_m, alone.samples.clearance_m)
     np.testing.assert_array_equal(after.samples.bound_m, alone.samples.bound_m)
     np.testing.assert_array_equal(after.samples.leg, alone.samples.leg)
