@@ -150,7 +150,7 @@ def at_worst_ends(scenario: Scenario, pieces: Sequence[Piece]) -> list[Piece]:
 
 
 def narrow_places(pieces: Sequence[Piece], below_m: float = np.inf, most: int = MOST) -> list[tuple[int, int]]:
-    """Pieces and samples with less clearance, the narrowest first, none within APART samples of another of its piece."""
+    """Pieces and samples with less clearance, the narrowest first, those of a piece at least APART samples apart."""
     rows = sorted((float(c), p, k) for p, piece in enumerate(pieces) for k, c in enumerate(piece.clearance_m))
     chosen: list[tuple[int, int]] = []
     for clearance, p, k in rows:

@@ -130,9 +130,6 @@ def problems_of_limits(
     """Which of the scenario's limits the samples of the pieces break; `bounds` are asked for where one is on them."""
     limits = path_limits(scenario)
     shares = _shares_of_clearance(scenario, pieces, limits)
-    if taken_m := float(samples.parameter_clearance_m[int(np.argmin(samples.clearance_m))]):
-        opening = shares.removesuffix(")") + "," if shares else " (of which"
-        shares = f"{opening} uncertain parameters and registration {taken_m * MM_PER_M:.2f})"
     softer = _taken(samples.parameter_stability, int(np.argmin(samples.stability)))
     strained = _taken(samples.parameter_strain, int(np.argmax(samples.max_strain)))
     checks = [
@@ -162,7 +159,7 @@ def problems_of_limits(
 
 def _taken(by_parameters: Array, sample: int) -> str:
     taken = float(by_parameters[sample])
-    return f" (of which uncertain parameters {taken:.3g})" if taken else ""
+    return f" (of which intervals and play {taken:.3g})" if taken else ""
 
 
 def _problems_of_goal(scenario: Scenario, samples: CertificateSamples, bounds: Callable[[], StatedBounds]) -> list[str]:
@@ -183,8 +180,9 @@ def _shares_of_clearance(scenario: Scenario, pieces: Sequence[Piece], limits: Pa
     if not np.isfinite(nominal) or not np.isfinite(least):
         return ""
     offset = float(piece.offset_m(scenario, "certificate")[k])
-    friction, allowed = max(0.0, nominal - least - offset), offset + limits.clearance_m
-    return shares_in_words(nominal, friction, allowed)
+    taken = float(piece.taken_m[k])
+    friction, allowed = max(0.0, nominal - least - offset - taken), offset + limits.clearance_m
+    return shares_in_words(nominal, friction, allowed, taken)
 
 
 def _apart(scenario: Scenario, before: Piece, after: Piece) -> float:

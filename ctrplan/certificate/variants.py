@@ -158,7 +158,7 @@ def alike(bodies: Array, pattern: Array) -> Array:
         return np.full((len(bodies), len(pattern), 3), np.nan)
     own, share = shares_of_length(bodies[0]), shares_of_length(pattern)
     columns = [[np.interp(share, own, column) for column in body.T] for body in bodies]
-    return np.array(columns).transpose(0, 2, 1)
+    return np.ascontiguousarray(np.array(columns).transpose(0, 2, 1))
 
 
 # A variant is walked along the samples of the file's robot; more are taken where it moves farther between them.

@@ -361,11 +361,12 @@ def _jumps(tips: Array, l_b: Array) -> bool:
 TOO_CLOSE = "too close to the anatomy"  # how the sentences end that this is about
 
 
-def shares_in_words(nominal_m: float, friction_m: float, allowed_m: float) -> str:
-    """In brackets, with a space before them."""
+def shares_in_words(nominal_m: float, friction_m: float, allowed_m: float, stated_m: float = 0.0) -> str:
+    """In brackets, with a space before them; stated_m is what intervals, play and registration take."""
+    stated = f", intervals, play and registration {stated_m * MM_PER_M:.2f}" if stated_m else ""
     return (
         f" (the frictionless one is {nominal_m * MM_PER_M:.2f} mm beyond the margins, friction takes "
-        f"{friction_m * MM_PER_M:.2f}, allowances {allowed_m * MM_PER_M:.2f})"
+        f"{friction_m * MM_PER_M:.2f}{stated}, allowances {allowed_m * MM_PER_M:.2f})"
     )
 
 

@@ -31,7 +31,7 @@ def joint_delays_s(robot: Robot) -> Array:
 def is_late(robot: Robot) -> bool:
     """Whether joints leave straight legs because some follow later than others."""
     delays = joint_delays_s(robot)
-    return bool(delays.max(initial=0.0) > delays.min(initial=0.0))
+    return bool(np.ptp(delays) > 0)
 
 
 def driven_ways(robot: Robot, corners: Array) -> list[LegWay]:

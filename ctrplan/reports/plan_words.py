@@ -387,7 +387,7 @@ def _play(plan: Plan) -> str:
         return ""
     return (
         f"Play of the drive may move the robot by up to {millimetres(certificate.worst_play_m)} on the way and "
-        f"{millimetres(certificate.goal_play_m)} at the goal; this is taken off every clearance."
+        f"{millimetres(certificate.goal_play_m)} at the goal; clearances hold anywhere within it."
     )
 
 

@@ -1,9 +1,5 @@
-"""Bodies in every corner of friction, how near to the anatomy uncertainty may displace them, and what to allow for
-that.
-
-them.
-
-Both are differenced with the bodies, at one end of every axis of the box (`body_spread.py`).
+"""Bodies in every corner of friction at one configuration, and how near to the anatomy uncertainty may displace them:
+what searches allow for, and what chances of touching it are drawn from.
 
 The core differentiates tips, not bodies. Bodies are differenced: solved at the middle of the intervals and at one end
 of each axis of the box. The other end is taken to lie opposite; the worst combination is solved by whoever asks.
@@ -15,7 +11,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -28,10 +24,7 @@ from ctrplan.scenario.scenario import anatomy_grid
 from ctrplan.uncertainty.parameters import UncertainParameters, uncertain_parameters
 from ctrplan.uncertainty.tip_slopes import (
     clamped_collars,
-    friction_bound_m,
     friction_states,
-    tip_slopes,
-    worst_bound_m,
 )
 from ctrplan.uncertainty.worst_case import (
     BaseBall,
@@ -296,39 +289,11 @@ def _distance(scenario: Scenario, points_m: Array) -> Array:
 
 ROWS = 12  # samples of a path at which bodies are solved at the ends of every interval
 _USUAL: WeakKeyDictionary[Robot, dict[Registration, float]] = WeakKeyDictionary()
-INTERPOLATED = 1.1  # times the larger of the two around, in between; an allowance, see docs/planning.md
 
 
 def is_uncertain(scenario: Scenario) -> bool:
     """Whether parameters of the robot or its registration have intervals."""
     return bool(uncertain_parameters(scenario.robot).count) or not scenario.registration.is_exact
-
-
-class ParameterAllowance(NamedTuple):
-    """At K samples of a path; inf where the robot has no equilibrium within the intervals."""
-
-    clearance_m: Array  # (K,) to take off: intervals and registration; limits require `model_error_m` on top
-    bound_m: Array  # (K,) to add: parameters alone, for a base that stands elsewhere moves all shapes alike
-    stability: Array  # (K,) to take off: parameters alone
-    strain: Array  # (K,) to add: likewise
-
-    @property
-    def is_finite(self) -> NDArray[np.bool_]:
-        """(K,)."""
-        return np.asarray(np.isfinite(np.array(self)).all(axis=0))
-
-
-def parameter_allowance(scenario: Scenario, joints: Array) -> ParameterAllowance:
-    """At the samples of a path, joints (K, m). Zero where nothing is uncertain."""
-    parameters, nothing = uncertain_parameters(scenario.robot), np.zeros(len(joints))
-    if not is_uncertain(scenario):
-        return ParameterAllowance(nothing, nothing, nothing, nothing)
-    rows = allowance_samples(len(joints))
-    bound = _between(rows, _bounds(parameters, joints[rows]), len(joints)) if parameters.count else nothing
-    bodies = bodies_at(scenario, parameters, joints[rows])
-    taken = np.array([(body.allowance_m, *body.margins_lost) for body in bodies])
-    clearance, stability, strain = (_between(rows, values, len(joints)) for values in taken.T)
-    return ParameterAllowance(clearance, bound, stability, strain)
 
 
 def usual_allowance_m(scenario: Scenario, sample: Callable[[], Array]) -> float:
@@ -361,22 +326,3 @@ def bodies_at(scenario: Scenario, parameters: UncertainParameters, joints: Array
 
     with ThreadPoolExecutor(cores()) as pool:
         return list(pool.map(look, joints))
-
-
-def _bounds(parameters: UncertainParameters, joints: Array) -> Array:
-    """(R,) [m] by how much the parameters widen the bound at joints (R, m)."""
-    theta, l = parameters.robot.drive.commanded(joints)  # noqa: E741 (as in the equations)
-    slopes = tip_slopes(parameters, theta, l)
-    worst, beyond = worst_bound_m(parameters, slopes, theta, l)
-    friction = friction_bound_m(slopes)
-    wider = np.maximum(worst + beyond - np.where(np.isinf(friction), np.nan, friction), 0.0)
-    return np.nan_to_num(wider, nan=np.inf)
-
-
-def _between(rows: NDArray[np.int_], values: Array, count: int) -> Array:
-    """(count,) values at `rows`; in between INTERPOLATED times the larger neighbour."""
-    right = np.searchsorted(rows, np.arange(count))
-    left = np.maximum(right - 1, 0)
-    result: Array = INTERPOLATED * np.maximum(values[left], values[right])
-    result[rows] = values
-    return result

@@ -11,9 +11,10 @@ from places import SCENARIOS
 
 from ctrplan.base.arrays import Array
 from ctrplan.certificate import every_state
-from ctrplan.certificate.every_state import LOOK_EVERY, SampleStates, _PieceView, in_every_friction_state
+from ctrplan.certificate.every_state import LOOK_EVERY, _PieceView, in_every_friction_state
 from ctrplan.certificate.friction_cube import Needed, StateMinima
 from ctrplan.certificate.problems import problems_of_walk
+from ctrplan.certificate.sample_states import SampleStates
 from ctrplan.certificate.walked_piece import Piece, walk_pieces
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.motion.checker import path_limits

@@ -26,7 +26,7 @@ from ctrplan.motion.checker import search_limits
 from ctrplan.plans.plan import Plan
 from ctrplan.reports.plan_page import uncertainty_section
 from ctrplan.scenario.scenario import Goal, Registration, Scenario
-from ctrplan.uncertainty.body_clearance import alike, bodies_at, body_at, parameter_allowance, solved_bodies
+from ctrplan.uncertainty.body_clearance import alike, bodies_at, body_at, solved_bodies
 from ctrplan.uncertainty.parameters import uncertain_parameters
 from ctrplan.uncertainty.worst_case import wilson
 
@@ -74,33 +74,37 @@ def test_without_intervals_nothing_changes() -> None:
     plain = ribs()
     exact = ribs(INTERVALS[2], "robot.effects.friction.ci95.mu_1=[0.2, 0.2]", "base.position_sigma_mm=0")
     for scenario in (plain, exact):
-        assert not np.any(parameter_allowance(scenario, path(scenario)))
+        samples = walked(scenario)
+        assert not samples.parameter_bound_m.any() and not samples.parameter_clearance_m.any()
         assert search_limits(scenario).clearance_m == search_limits(plain).clearance_m
 
 
-def test_a_certificate_has_the_allowance_in_its_bound_and_off_its_clearance(uncertain: Scenario) -> None:
+def test_a_certificate_has_what_is_uncertain_in_its_figures_and_says_how_much(uncertain: Scenario) -> None:
     same = ribs("robot.effects.friction.mu_1=0.2", "robot.effects.homing_offset.theta_2_deg=0")
     samples, bare = walked(uncertain), walked(same)
     assert not bare.parameter_bound_m.any() and not bare.parameter_clearance_m.any()
-    np.testing.assert_allclose(samples.bound_m - samples.parameter_bound_m, bare.bound_m, atol=1e-12)
-    np.testing.assert_allclose(samples.stability + samples.parameter_stability, bare.stability, rtol=1e-6)
-    np.testing.assert_allclose(samples.max_strain - samples.parameter_strain, bare.max_strain, rtol=1e-6)
     assert samples.parameter_stability.min() > 0 and samples.parameter_strain.min() > 0
     assert samples.parameter_bound_m.min() > 0.2e-3 and samples.parameter_clearance_m.min() > 0.5e-3
-    lost = samples.clearance_m + samples.parameter_clearance_m - bare.clearance_m
-    assert np.abs(lost).max() < 0.2e-3  # where nothing is nearer, clearances are reported less exactly
+    assert samples.stability.min() < bare.stability.min() and samples.max_strain.max() > bare.max_strain.max()
+    lost = bare.clearance_m.min() - samples.clearance_m.min()
+    assert 0.2e-3 < lost < samples.parameter_clearance_m.max() + 0.2e-3
     assert search_limits(uncertain).clearance_m > search_limits(ribs()).clearance_m + 0.5e-3
 
 
-def test_allowances_grow_with_every_interval_and_lose_nothing_between_the_samples_looked_at() -> None:
+def test_figures_get_worse_with_every_interval() -> None:
     narrow = [text.replace("[-0.4, 0.4]", "[-0.2, 0.2]") for text in INTERVALS]
-    before, after = (np.array(parameter_allowance(s, path(s))) for s in (ribs(*narrow), ribs(*INTERVALS)))
-    assert np.all(after >= before)
-    scenario = ribs(*INTERVALS)
-    joints, clearance = path(scenario), after[0]
-    between = np.arange(2, len(joints), 7)
-    solved = [body.allowance_m for body in bodies_at(scenario, uncertain_parameters(scenario.robot), joints[between])]
-    assert np.all(clearance[between] >= solved)
+    before, after = (walked(s) for s in (ribs(*narrow), ribs(*INTERVALS)))
+    assert after.clearance_m.min() < before.clearance_m.min() and after.stability.min() < before.stability.min()
+    assert after.parameter_bound_m.max() > before.parameter_bound_m.max()
+
+
+def test_bounds_of_a_path_are_those_of_its_configurations(uncertain: Scenario) -> None:
+    """To first order: differences across intervals against derivatives."""
+    samples = walked(uncertain)
+    theta, l = uncertain.robot.drive.commanded(samples.joints[[0, -1]])  # noqa: E741 (as in the equations)
+    alone = ctrplan.bound_with_parameters(uncertain.robot, theta, l)
+    added = alone.position_m - alone.friction_m
+    np.testing.assert_allclose(samples.parameter_bound_m[[0, -1]], added, atol=0.1e-3)
 
 
 def test_no_robot_within_the_intervals_loses_more_clearance_than_allowed(uncertain: Scenario) -> None:
@@ -132,23 +136,6 @@ def test_no_robot_within_the_intervals_is_softer_or_more_strained_than_allowed()
             assert found.max_strain.max() <= -here.spared_strain.value.min() + strained + 1e-6
 
 
-def test_strain_and_stability_lose_more_with_every_interval_and_nothing_by_registration() -> None:
-    narrow = [text.replace("[17.9, 18.5]", "[18.1, 18.3]").replace("[-0.4, 0.4]", "[-0.2, 0.2]") for text in INTERVALS]
-    before, after = (parameter_allowance(s, path(s, 4)) for s in (ribs(*narrow), ribs(*INTERVALS)))
-    assert np.all(after.stability > before.stability) and np.all(after.strain > before.strain)
-    registered = ribs(*REGISTRATION)
-    alone = parameter_allowance(registered, path(registered, 4))
-    assert not alone.stability.any() and not alone.strain.any() and alone.clearance_m.all()
-
-
-def test_in_free_space_strain_and_stability_are_allowed_for_as_before_the_anatomy() -> None:
-    scenario = ribs(*INTERVALS)
-    with_ribs, free = (parameter_allowance(s, path(s, 3)) for s in (scenario, replace(scenario, anatomy=())))
-    np.testing.assert_array_equal(with_ribs.stability, free.stability)
-    np.testing.assert_array_equal(with_ribs.strain, free.strain)
-    assert not free.clearance_m.any()
-
-
 def test_a_margin_that_only_the_intervals_break_is_refused_in_a_sentence_that_says_so(uncertain: Scenario) -> None:
     samples = walked(uncertain)
     at = int(np.argmin(samples.stability))
@@ -156,7 +143,7 @@ def test_a_margin_that_only_the_intervals_break_is_refused_in_a_sentence_that_sa
     strict = replace(uncertain, margins=replace(uncertain.margins, stability=margin))
     turn = np.radians([0.0, 8.0, -8.0, 0.0])
     problems = walk_legs(strict, np.array([strict.start, strict.start + turn])).problems
-    assert any("stability" in text and "uncertain parameters" in text for text in problems)
+    assert any("stability" in text and "intervals and play" in text for text in problems)
 
 
 def test_causes_add_up_and_are_ranked(uncertain: Scenario) -> None:

@@ -13,7 +13,6 @@ from places import SCENARIOS
 from ctrplan.base.arrays import Array
 from ctrplan.certificate.certificate import Certificate
 from ctrplan.certificate.certify import certify
-from ctrplan.certificate.walked_piece import walk_pieces
 from ctrplan.cli import main
 from ctrplan.files.robot_file import load_robot
 from ctrplan.files.scenario_file import load_scenario
@@ -22,7 +21,6 @@ from ctrplan.motion.play import play_shift
 from ctrplan.plans.plan import Plan
 from ctrplan.reports.plan_words import certificate_in_words
 from ctrplan.robot.robot import Robot
-from ctrplan.scenario.joint_space import JointSpace
 from ctrplan.scenario.scenario import Scenario
 
 WIDTHS = {"theta_2_deg": 4.0, "theta_3_deg": 3.0, "l_3_mm": 1.0}
@@ -97,20 +95,17 @@ def certified(robot: Robot) -> tuple[Scenario, Certificate]:
     return scenario, certify(scenario, np.array([scenario.start, scenario.start + turn]), accuracy="certificate")
 
 
-def test_a_certificate_takes_the_play_off_every_clearance_and_says_so() -> None:
+def test_a_certificate_has_the_play_in_every_clearance_and_says_so() -> None:
     (tight, plain), (loose, found) = certified(three_tube(1e-9)), certified(three_tube())
     samples, bare = found.samples, plain.samples
-    (stiff,), (slack,) = (
-        walk_pieces(case, JointSpace.of(case), samples.joints[[0, -1]], "certificate", None) for case in (tight, loose)
-    )
-    np.testing.assert_allclose(slack.clearance_m, stiff.clearance_m - slack.play_m, atol=1e-6)
-    assert slack.play_m == samples.play_m.max()
     np.testing.assert_allclose(samples.bound_m, bare.bound_m)  # friction is another matter
     ends = [play_shift(loose.robot, *loose.robot.drive.collars(q)) for q in samples.joints[[0, -1]]]
-    assert found.worst_play_m >= max(ends) > 0.5e-3
+    assert found.worst_play_m >= 0.98 * max(ends) and max(ends) > 0.5e-3
+    np.testing.assert_allclose(samples.play_m[[0, -1]], ends, rtol=0.02)  # solved at the ends of every collar's play
     assert found.goal_play_m == found.targets[-1].play_m == samples.play_m[-1]
     assert search_limits(loose).clearance_m > search_limits(tight).clearance_m + 0.5e-3
-    assert plain.worst_play_m < 1e-8 and plain.min_clearance_m > found.min_clearance_m + 0.5e-3
+    lost_m = plain.min_clearance_m - found.min_clearance_m
+    assert plain.worst_play_m < 1e-8 and 0.2e-3 < lost_m < found.worst_play_m + 0.2e-3
 
 
 def test_a_plan_tells_what_play_may_do(make_plan: Callable[..., Plan]) -> None:

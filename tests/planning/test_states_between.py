@@ -11,8 +11,9 @@ import pytest
 from places import ROBOTS
 
 import ctrplan
-from ctrplan.certificate.every_state import LOOK_EVERY, SampleStates, StatesBetween
+from ctrplan.certificate.every_state import LOOK_EVERY
 from ctrplan.certificate.friction_states import Solved, State, corner_states, corner_weights
+from ctrplan.certificate.sample_states import SampleStates, StatesBetween
 from ctrplan.certificate.variants import Variants
 from ctrplan.certificate.walked_piece import walked
 from ctrplan.files.scenario_file import scenario_from_dict

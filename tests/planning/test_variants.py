@@ -1,0 +1,174 @@
+"""What a robot may be besides its file: none that the file allows comes nearer than certified, and little is lost."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from places import ROBOTS
+
+from ctrplan.anatomy.parts import AnatomyPart
+from ctrplan.anatomy.shapes.sphere import Sphere
+from ctrplan.base.arrays import Array
+from ctrplan.certificate.certificate import Certificate
+from ctrplan.certificate.certify import certify
+from ctrplan.certificate.variants import Variants, alike, shares_of_length
+from ctrplan.files.robot_file import robot_from_dict
+from ctrplan.pipeline.driven_way import driven_ways, joint_delays_s
+from ctrplan.robot.robot import Robot
+from ctrplan.scenario.joint_space import bare_scenario
+from ctrplan.scenario.scenario import Goal, Registration, Scenario
+from ctrplan.storage.toml_document import read_document
+
+FAR_MM = [0.0, 0.0, -80.0]  # behind the plate
+PLAY = {"effects": {"backlash": {"theta_3_deg": 4.0}}}
+FRICTIONLESS = {"contact": [{"friction_coefficient": 0.0}, {"friction_coefficient": 0.0}]}
+# The inner tube turns by 8 deg while it is pushed through the middle of its travel.
+BUMP = {
+    "stage": "drive",
+    "acts_on": "the rotation of tube 3",
+    "bump_3_of_5_l_3_deg": 12.0,
+    "range": {"l_3": [-104, -65]},
+}
+CURVED = {"uncertainty": {"ci95": {"tube.3.section.2.curvature_per_m": [16.3636, 20.0]}}}
+LATE = {"effects": {"drive_lag": {"theta_s": 0.4}}}
+
+
+def robot(**changes: Any) -> Robot:
+    content = dict(read_document(ROBOTS / "three_tube.toml").content)
+    return robot_from_dict({**content, **changes}, file=str(ROBOTS / "made_up.toml"))
+
+
+def joints(*deg_mm: float) -> Array:
+    return np.append(np.radians(deg_mm[:3]), deg_mm[3] * 1e-3)
+
+
+def scene(of: Robot, start: Array, goal: Array, *spheres: tuple[list[float], float], **given: Any) -> Scenario:
+    parts = [AnatomyPart(Sphere(np.array(at) * 1e-3, r * 1e-3), "avoid", 0.0) for at, r in spheres or [(FAR_MM, 1.0)]]
+    bare = bare_scenario(of)
+    return replace(bare, start=start, goal=Goal(goal, None, bare.goal.tolerance_m), anatomy=tuple(parts), **given)
+
+
+def certified(case: Scenario) -> Certificate:
+    assert case.goal.joints is not None
+    return certify(case, np.array([case.start, case.goal.joints]), restart=False)
+
+
+def test_a_curvature_s_interval_counts_where_the_tip_passes_and_not_only_where_the_base_is_narrow() -> None:
+    """Of 12 rows along the way each told of the sphere at the base, and the tip hit the other one by 1.8 mm."""
+    ends = joints(-150, -150, -150, -30), joints(150, 150, 150, -30)
+    spheres = ([3.62, 0.0, 8.0], 1.0), ([85.224, 0.0, 169.736], 1.0)
+    case = scene(robot(**CURVED), *ends, *spheres, start_friction="released")
+    assert certified(replace(case, robot=robot())).valid
+    (problem,) = certified(case).problems
+    assert "too close to the anatomy" in problem
+    assert certified(replace(case, anatomy=case.anatomy[:1])).valid
+
+
+def test_play_counts_everywhere_on_the_way_and_only_in_its_own_direction() -> None:
+    """It was solved at three places of 40 mm, and taken off in every direction."""
+    ends = joints(-57.2958, -57.2958, 106.2042, -58), joints(57.2958, 57.2958, 264.7958, -58)
+    loose = robot(**PLAY, **FRICTIONLESS)
+    near = ([32.3973, -16.3128, 172.7416], 0.5)
+    found = certified(scene(loose, *ends, near))
+    assert not found.valid and -1.0e-3 < found.min_clearance_m < -0.39e-3  # a robot at the end of its play: -0.39 mm
+    assert found.worst_play_m > 8e-3
+    assert certified(scene(robot(**FRICTIONLESS), *ends, near)).valid
+
+
+def test_play_does_not_refuse_what_is_free() -> None:
+    """What the tip has was taken off points 5 mm from the plate, which then curled back to it."""
+    loose = robot(effects={"backlash": {f"theta_{i}_deg": 6.0 for i in (1, 2, 3)}})
+    assert certified(scene(loose, joints(0, 0, 0, -30), joints(0, 0, 17.2, -30))).valid
+
+
+def test_a_term_of_the_drive_that_turns_a_tube_while_it_is_pushed_is_followed() -> None:
+    bent = robot(effects={"learned_theta_3": BUMP})
+    ends = joints(0, 0, 125, -69.5), joints(0, 0, 125, -31.5)
+    sphere = ([41.0533, 16.451, 176.448], 0.5)
+    assert certified(scene(robot(), *ends, sphere)).valid
+    assert not certified(scene(bent, *ends, sphere)).valid
+
+
+def test_late_rotations_are_followed_in_time() -> None:
+    late = robot(**LATE)
+    ends = joints(-22.9183, -22.9183, -22.9183, -60), joints(22.9183, 22.9183, 22.9183, -30)
+    sphere = ([82.535, 16.2795, 166.588], 0.5)
+    assert certified(scene(robot(), *ends, sphere)).valid
+    found = certified(scene(late, *ends, sphere))
+    assert not found.valid
+    np.testing.assert_allclose(found.samples.joints[[0, -1]], ends, atol=1e-12)
+
+
+def test_a_late_drive_leaves_its_legs_by_its_speed_times_the_delay() -> None:
+    late, corners = robot(**LATE), np.array([joints(0, 0, 0, -60), joints(40, 40, 40, -30)])
+    ((leg, way),) = driven_ways(late, corners)
+    assert leg == 0 and np.array_equal(joint_delays_s(late), [0.4, 0.4, 0.4, 0.0])
+    np.testing.assert_allclose(way[[0, -1]], corners, atol=1e-12)
+    share = (way - corners[0]) / (corners[1] - corners[0])
+    behind = (share[:, 3] - share[:, 0]) * 30e-3
+    assert np.all(np.diff(share, axis=0) >= -1e-12)
+    assert behind.min() >= -1e-12 and 3e-3 < behind.max() <= 10e-3 * 0.4 + 1e-9  # 10 mm/s at most, 0.4 s
+    both = robot(effects={"drive_lag": {"theta_s": 0.2, "l_s": 0.2}})
+    ((_, straight),) = driven_ways(both, corners)
+    np.testing.assert_array_equal(straight, corners)  # all late alike: on the legs
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_no_robot_that_the_file_allows_comes_nearer_than_certified(seed: int) -> None:
+    """An interval, play, a base that is off, and friction: at the ends and inside; and little is lost."""
+    rng = np.random.default_rng(seed)
+    ci95 = {"tube.3.section.2.curvature_per_m": [17.6, 18.6]}
+    loose = robot(uncertainty={"ci95": ci95}, effects={"backlash": {"theta_2_deg": 1.5}})
+    start = np.append(rng.uniform(-2, 2, 3), -40e-3)
+    goal = start + np.append(rng.uniform(-0.3, 0.3, 3), 0.0)
+    tip = loose.solve(*loose.drive.collars((start + goal) / 2)).tip_m
+    away, stated = _unit(rng), -np.inf
+    for apart_m in (10e-3, 13e-3, 16e-3, 20e-3, 25e-3, 30e-3, 40e-3):  # the nearest ball that is certified
+        ball = (1e3 * (tip + apart_m * away)).tolist(), 3.0
+        case = scene(loose, start, goal, ball, registration=Registration(0.1e-3, 0.001))
+        if (found := certified(case)).valid:
+            stated = found.min_clearance_m
+            break
+    assert case.goal.joints is not None
+    variants = Variants.of(case, np.array([start, case.goal.joints]))
+    assert variants.count == 2
+    least, base, center = np.inf, variants.base, case.anatomy[0].shape.center_m  # type: ignore[attr-defined]
+    states = np.array([*itertools.product((-1.0, 1.0), repeat=2), *rng.uniform(-1, 1, (2, 2))])
+    points = [*itertools.product((-1.0, 1.0), repeat=2), *map(tuple, rng.uniform(-1, 1, (4, 2)).tolist())]
+    for point, share in itertools.product(points, np.linspace(0, 1, 7)):
+        at = variants.configuration(point, start + share * (goal - start), "search")
+        bodies = at.bodies(states, spacing_m=0.5e-3)
+        apart = np.linalg.norm(bodies.point_m - center, axis=2) - 3e-3 - bodies.radius_m
+        nearer = base.shift_m + base.rotation_rad * np.linalg.norm(
+            np.cross(bodies.point_m, center), axis=2
+        ) / np.linalg.norm(bodies.point_m - center, axis=2)
+        least = min(least, float((apart - nearer).min()))
+    assert 0 <= stated <= least
+    assert least - stated < 1.2e-3  # meshes, steps between samples, and small axes that are added up
+
+
+def _unit(rng: np.random.Generator) -> Array:
+    v = rng.standard_normal(3)
+    return np.asarray(v / np.linalg.norm(v))
+
+
+def test_the_box_of_a_robot_without_intervals_is_empty_and_its_middle_is_the_file() -> None:
+    plain, at = robot(), joints(0, 30, 60, -40)
+    assert Variants.of(bare_scenario(plain), at[None]).count == 0
+    loose = Variants.of(bare_scenario(robot(**PLAY)), at[None])
+    theta_b, l_b = loose.collars(loose.end(-1), at[None])
+    np.testing.assert_array_equal([theta_b[0], l_b[0]], plain.drive.collars(at))
+    moved, _ = loose.collars(loose.end(0), at[None])
+    np.testing.assert_allclose(moved - theta_b, [[0, 0, np.radians(2.0)]], atol=1e-12)
+
+
+def test_points_of_another_body_stand_at_the_same_shares_of_the_length() -> None:
+    rng = np.random.default_rng(0)
+    body = np.cumsum(rng.uniform(0, 1, (40, 3)), axis=0)
+    coarse = alike(body[None], body[::3])[0]
+    np.testing.assert_allclose(shares_of_length(coarse), shares_of_length(body[::3]), atol=0.02)
+    np.testing.assert_array_equal(coarse[[0, -1]], body[[0, -1]])
