@@ -37,10 +37,10 @@ from ctrplan.certificate.variants import (
     walk_corners,
     walk_variants,
 )
+from ctrplan.drive.driven_way import driven_ways
 from ctrplan.mechanics.shapes import Status
 from ctrplan.mechanics.walk import PathDensity, PathSamples
 from ctrplan.motion.checker import released_error
-from ctrplan.pipeline.driven_way import driven_ways
 from ctrplan.robot.friction_calibration import friction_law
 from ctrplan.scenario.joint_space import JointSpace
 from ctrplan.scenario.prediction import start_load
@@ -174,7 +174,7 @@ def walk_pieces(
     Those that are among the `known` ones of the same scenario, as they were walked, are not walked again.
     """
     memory = {(piece.way.tobytes(), piece.variants.large, piece.accuracy): piece for piece in known}
-    ways = _cut(space, driven_ways(scenario.robot, corners))
+    ways = _cut(space, driven_ways(scenario.robot.drive, corners))
     variants = Variants.of(scenario, np.concatenate([way for _, way in ways]))
 
     def walk(leg_way: tuple[int, Array]) -> Piece:

@@ -82,6 +82,7 @@ class Drive:
     terms: tuple[DriveTerm, ...] = ()  # what the drive does to collars (K, n), (K, n) besides, from [effects.*]
     play: tuple[Array, Array] | None = None  # (n,) [rad], (n,) [m]: how far collars may be off either way, likewise
     execution: ExecutionTolerance = ExecutionTolerance()
+    late_s: tuple[Array, Array] | None = None  # (n,), (n,): how much later collars turn and slide, likewise
 
     def collars(self, q: ArrayLike) -> tuple[Array, Array]:
         """theta_b [rad] and l_b [m], each (n,) or (K, n), for joint values `q` (m,) or (K, m).
@@ -129,6 +130,19 @@ class Drive:
             by[:, :, j] = (up - down) / (2 * step)
         slopes: Array = by @ gears
         return slopes
+
+    @cached_property
+    def joint_late_s(self) -> Array:
+        """(m,) how much later than commanded each joint follows: the latest of the collars that it moves."""
+        if self.late_s is None:
+            return read_only(np.zeros(len(self.joints)))
+        moves = np.vstack([self.matrix_theta, self.matrix_l]) != 0
+        return read_only(np.where(moves, np.concatenate(self.late_s)[:, None], 0.0).max(axis=0))
+
+    @property
+    def is_late(self) -> bool:
+        """Whether joints leave straight legs, because some follow later than others."""
+        return bool(np.ptp(self.joint_late_s) > 0)
 
     @cached_property
     def matrix_theta(self) -> Array:

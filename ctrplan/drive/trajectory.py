@@ -83,22 +83,28 @@ def time_parameterise(
     """Fastest motion along the straight legs between waypoints (K, m) [rad, m] within the drive's limits.
 
     Collinear consecutive legs are merged and passed at speed; the drive stops where the direction changes, and at the
-    waypoints whose numbers are in `rests`. `joinable`: jerk changes at samples only, of PERIOD_S at the most, for which
+    waypoints whose numbers are in `rests`; a late drive waits there. `joinable`: jerk changes at samples only, of PERIOD_S at the most, for which
     a leg takes up to seven periods longer. A single waypoint, or several equal ones, give one sample at rest. Raises
     InputError for malformed waypoints, waypoints out of a joint's range, useless limits or period; SolverError where no
     profile was found or one failed its check.
     """
     _check_drive(drive)
-    corners = _corners(_checked_waypoints(waypoints, drive), rests)
+    points = _checked_waypoints(waypoints, drive)
+    corners = _corners(points, rests)
     deltas = [end - start for start, end in pairwise(corners)]
+    wait_s = float(drive.joint_late_s.max(initial=0.0)) if drive.is_late else 0.0
+    waits = np.append(_is_rest(corners, points, rests)[1:-1], [False] * bool(deltas))  # after each leg
     if joinable:
         grid_s = period_s / max(1, math.ceil(period_s / PERIOD_S - RATIO_TOLERANCE))
         steps = [_whole_steps(delta, drive, grid_s) for delta in deltas]
         knots = [_knots_of_steps(each, grid_s) for each in steps]
-        leg_end_s = np.cumsum([each.sum() for each in steps], dtype=np.float64) * grid_s
+        waited = waits * math.ceil(wait_s / grid_s - RATIO_TOLERANCE)
+        ends = np.cumsum([each.sum() + more for each, more in zip(steps, waited, strict=True)], dtype=np.float64)
+        leg_end_s = ends * grid_s
     else:
         knots = [_leg_knots(delta, drive) for delta in deltas]
-        leg_end_s = np.cumsum([leg[-1, 0] for leg in knots], dtype=np.float64)
+        waited = waits * wait_s
+        leg_end_s = np.cumsum([leg[-1, 0] + more for leg, more in zip(knots, waited, strict=True)], dtype=np.float64)
     duration_s = float(leg_end_s[-1]) if knots else 0.0
     if duration_s >= MAX_SAMPLES * PERIOD_S:
         raise _too_slow(corners, drive, duration_s)
@@ -156,6 +162,16 @@ def _corners(points: Array, rests: Sequence[int]) -> Array:
         raise InputError(f"must be numbers of waypoints, 0 to {len(points) - 1}", key="rests", value=list(rests))
     parts = [merge_legs(points[a : b + 1]) for a, b in pairwise(ends)]
     return np.concatenate([points[:1], *(part[1:] for part in parts)])
+
+
+def _is_rest(corners: Array, points: Array, rests: Sequence[int]) -> NDArray[np.bool_]:
+    """(K,) whether merged waypoints (K, m) are among points (L, m) whose numbers are in `rests`, in their order."""
+    result, k = np.zeros(len(corners), dtype=bool), 0
+    for number in sorted(set(rests)):
+        while k < len(corners) - 1 and not np.array_equal(corners[k], points[number]):
+            k += 1
+        result[k] = True
+    return result
 
 
 def _leg_knots(delta: Array, drive: Drive) -> Array:

@@ -1,7 +1,8 @@
 """A robot with its effects at work in it: what bounds, plans, goals and the live view evaluate.
 
-Effects of the mechanics are in its tubes, contacts and loads, those of the drive in `drive.collars`. Effects of the
-clock and of the sensor change what is measured, not where the robot is: the chain has them.
+Effects of the mechanics are in its tubes, contacts and loads, those of the drive in `drive.collars`, and how late it
+follows in `drive.late_s`. The tracker's own delay and effects of the sensor change what is measured, not where the
+robot is: the chain has them.
 """
 
 from __future__ import annotations
@@ -96,7 +97,7 @@ def installed(robot: Robot) -> Robot:
 def with_chain(robot: Robot, chain: Chain) -> Robot:
     """`robot` with the mechanics and the drive of a chain."""
     built = chain.mechanics
-    drive = replace(built.drive, terms=_at_rest(chain), play=_play(chain))
+    drive = replace(built.drive, terms=_at_rest(chain), play=_play(chain), late_s=_late_s(chain))
     given = replace(
         robot, tubes=built.tubes, contacts=built.contacts, loads=built.loads, drive=drive, ideal=chain.ideal
     )
@@ -130,6 +131,12 @@ def _play(chain: Chain) -> tuple[Array, Array] | None:
     n = chain.ideal.n
     moved = [given.effect.play(given.values, n) for given in able]
     return np.sum([m.theta[0] for m in moved], axis=0), np.sum([m.l[0] for m in moved], axis=0)
+
+
+def _late_s(chain: Chain) -> tuple[Array, Array] | None:
+    """(n,), (n,) how much later than commanded collars turn and slide; None of a drive that follows at once."""
+    delays = chain.drive_delays_s(chain.ideal.n)
+    return (delays[: chain.ideal.n], delays[chain.ideal.n :]) if delays.any() else None
 
 
 @dataclass(frozen=True)

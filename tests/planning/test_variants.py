@@ -16,8 +16,9 @@ from ctrplan.base.arrays import Array
 from ctrplan.certificate.certificate import Certificate
 from ctrplan.certificate.certify import certify
 from ctrplan.certificate.variants import Variants, alike, shares_of_length
+from ctrplan.drive.driven_way import driven_ways
+from ctrplan.drive.trajectory import time_parameterise
 from ctrplan.files.robot_file import robot_from_dict
-from ctrplan.pipeline.driven_way import driven_ways, joint_delays_s
 from ctrplan.robot.robot import Robot
 from ctrplan.scenario.joint_space import bare_scenario
 from ctrplan.scenario.scenario import Goal, Registration, Scenario
@@ -105,16 +106,31 @@ def test_late_rotations_are_followed_in_time() -> None:
 
 def test_a_late_drive_leaves_its_legs_by_its_speed_times_the_delay() -> None:
     late, corners = robot(**LATE), np.array([joints(0, 0, 0, -60), joints(40, 40, 40, -30)])
-    ((leg, way),) = driven_ways(late, corners)
-    assert leg == 0 and np.array_equal(joint_delays_s(late), [0.4, 0.4, 0.4, 0.0])
+    ((leg, way),) = driven_ways(late.drive, corners)
+    assert leg == 0 and np.array_equal(late.drive.joint_late_s, [0.4, 0.4, 0.4, 0.0])
     np.testing.assert_allclose(way[[0, -1]], corners, atol=1e-12)
     share = (way - corners[0]) / (corners[1] - corners[0])
     behind = (share[:, 3] - share[:, 0]) * 30e-3
     assert np.all(np.diff(share, axis=0) >= -1e-12)
     assert behind.min() >= -1e-12 and 3e-3 < behind.max() <= 10e-3 * 0.4 + 1e-9  # 10 mm/s at most, 0.4 s
     both = robot(effects={"drive_lag": {"theta_s": 0.2, "l_s": 0.2}})
-    ((_, straight),) = driven_ways(both, corners)
+    ((_, straight),) = driven_ways(both.drive, corners)
     np.testing.assert_array_equal(straight, corners)  # all late alike: on the legs
+
+
+def test_a_late_drive_waits_where_it_rests_for_what_follows_late() -> None:
+    """So that the way after a target begins where certificates begin it."""
+    corners = np.array([joints(0, 0, 0, -60), joints(40, 0, 0, -60), joints(40, 0, 0, -30)])
+    for joinable in (True, False):
+        fast, slow = (
+            time_parameterise(corners, of.drive, rests=[1], joinable=joinable) for of in (robot(), robot(**LATE))
+        )
+        np.testing.assert_allclose(slow.leg_end_s - fast.leg_end_s, [0.4, 0.4], atol=1e-9)
+        waiting = (slow.time_s > fast.leg_end_s[0]) & (slow.time_s < slow.leg_end_s[0])
+        assert waiting.sum() > 30 and np.all(slow.position[waiting] == corners[1])
+        assert np.abs(slow.velocity[waiting]).max() < 1e-12
+        through = time_parameterise(corners, robot(**LATE).drive, joinable=joinable)
+        np.testing.assert_allclose(through.leg_end_s, fast.leg_end_s, atol=1e-9)  # corners are no rests
 
 
 @pytest.mark.parametrize("seed", range(3))

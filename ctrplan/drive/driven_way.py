@@ -8,55 +8,44 @@ translations, the joints leave the legs, by what they turn in that time. The way
 from __future__ import annotations
 
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ctrplan.base.arrays import Array
 from ctrplan.drive.legs import merge_legs
-from ctrplan.pipeline.chain import Chain
-from ctrplan.robot.robot import Robot
+
+if TYPE_CHECKING:
+    from ctrplan.drive.drive import Drive
 
 STEP_RAD, STEP_M = np.radians(1.0), 0.25e-3  # of a joint, between rows of a way in time, where it is taken as straight
 
 LegWay = tuple[int, Array]  # leg, and joints (S, m) [rad, m] driven on it, straight in between
 
 
-def joint_delays_s(robot: Robot) -> Array:
-    """(m,) how much later than commanded each joint follows: what the collars do that it moves."""
-    delays = Chain.of(robot).drive_delays_s(robot.n)
-    moves = np.vstack([robot.drive.matrix_theta, robot.drive.matrix_l]) != 0
-    return np.asarray(np.where(moves, delays[:, None], 0.0).max(axis=0))
-
-
-def is_late(robot: Robot) -> bool:
-    """Whether joints leave straight legs because some follow later than others."""
-    delays = joint_delays_s(robot)
-    return bool(np.ptp(delays) > 0)
-
-
-def driven_ways(robot: Robot, corners: Array) -> list[LegWay]:
+def driven_ways(drive: Drive, corners: Array) -> list[LegWay]:
     """The ways of the legs between waypoints (K, m), one after the other; of one waypoint a way of no length."""
     if len(corners) == 1:
         return [(0, np.vstack([corners, corners]))]
-    if not is_late(robot):
+    if not drive.is_late:
         return [(leg, np.vstack(ends)) for leg, ends in enumerate(pairwise(corners))]
-    return _late_ways(robot, corners)
+    return _late_ways(drive, corners)
 
 
-def late_rows(robot: Robot, time_s: Array, position: Array, at_s: Array) -> Array:
+def late_rows(drive: Drive, time_s: Array, position: Array, at_s: Array) -> Array:
     """(K, m) joints at instants (K,), when a motion through position (T, m) at time_s (T,) is commanded."""
-    delays = joint_delays_s(robot)
-    return np.array([np.interp(at_s - late, time_s, q) for late, q in zip(delays, position.T, strict=True)]).T
+    columns = zip(drive.joint_late_s, position.T, strict=True)
+    return np.array([np.interp(at_s - late, time_s, column) for late, column in columns]).T
 
 
-def _late_ways(robot: Robot, corners: Array) -> list[LegWay]:
+def _late_ways(drive: Drive, corners: Array) -> list[LegWay]:
     from ctrplan.drive.trajectory import time_parameterise  # ruckig takes long to import
 
-    drive, legs = robot.drive, merge_legs(corners)
+    legs = merge_legs(corners)
     made = time_parameterise(corners, drive, joinable=True)
-    instants = np.append(made.time_s, made.duration_s + np.unique(joint_delays_s(robot)))
+    instants = np.append(made.time_s, made.duration_s + np.unique(drive.joint_late_s))
     instants = np.unique(np.concatenate([instants, np.linspace(made.duration_s, instants[-1], 50)]))
-    rows = late_rows(robot, made.time_s, made.position, instants)
+    rows = late_rows(drive, made.time_s, made.position, instants)
     steps = np.abs(np.diff(rows, axis=0)) / np.where(drive.is_rotation, STEP_RAD, STEP_M)
     moved = np.floor(np.append(0.0, np.cumsum(steps.max(axis=1))))
     leg_of_instant = np.minimum(np.searchsorted(made.leg_end_s, instants, side="left"), len(legs) - 2)
