@@ -11,14 +11,16 @@ from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
-from ctrplan.drive.legs import merge_legs
 
 if TYPE_CHECKING:
     from ctrplan.drive.drive import Drive
 
 STEP_RAD, STEP_M = np.radians(1.0), 0.25e-3  # of a joint, between rows of a way in time, where it is taken as straight
+
+PASSED = 1e-9  # rad or m, or share of a leg, by which rounding may carry a sample off its leg
 
 LegWay = tuple[int, Array]  # leg, and joints (S, m) [rad, m] driven on it, straight in between
 
@@ -41,32 +43,38 @@ def late_rows(drive: Drive, time_s: Array, position: Array, at_s: Array) -> Arra
 def _late_ways(drive: Drive, corners: Array) -> list[LegWay]:
     from ctrplan.drive.trajectory import time_parameterise  # ruckig takes long to import
 
-    legs = merge_legs(corners)
     made = time_parameterise(corners, drive, joinable=True)
-    instants = np.append(made.time_s, made.duration_s + np.unique(drive.joint_late_s))
-    instants = np.unique(np.concatenate([instants, np.linspace(made.duration_s, instants[-1], 50)]))
+    tail_s = made.duration_s + np.linspace(0, float(drive.joint_late_s.max()), 50)
+    instants = np.unique(np.concatenate([made.time_s, tail_s]))
     rows = late_rows(drive, made.time_s, made.position, instants)
+    legs = _commanded_legs(corners, made.position)[np.minimum(np.arange(len(instants)), len(made.time_s) - 1)]
     steps = np.abs(np.diff(rows, axis=0)) / np.where(drive.is_rotation, STEP_RAD, STEP_M)
     moved = np.floor(np.append(0.0, np.cumsum(steps.max(axis=1))))
-    leg_of_instant = np.minimum(np.searchsorted(made.leg_end_s, instants, side="left"), len(legs) - 2)
     ways = list[LegWay]()
-    first = _first_waypoints(corners, legs)
-    for leg in range(len(legs) - 1):
-        own = np.flatnonzero(leg_of_instant == leg)
-        if len(own) == 0:
-            continue
-        own = np.arange(max(own[0] - 1, 0), own[-1] + 1)  # from where the leg before ends
+    for leg in range(len(corners) - 1):
+        own = np.flatnonzero(legs == leg)
+        if len(own) == 0:  # passed between two samples
+            own = np.flatnonzero(legs <= leg)[-1:]
+        own = np.arange(max(own[0] - 1, 0) if leg else 0, own[-1] + 1)  # from where the leg before ends
         kept = np.append(np.flatnonzero(np.diff(moved[own], prepend=-1.0) > 0), len(own) - 1)
         way = rows[own[np.unique(kept)]]
-        ways.append((first[leg], way if len(way) > 1 else np.vstack([way, way])))
+        ways.append((leg, way if len(way) > 1 else np.vstack([way, way])))
     return ways
 
 
-def _first_waypoints(corners: Array, legs: Array) -> list[int]:
-    """Number of the leg of corners (K, m) with which each merged leg begins."""
-    results, k = [], 0
-    for start in legs[:-1]:
-        while not np.array_equal(corners[k], start):
-            k += 1
-        results.append(k)
-    return results
+def _commanded_legs(corners: Array, position: Array) -> NDArray[np.intp]:
+    """(T,) leg of waypoints (K, m) on which joints (T, m), that follow the legs, are commanded."""
+    legs, leg = np.empty(len(position), dtype=np.intp), 0
+    last = len(corners) - 2
+    for k, q in enumerate(position):
+        while leg < last and _is_passed(corners[leg], corners[leg + 1], q):
+            leg += 1
+        legs[k] = leg
+    return legs
+
+
+def _is_passed(start: Array, end: Array, q: Array) -> bool:
+    """Whether joints q lie beyond the end of a leg, or off it."""
+    chord = end - start
+    along = float((q - start) @ chord) / max(float(chord @ chord), 1e-300)
+    return along > 1 + PASSED or float(np.abs(q - start - min(max(along, 0.0), 1.0) * chord).max()) > PASSED

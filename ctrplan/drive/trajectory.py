@@ -83,10 +83,10 @@ def time_parameterise(
     """Fastest motion along the straight legs between waypoints (K, m) [rad, m] within the drive's limits.
 
     Collinear consecutive legs are merged and passed at speed; the drive stops where the direction changes, and at the
-    waypoints whose numbers are in `rests`; a late drive waits there. `joinable`: jerk changes at samples only, of PERIOD_S at the most, for which
-    a leg takes up to seven periods longer. A single waypoint, or several equal ones, give one sample at rest. Raises
-    InputError for malformed waypoints, waypoints out of a joint's range, useless limits or period; SolverError where no
-    profile was found or one failed its check.
+    waypoints whose numbers are in `rests`; a late drive waits there. `joinable`: jerk changes at samples only, of
+    PERIOD_S at the most, for which a leg takes up to seven periods longer. A single waypoint, or several equal ones,
+    give one sample at rest. Raises InputError for malformed waypoints, waypoints out of a joint's range, useless limits
+    or period; SolverError where no profile was found or one failed its check.
     """
     _check_drive(drive)
     points = _checked_waypoints(waypoints, drive)

@@ -56,6 +56,8 @@ class SamplesEntry(Struct):
     bound_m: Numbers
     predicted_m: Numbers
     clearance_m: Numbers | None = None
+    leg: list[int] | None = None  # these two are read for drives that leave their legs
+    path_mm: Numbers | None = None
 
 
 class TargetEntry(Struct):
@@ -305,9 +307,26 @@ def _checked(scenario: Scenario, content: dict[str, Any], file: str | None, play
     waypoints = _waypoints(entry, scenario, document)
     _check_columns(entry, content, waypoints, document)
     certified = np.array(entry.certificate.samples.joints)
-    rows = places_on_legs(certified, waypoints, file, "certificate.samples.joints")
+    if scenario.robot.drive.is_late:  # its joints leave the legs
+        rows = _places_of_legs(entry.certificate.samples, document)
+    else:
+        rows = places_on_legs(certified, waypoints, file, "certificate.samples.joints")
     places = places_on_legs(played[1], waypoints, file, "trajectory")
     return WrittenPlan(scenario, content, waypoints, *played, places, rows, _closest(entry, scenario, document), file)
+
+
+def _places_of_legs(samples: SamplesEntry, document: Document) -> Array:
+    """(K,) leg number plus share of the way driven on it. Raises InputError where the plan does not say both."""
+    for key in ("leg", "path_mm"):
+        if len(getattr(samples, key) or ()) != len(samples.joints):
+            rule = "must have a value for each sample: the drive follows late, and leaves its legs"
+            raise document.fault(rule, "certificate", "samples", key)
+    leg, path_mm = np.array(samples.leg), np.array(samples.path_mm, dtype=np.float64)
+    places = leg.astype(np.float64)
+    for number in np.unique(leg):
+        way_mm = path_mm[leg == number] - path_mm[leg == number][0]
+        places[leg == number] += way_mm / max(float(way_mm[-1]), SHORTEST)
+    return places
 
 
 def _closest(entry: PlanEntry, scenario: Scenario, document: Document) -> Closest | None:

@@ -16,8 +16,10 @@ import numpy as np
 
 from ctrplan.base.arrays import Array
 from ctrplan.base.package import __version__, shown
-from ctrplan.certificate.certificate import Closest, Recheck, path_differences
+from ctrplan.certificate.certificate import Closest, Difference, Recheck, path_differences
 from ctrplan.drive.drive import Drive
+from ctrplan.drive.driven_way import late_rows
+from ctrplan.drive.legs import distance_from_polyline
 from ctrplan.plans.planned_motion import PlannedMotion, place_time_s, settling_duration_s
 from ctrplan.storage.output_folder import write_atomically
 
@@ -197,7 +199,11 @@ class Plan(PlannedMotion):
         Takes seconds. Raises InputError where the certificate does not know its legs.
         """
         result = self.certificate.recheck()
-        apart = path_differences(self.waypoints, self.trajectory.position, result.fresh.samples.joints)
+        certified, drive, played = result.fresh.samples.joints, self.scenario.robot.drive, self.trajectory
+        if drive.is_late:
+            apart = _late_differences(late_rows(drive, played.time_s, played.position, played.time_s), certified)
+        else:
+            apart = path_differences(self.waypoints, played.position, certified)
         return replace(result, differences=(*apart, *result.differences))
 
     def time_of(self, place: Closest) -> float:
@@ -233,3 +239,13 @@ class Plan(PlannedMotion):
     def to_json(self) -> dict[str, Any]:
         """The content of plan.json, plain types only; the schema is in docs/plan.schema.json."""
         return plan_to_json(self)
+
+
+OFF_LATE = 1e-4  # rad or m: the way of a late drive is certified in steps of a degree and a quarter of a mm
+
+
+def _late_differences(driven: Array, certified: Array) -> tuple[Difference, ...]:
+    """How far joints (T, m) [rad, m] that a late drive has are from the path certified, (L, m)."""
+    distance = float(distance_from_polyline(driven, certified).max())
+    what = "distance of the driven joints from the certified path"
+    return (Difference(what, 0.0, distance),) if distance > OFF_LATE else ()
