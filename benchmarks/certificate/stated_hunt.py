@@ -5,7 +5,7 @@
 Kinds: parameters, registration, play, drive terms, late drives, and all of these mixed. Scene by scene: two or three
 tubes, a path of one to three legs between random configurations, one obstacle (ball, needle or plate of triangles).
 The path is driven by many robots that the file allows: parameters and play at the ends of their intervals, one by one,
-all in random signs, and inside; the base moved and turned by as much as is stated; late joints followed in time; every
+all in random signs, and inside; the base moved and turned so that each point comes nearest; late joints in time; every
 robot in all corners of friction and in random friction states, at places 2 mm of body motion apart. None of that is the
 certificate's code: robots are made from changed files.
 
@@ -43,6 +43,7 @@ from ctrplan.certificate.certify import certify
 from ctrplan.drive.trajectory import time_parameterise
 from ctrplan.errors import CtrplanError
 from ctrplan.files.robot_file import robot_from_dict
+from ctrplan.mechanics.shapes import Status
 from ctrplan.robot.robot import Robot
 from ctrplan.scenario.joint_space import JointSpace, bare_scenario
 from ctrplan.scenario.scenario import Registration, Scenario
@@ -53,6 +54,7 @@ KINDS = ("parameters", "registration", "play", "drive terms", "late drives", "mi
 ROBOTS_USED = ("three_tube", "three_tube", "table_5_pair", "three_tube_insertion")
 APART_M = 2e-3  # motion of the tip between places that are looked at
 MOST_PLACES, ROBOTS_DRIVEN, INSIDE = 60, 40, 10
+SLOPE_M = 0.05e-3  # over which distances are differenced
 HIT_M = 0.05e-3  # of clearance below zero
 CHI95 = 2.795483  # 95 % of distances of three Gaussian coordinates, in standard deviations
 
@@ -145,10 +147,10 @@ def path(space: JointSpace, robot: Robot, rng: np.random.Generator) -> Array | N
         shape = robot.solve(*robot.drive.collars(a))
         if shape.status > 0 or shape.stability < 0.2 or shape.tip_m[2] < 40e-3:
             continue
-        if rng.integers(2):
-            return np.array([a, b])
         corner = np.where(robot.drive.is_rotation, b, a)
-        return np.array([a, corner, b])
+        way = np.array([a, b]) if rng.integers(2) else np.array([a, corner, b])
+        if robot.mechanics.check_path(*robot.drive.collars(way)).status[-1] < Status.UNSTABLE:
+            return way
     return None
 
 
@@ -174,16 +176,14 @@ def places(robot: Robot, rows: Array) -> Array:
 
 @dataclass(frozen=True)
 class Draw:
-    """One robot that the file allows: knobs, play, base, and a friction state."""
+    """One robot that the file allows: knobs, play, and a friction state."""
 
     knobs: Array
     play: Array
-    shift_m: Array
-    turn_rad: Array
     phi: Array
 
     def body(self, w: World, joints: Array, spacing_m: float = 2e-3, accuracy: str = "search") -> tuple[Array, Array]:
-        """(N, 3) points and (N,) radii, the base moved; NaN without an equilibrium."""
+        """(N, 3) points and (N,) radii, the base where it is said to be; NaN without an equilibrium."""
         robot = w.changed(self.knobs)
         theta_b, l_b = robot.drive.collars(joints)
         n = robot.n
@@ -191,23 +191,17 @@ class Draw:
         at = robot.mechanics.friction_states(theta_b, l_b, accuracy=accuracy)  # type: ignore[arg-type]
         result = at.bodies(self.phi[None], spacing_m=spacing_m)
         body = result.point_m[0] if result.solved[0] else np.full_like(result.point_m[0], np.nan)
-        return body + self.shift_m + np.cross(self.turn_rad, body), result.radius_m
+        return body, result.radius_m
 
 
 def draws(w: World, rng: np.random.Generator) -> list[Draw]:
     n, k = w.robot.n, len(w.knobs)
-    radius, turn = CHI95 * w.registration.position_sigma_m, CHI95 * w.registration.rotation_sigma_rad
-
-    def ball(size: float) -> Array:
-        v = rng.standard_normal(3)
-        return np.asarray(size * v / np.linalg.norm(v))
-
-    results = [Draw(np.zeros(k), np.zeros(2 * n), np.zeros(3), np.zeros(3), np.zeros(n - 1))]
+    results = [Draw(np.zeros(k), np.zeros(2 * n), np.zeros(n - 1))]
     for number in range(ROBOTS_DRIVEN + INSIDE):
         size = 1.0 if number < ROBOTS_DRIVEN else rng.uniform(0, 1)
         phi = rng.choice([-1.0, 1.0], n - 1) if number % 3 else rng.uniform(-1, 1, n - 1)
         knobs, play = size * rng.choice([-1.0, 1.0], k), size * rng.choice([-1.0, 1.0], 2 * n)
-        results.append(Draw(knobs, play, ball(size * radius), ball(size * turn), phi))
+        results.append(Draw(knobs, play, phi))
     return results
 
 
@@ -256,7 +250,7 @@ def scene(number: int, seed: int, kinds: tuple[str, ...]) -> dict[str, Any] | No
             radii.append(radius)
             owner.append(np.full((len(body), 2), (k, d)))
     cloud, radius, own = np.concatenate(bodies), np.concatenate(radii), np.concatenate(owner)
-    placed = _placed(cloud, radius, own, rng)
+    placed = _placed(w, cloud, radius, own, rng)
     if placed is None:
         return {"number": number, "kind": kind, "skipped": "no place beside the bodies"}
     is_clear, shape = placed
@@ -276,7 +270,9 @@ def scene(number: int, seed: int, kinds: tuple[str, ...]) -> dict[str, Any] | No
     return result
 
 
-def _placed(cloud: Array, radius: Array, own: Array, rng: np.random.Generator) -> tuple[bool, PartShape] | None:
+def _placed(
+    w: World, cloud: Array, radius: Array, own: Array, rng: np.random.Generator
+) -> tuple[bool, PartShape] | None:
     """An obstacle beside what comes far out; whether the cloud is left 1 mm, else it is hit."""
     middle = cloud[own[:, 1] == 0]  # of the file's robot
     tree, inner = cKDTree(cloud), cKDTree(middle)
@@ -297,7 +293,7 @@ def _placed(cloud: Array, radius: Array, own: Array, rng: np.random.Generator) -
             rng.bit_generator.state = state
             shape = obstacle(cloud[k] + (radius[k] + at) * outward, outward, rng)
             near = tree.query_ball_point(cloud[k] + (radius[k] + at) * outward, 45e-3)
-            room = _room(shape, cloud[near]) - radius[near]
+            room = _room(shape, cloud[near], w) - radius[near]
             if room.min(initial=np.inf) < wanted:
                 low = at
             else:
@@ -311,8 +307,20 @@ def _placed(cloud: Array, radius: Array, own: Array, rng: np.random.Generator) -
     return None
 
 
-def _room(shape: PartShape, points: Array) -> Array:
-    return RawAnatomy.of((AnatomyPart(shape, "avoid", 0.0),)).room(points)
+def _room(shape: PartShape, points: Array, w: World | None = None) -> Array:
+    """(K,) [m] from points (K, 3) to the obstacle, where the base of a world brings each of them nearest to it."""
+    raw = RawAnatomy.of((AnatomyPart(shape, "avoid", 0.0),))
+    room = np.asarray(raw.room(points))
+    if w is None or w.registration.is_exact or not len(points):
+        return room
+    shift = CHI95 * w.registration.position_sigma_m
+    turn = CHI95 * w.registration.rotation_sigma_rad
+    reach = shift + turn * np.linalg.norm(points, axis=1)
+    near = np.flatnonzero(room - reach < (room - reach).min() + 1e-3)
+    ends = [raw.room(points[near] + side) for side in SLOPE_M * np.vstack([np.eye(3), -np.eye(3)])]
+    slope = (np.array(ends[:3]) - np.array(ends[3:])).T / (2 * SLOPE_M)
+    room[near] -= shift + turn * np.linalg.norm(np.cross(points[near], slope), axis=1)
+    return room
 
 
 def _clearance(w: World, case: Scenario, joints: Array, draw: Draw, accuracy: str = "certificate") -> float:
@@ -320,13 +328,13 @@ def _clearance(w: World, case: Scenario, joints: Array, draw: Draw, accuracy: st
         body, radius = draw.body(w, joints, 0.5e-3, accuracy)
     except CtrplanError:
         return np.inf
-    return float((_room(case.anatomy[0].shape, body) - radius).min()) if np.isfinite(body).all() else np.inf
+    return float((_room(case.anatomy[0].shape, body, w) - radius).min()) if np.isfinite(body).all() else np.inf
 
 
 def _nearest(
     w: World, case: Scenario, rows: Array, every: list[Draw], cloud: Array, radius: Array, own: Array
 ) -> tuple[float, Draw, Array]:
-    room = _room(case.anatomy[0].shape, cloud) - radius
+    room = _room(case.anatomy[0].shape, cloud, w) - radius
     best: tuple[float, Draw, Array] = (np.inf, every[0], rows[0])
     for k in np.argsort(room)[:200:20]:
         place, d = own[k]
@@ -340,30 +348,19 @@ def _descended(w: World, case: Scenario, joints: Array, draw: Draw, rows: Array,
     """[m] the least clearance that changes of all numbers lead to, one group at a time, 120 tries."""
     place = int(np.argmin(np.abs(rows - joints).sum(axis=1)))
     least, step = _clearance(w, case, joints, draw, "search"), 0.7
-    base = CHI95 * np.array([w.registration.position_sigma_m, w.registration.rotation_sigma_rad])
     for number in range(120):
         knobs = np.clip(draw.knobs + step * rng.standard_normal(len(draw.knobs)), -1, 1)
         play = np.clip(draw.play + step * rng.standard_normal(len(draw.play)), -1, 1)
         phi = np.clip(draw.phi + step * rng.standard_normal(len(draw.phi)), -1, 1)
-        moved = [
-            v + step * size * rng.standard_normal(3)
-            for v, size in zip((draw.shift_m, draw.turn_rad), base, strict=True)
-        ]
-        shift, turn = (v * min(1.0, size / max(np.linalg.norm(v), 1e-12)) for v, size in zip(moved, base, strict=True))
         other = int(np.clip(place + rng.integers(-1, 2), 0, len(rows) - 2))
         at = rows[other] + rng.uniform(0, 1) * (rows[other + 1] - rows[other])
-        tried = Draw(knobs, play, shift, turn, phi)
+        tried = Draw(knobs, play, phi)
         value = _clearance(w, case, at, tried, "search")
         if value < least:
             least, draw, joints, place = value, tried, at, other
         elif number % 20 == 19:
             step *= 0.6
     return _clearance(w, case, joints, draw)
-
-
-def _within(v: Array, size: float) -> Array:
-    """The vector (3,), no longer than `size`."""
-    return np.asarray(v * min(1.0, size / max(float(np.linalg.norm(v)), 1e-12)))
 
 
 def main() -> None:
