@@ -2,8 +2,10 @@
 
 Nobody knows what the robot did before a plan. Corners of friction are solved from the frictionless shape. Where a
 corner has a second equilibrium, far from it, an approach may end there and break the bound. Approaches are simulated:
-all pairs turned by APPROACH_DEG at once, from either side each, which loads friction fully, and whole turns of joints
-that have room for them, which leave friction as it is and may leave the robot wound up.
+all pairs turned by APPROACH_DEG at once, from either side each, which loads friction fully. Where whole turns of joints
+before the start are not known, the robot may be wound up: every stable equilibrium without clearance and friction is
+enumerated (`ctrplan.robot.equilibria`), and those that turns within the joints' limits lead to are not walked to. Of
+robots that are not enumerated, whole turns are simulated.
 
 Corners of friction are solved from the frictionless shape. A robot may come to the same corner from another one, or by
 a turn, and stand elsewhere. Along the path each corner is solved from the shapes of all others. At the ends of legs it
@@ -20,45 +22,59 @@ from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.base.long_work import cores
 from ctrplan.certificate.friction_states import BEYOND_BOUND_M, SAME_BRANCH_M
 from ctrplan.certificate.walked_piece import Piece
-from ctrplan.errors import SolverError
+from ctrplan.errors import InputError, SolverError
 from ctrplan.mechanics.shapes import Status
 from ctrplan.mechanics.walk import PathDensity
 from ctrplan.robot.robot import Robot
 
 if TYPE_CHECKING:
+    from ctrplan.mechanics.shapes import Bound
+    from ctrplan.robot.equilibria import Equilibria
     from ctrplan.scenario.scenario import Scenario
 
 APPROACH_DEG = 90.0  # of Section V of Ha et al. 2019
+MOST_TURNS = 2  # of a joint before the start
 MOST_WINDINGS = 8  # whole turns of joints before the start that are simulated: all of three tubes, a budget
 
 _KNOWN: WeakKeyDictionary[Robot, dict[bytes, str]] = WeakKeyDictionary()
 
 
 def other_start(scenario: Scenario, joints: Array) -> str:
-    """A sentence about an approach to joints (m,) that ends beyond the bound there; empty if none does.
+    """A sentence about another equilibrium at joints (m,), beyond the bound there; empty if none is known.
 
-    Where the scenario says what friction is like at its start, no approach comes before it. What an observer found says
-    nothing for the bound, which is that of every friction state.
+    Where the scenario says what friction is like at its start, no approach comes before it, and where turns count there
+    is no winding. What an observer found says nothing for the bound, which is that of every friction state.
     """
     robot = scenario.robot
-    if scenario.start_friction in ("released", "oscillated"):
-        return ""
+    is_loaded = scenario.start_friction not in ("released", "oscillated")
     known = _KNOWN.setdefault(robot, {})
-    key = joints.tobytes()
+    key = joints.tobytes() + bytes([is_loaded, scenario.start_turns == "absolute"])
     if key not in known:
-        known[key] = _other_start(robot, joints)
+        known[key] = _other_start(robot, joints, is_loaded, scenario.start_turns == "absolute")
     return known[key]
 
 
-def _other_start(robot: Robot, joints: Array) -> str:
+def _other_start(robot: Robot, joints: Array, is_loaded: bool, is_absolute: bool) -> str:
     theta_b, l_b = robot.drive.collars(joints)
+    if robot.n == 1:
+        return ""
     bound = robot.mechanics.bound(theta_b, l_b)
-    if robot.n == 1 or not robot.friction.any() or not np.isfinite(bound.position_m):
+    if not np.isfinite(bound.position_m):
+        return ""
+    approaches = [*_approaches(robot.n - 1)] if is_loaded and robot.friction.any() else []
+    if not is_absolute:
+        try:
+            if wound := _wound(robot, joints, robot.equilibria(theta_b, l_b), bound):
+                return wound
+        except InputError:  # of a kind whose equilibria are not enumerated
+            approaches += _windings(robot, joints)
+    if not approaches:
         return ""
 
     def beyond(turns: Array) -> float:
@@ -74,7 +90,6 @@ def _other_start(robot: Robot, joints: Array) -> str:
         apart = float(np.linalg.norm(let_go - bound.frictionless.tip_m))
         return float(np.nan_to_num(max(away, apart if apart > SAME_BRANCH_M else 0.0)))
 
-    approaches = [*_approaches(robot.n - 1), *_windings(robot, joints)]
     with ThreadPoolExecutor() as pool:
         result = list(pool.map(beyond, approaches))
     worst = int(np.argmax(result))
@@ -84,9 +99,46 @@ def _other_start(robot: Robot, joints: Array) -> str:
     away_mm, bound_mm = result[worst] * MM_PER_M, bound.position_m * MM_PER_M
     return (
         f"The start has another equilibrium: approached by relative turns of ({turned}) deg the tip stands "
-        f"{away_mm:.1f} mm beyond what friction does there ({bound_mm:.2f} mm); turn the tubes back by whole turns, or "
-        "give the joints limits"
+        f"{away_mm:.1f} mm beyond what friction does there ({bound_mm:.2f} mm)"
     )
+
+
+def _wound(robot: Robot, joints: Array, known: Equilibria, bound: Bound) -> str:
+    """A sentence about a stable equilibrium that whole turns lead to, farther off than friction; empty without."""
+    tip = bound.frictionless.tip_m
+    own = min(known.stable, key=lambda one: float(np.linalg.norm(one.tip_m - tip)), default=None)
+    if own is None:
+        return ""
+    for other in known.stable:
+        away = float(np.linalg.norm(other.tip_m - tip)) - bound.position_m
+        turns = np.round((other.twist_rad - own.twist_rad) / (2 * np.pi)).astype(int)
+        if away <= BEYOND_BOUND_M or (pattern := _pattern(robot, joints, turns)) is None:
+            continue
+        names = [f"{name} by {-360 * k:+d} deg" for name, k in zip(robot.drive.names, pattern, strict=True) if k]
+        way = f"; to unwind it turn {', '.join(names)}" if names else ""
+        return (
+            f"The start has another stable equilibrium, {away * MM_PER_M:.1f} mm beyond what friction does there "
+            f"({bound.position_m * MM_PER_M:.2f} mm), where the pairs of tubes are twisted by "
+            f"({', '.join(f'{np.degrees(x):+.0f}' for x in other.twist_rad)}) deg{way}; a drive that was homed, whose "
+            'turns count, says so by turns = "absolute" in [start]'
+        )
+    return ""
+
+
+def _pattern(robot: Robot, joints: Array, turns: NDArray[np.int_]) -> tuple[int, ...] | None:
+    """Whole turns of each joint (m,) before the start that wind the pairs by `turns`, the fewest; None if none fit."""
+    drive = robot.drive
+    turning = np.flatnonzero(drive.is_rotation)
+    most = range(-MOST_TURNS, MOST_TURNS + 1)
+    for pattern in sorted(itertools.product(most, repeat=len(turning)), key=lambda one: sum(map(abs, one))):
+        turned = np.zeros(len(joints))
+        turned[turning] = 2 * np.pi * np.array(pattern)
+        relative = np.diff(drive.matrix_theta @ turned) / (2 * np.pi)
+        before = joints - turned
+        if np.allclose(relative, turns) and np.all((before >= drive.lower) & (before <= drive.upper)):
+            whole = np.round(turned / (2 * np.pi)).astype(int)
+            return tuple(whole.tolist())
+    return None
 
 
 def _approaches(pairs: int) -> Iterator[Array]:

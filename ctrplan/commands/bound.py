@@ -197,6 +197,8 @@ def run(arguments: argparse.Namespace) -> int:
         print(json.dumps(content, indent=1, allow_nan=False))
     else:
         print(_bound_text(result, play_mm))
+        for line in _others(robot, theta_b, l_b, result):
+            print(line)
         if robot.drive.terms:
             print(_collars_text(theta_b, l_b))
     if not math.isfinite(result.position_m):
@@ -281,6 +283,24 @@ def _bound_text(bound: Bound, play_mm: float) -> str:
     if not math.isfinite(bound.position_m):
         lines.append("  a solve did not reach its residual: no bound is promised here")
     return "\n".join(lines)
+
+
+def _others(robot: Robot, theta_b: Array, l_b: Array, bound: Bound) -> list[str]:
+    """A line for each other stable equilibrium without friction; none for robots of which they are not enumerated."""
+    from ctrplan.certificate.friction_states import SAME_BRANCH_M
+
+    try:
+        known = robot.equilibria(theta_b, l_b)
+    except InputError:
+        return []
+    tip = bound.frictionless.tip_m.tolist()
+    apart = [(math.dist(one.tip_m.tolist(), tip), one) for one in known.stable]
+    nearest = min((distance for distance, _ in apart), default=0.0)
+    return [
+        f"  another {one.headline()}, {distance * 1e3:.1f} mm from the frictionless tip: turns may lead there"
+        for distance, one in apart
+        if distance > nearest + SAME_BRANCH_M
+    ]
 
 
 def _collars_text(theta_b: Array, l_b: Array) -> str:

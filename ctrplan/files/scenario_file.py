@@ -23,7 +23,16 @@ from ctrplan.files.robot_file import load_robot, robot_from_dict
 from ctrplan.files.scenario_anatomy import anatomy_notes, anatomy_part, fixture, refuse_targets_outside_images
 from ctrplan.robot.robot import Robot, nesting_violation
 from ctrplan.scenario.joint_space import bare_scenario
-from ctrplan.scenario.scenario import Cost, Goal, Margins, PlannerSettings, Registration, Scenario, StartFriction
+from ctrplan.scenario.scenario import (
+    Cost,
+    Goal,
+    Margins,
+    PlannerSettings,
+    Registration,
+    Scenario,
+    StartFriction,
+    StartTurns,
+)
 from ctrplan.scenario.sizes import SizeDoubt, base_doubt, part_doubts, place_doubt
 from ctrplan.storage.toml_document import (
     Angle,
@@ -191,7 +200,7 @@ def _direction(base: BaseEntry, document: Document) -> Array:
 
 
 ROBOT_PREFIX = "robot."
-FRICTION = "friction"  # the key of [start] that is no joint
+FRICTION, TURNS = "friction", "turns"  # keys of [start] that are no joints
 
 
 def load_scenario(
@@ -244,8 +253,11 @@ def _build(document: Document, for_robot: Sequence[str], allow_outside: bool) ->
         base_position_m=base_m,
         base_R=base_rotation(entry.base, document),
         registration=Registration(entry.base.position_sigma_mm * 1e-3, math.radians(entry.base.rotation_sigma_deg)),
-        start=joint_values({k: v for k, v in entry.start.items() if k != FRICTION}, robot, document, "start"),
+        start=joint_values(
+            {k: v for k, v in entry.start.items() if k not in (FRICTION, TURNS)}, robot, document, "start"
+        ),
         start_friction=_start_friction(entry, document),
+        start_turns=_start_turns(entry, document),
         goal=goals[-1],
         via=tuple(goals[:-1]),
         anatomy=anatomy,
@@ -288,6 +300,13 @@ def _start_friction(entry: ScenarioEntry, document: Document) -> StartFriction:
     if value not in known:
         raise document.fault(f"must be one of {', '.join(known)}", "start", FRICTION)
     return cast(StartFriction, value)
+
+
+def _start_turns(entry: ScenarioEntry, document: Document) -> StartTurns:
+    value = entry.start.get(TURNS, "unknown")
+    if value not in get_args(StartTurns):
+        raise document.fault(f"must be one of {', '.join(get_args(StartTurns))}", "start", TURNS)
+    return cast(StartTurns, value)
 
 
 def _goals(entry: ScenarioEntry, robot: Robot, document: Document) -> list[Goal]:

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from ctrplan.mechanics.core import Mechanics, Walker
     from ctrplan.mechanics.history import History, Start
     from ctrplan.mechanics.shapes import Accuracy, Bound, Bounds, HistoryOptions, Shape
+    from ctrplan.robot.equilibria import Equilibria
     from ctrplan.robot.observer import Observer
     from ctrplan.robot.slow_states import SlowOffset, SlowParameter
 
@@ -184,6 +185,17 @@ class Robot:
         """Zero-clearance, frictionless shape at collars (n,) [rad], (n,) [m], (2)-(3), with the loads of the robot."""
         _warn_of_degrees(theta_b)
         return self.mechanics.zero_clearance(theta_b, l_b)
+
+    def equilibria(self, theta_b: ArrayLike, l_b: ArrayLike) -> Equilibria:
+        """Every equilibrium without clearance and friction at collars (n,) [rad], (n,) [m], stable or not.
+
+        Whole turns of collars lead from one to another. Raises InputError for robots with loads, with oval tubes or
+        such that soften, and for more than five tubes.
+        """
+        from ctrplan.robot.equilibria import equilibria
+
+        _warn_of_degrees(theta_b)
+        return equilibria(self, theta_b, l_b)
 
     def solve(
         self, theta_b: ArrayLike, l_b: ArrayLike, phi: ArrayLike = 0.0, *, accuracy: Accuracy = "search"

@@ -124,6 +124,7 @@ class Cost:
 # What is known of friction before a plan: nothing; Section V-A's oscillation released it; there is none; what an
 # observer found, which only predictions start from: bounds and clearances are those of every friction state.
 StartFriction = Literal["unknown", "oscillated", "released", "observed"]
+StartTurns = Literal["unknown", "absolute"]  # whether whole turns of joints at the start count, as of a homed drive
 
 
 ROWS_AT_ONCE = 16384  # of products by BLAS, which takes threads for more: a search keeps every core busy itself
@@ -162,6 +163,7 @@ class Scenario:
     sha256: str = ""  # of the scenario file's content after overrides; the robot has its own
     warnings: tuple[str, ...] = ()  # the robot's included
     start_friction: StartFriction = "unknown"
+    start_turns: StartTurns = "unknown"
     registration: Registration = Registration()
     via: tuple[Goal, ...] = ()  # goals to reach before `goal`, in this order
     frame: Literal["RAS", "LPS"] | None = None  # of the patient, which the anatomy's frame is; None where not said
@@ -183,10 +185,13 @@ class Scenario:
         return result.reshape(points_m.shape)
 
     def stage_from(self, start: Array) -> Scenario:
-        """The scenario to its last goal from joints (m,); elsewhere than at its start friction is unknown."""
+        """The scenario to its last goal from joints (m,).
+
+        Elsewhere than at its start friction is unknown, and turns count: the robot was followed there.
+        """
         if np.array_equal(start, self.start):
             return replace(self, start=start, via=())
-        return replace(self, start=start, via=(), start_friction="unknown", start_state=None)
+        return replace(self, start=start, via=(), start_friction="unknown", start_turns="absolute", start_state=None)
 
     def observed(self, state: ObserverState) -> Scenario:
         """The scenario of a robot that was followed to its start: predictions begin with the histories of `state`.

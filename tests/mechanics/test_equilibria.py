@@ -1,0 +1,111 @@
+"""All equilibria at once: laws of the torus, against the core's own solutions and against simulated turns."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from places import ROBOTS
+
+import ctrplan
+from ctrplan.base.arrays import Array
+from ctrplan.certificate.other_equilibria import other_start
+from ctrplan.errors import InputError
+from ctrplan.files.robot_file import robot_from_dict
+from ctrplan.robot.equilibria import equilibria, is_unique
+from ctrplan.robot.robot import Robot
+from ctrplan.scenario.joint_space import JointSpace, bare_scenario
+from ctrplan.storage.toml_document import read_document
+
+PAIR = dict(read_document(ROBOTS / "table_5_pair.toml").content)
+
+
+def bent(factor: float, **joint: Any) -> Robot:
+    """The pair of Table V with so many times its precurvature."""
+    content = copy.deepcopy(PAIR)
+    for tube in content["tube"]:
+        for section in tube["section"]:
+            section["curvature_x_per_m"], section["curvature_y_per_m"] = 0, factor * section["curvature_y_per_m"]
+    if joint:
+        content["joint"] = [{**given, **joint} if "theta" in given["moves"] else given for given in content["joint"]]
+    return robot_from_dict(content, file=str(ROBOTS / "bent.toml"))
+
+
+def collars(robot: Robot, count: int, seed: int) -> list[tuple[Array, Array]]:
+    rows = JointSpace.of_robot(robot).sample(np.random.default_rng(seed), count)
+    return [robot.drive.collars(q) for q in rows]
+
+
+@pytest.mark.parametrize("name", ["table_1_pair", "three_tube", "three_tube_insertion"])
+def test_one_of_them_is_what_the_core_solves(name: str) -> None:
+    robot = ctrplan.load_robot(ROBOTS / f"{name}.toml")
+    for theta, l in collars(robot, 6, 3):  # noqa: E741 (as in the equations)
+        known, shape = robot.equilibria(theta, l), robot.zero_clearance(theta, l)
+        assert known.is_complete
+        assert min(np.linalg.norm(one.tip_m - shape.tip_m) for one in known.each) < 1e-6
+
+
+def test_numbers_of_stable_and_unstable_ones_differ_by_one_for_a_pair() -> None:
+    """Between two wells of energy lies a hill; and where all signs are positive there is one well at any rotation."""
+    mild, wound = bent(0.5), bent(2.5)
+    place = np.array([0.0, -90e-3])
+    for angle in np.linspace(0.1, 2 * np.pi, 8):
+        theta = np.array([0.3, 0.3 + angle])
+        known = wound.equilibria(theta, place)
+        assert known.is_complete and len(known.stable) == 1 + len(known.each) - len(known.stable)
+        assert is_unique(mild, place) and len(mild.equilibria(theta, place).each) == 1
+    assert bent(6).equilibria([0.0, 2.0], place).is_complete  # on the denser grid
+    assert not is_unique(wound, place) and len(wound.equilibria([0.0, np.pi], place).stable) == 2
+
+
+def test_opposed_tubes_have_two_shapes_that_mirror_each_other() -> None:
+    known = bent(2.5).equilibria([0.0, np.pi], np.array([0.0, -90e-3]))
+    a, b = known.stable
+    assert a.energy_J == pytest.approx(b.energy_J, rel=1e-6)
+    np.testing.assert_allclose(a.twist_rad, -b.twist_rad, atol=1e-6)
+    np.testing.assert_allclose(a.tip_m, b.tip_m * [1, -1, 1], atol=1e-6)
+
+
+def test_turning_everything_turns_every_shape() -> None:
+    robot, (theta, l) = bent(2.5), (np.array([0.2, 3.0]), np.array([0.0, -90e-3]))  # noqa: E741
+    turn = 0.7
+    c, s = np.cos(turn), np.sin(turn)
+    for one, other in zip(robot.equilibria(theta, l).each, robot.equilibria(theta + turn, l).each, strict=True):
+        assert one.energy_J == pytest.approx(other.energy_J) and one.is_stable == other.is_stable
+        np.testing.assert_allclose(np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ one.tip_m, other.tip_m, atol=1e-9)
+
+
+def test_a_robot_wound_by_a_turn_stands_in_one_of_them() -> None:
+    """Simulated without friction, from the other side; the model has clearance, so within half a mm."""
+    content = copy.deepcopy(bent(2.5).content)
+    frictionless = robot_from_dict({**content, "contact": [{"friction_coefficient": 0.0}]}, file="bent.toml")
+    theta, l = np.array([0.0, np.radians(170.0)]), np.array([0.0, -90e-3])  # noqa: E741
+    known = frictionless.equilibria(theta, l).stable
+    reached = []
+    for begin in (0.0, 2 * np.pi):
+        history = frictionless.history()
+        path = history.follow(np.array([[0.0, begin], theta]), np.array([l, l]))
+        reached.append(path.position_m[-1])
+        assert min(np.linalg.norm(one.tip_m - path.position_m[-1]) for one in known) < 1.0e-3
+    assert np.linalg.norm(reached[0] - reached[1]) > 5e-3
+
+
+def test_a_start_that_may_be_wound_is_refused_with_the_way_to_unwind_it() -> None:
+    at = np.array([0.0, np.radians(170.0), -29.6e-3])  # the inner collar at -90 mm
+    free = bare_scenario(bent(2.5))
+    said = other_start(free, at)
+    assert "another stable equilibrium" in said and "to unwind it turn" in said and "360 deg" in said
+    assert "another" not in other_start(replace(free, start_turns="absolute", start_friction="released"), at)
+    ends = {"min_deg": -180, "max_deg": 180}
+    held = bare_scenario(bent(2.5, **ends))
+    assert "to unwind" not in other_start(replace(held, start_friction="released"), at)
+
+
+def test_robots_of_another_kind_are_refused_in_one_sentence() -> None:
+    loaded = robot_from_dict({**PAIR, "effects": {"tip_load": {"force_x_N": 0.1}}}, file=str(ROBOTS / "loaded.toml"))
+    with pytest.raises(InputError, match="has loads"):
+        equilibria(loaded, [0, 0], [0, -90e-3])
+    assert not is_unique(loaded, [0, -90e-3])
