@@ -115,7 +115,8 @@ class SampleStates:
     def _pattern(self) -> Array:
         """(N, 3) the body whose points those of other robots are."""
         finer = self.piece.finer.get(self.sample) if self.accuracy != self.piece.accuracy else None
-        return (finer or self.walked).bodies_m[0]
+        body: Array = (finer or self.walked).bodies_m[0]
+        return body
 
     def _at(self, s: Point) -> FrictionStates:
         """The configuration at s (A,) of the large axes."""

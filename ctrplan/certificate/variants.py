@@ -72,12 +72,12 @@ class Variants:
     @property
     def count(self) -> int:
         """Number of axes."""
-        return self.box.axes.shape[1] + len(self.play)
+        return self.of_parameters + len(self.play)
 
     @property
     def of_parameters(self) -> int:
         """Number of axes that are the parameters'; the others are the play's."""
-        return self.box.axes.shape[1]
+        return int(self.box.axes.shape[1])
 
     @property
     def small(self) -> tuple[int, ...]:

@@ -85,7 +85,7 @@ class Piece:
     @property
     def pairs(self) -> int:
         """P."""
-        return self.l_b.shape[1] - 1
+        return int(self.l_b.shape[1]) - 1
 
     @property
     def play_m(self) -> Array:
@@ -217,7 +217,7 @@ def walked(variants: Variants, space: JointSpace, leg: int, way: Array, accuracy
     density = PathDensity(motion_m=SPACING_M, near_m=SPACING_M, point_spacing_m=POINT_SPACING_M)
     rows = _straight_steps(space, way)
     samples = mechanics.check_path(*space.drive.collars(rows), density=density, accuracy=accuracy, bodies=True)
-    joints, corners = _at(np.arange(len(rows)), rows, samples.segment + samples.fraction), list[PathSamples]()
+    joints, corners = _at(np.arange(float(len(rows))), rows, samples.segment + samples.fraction), list[PathSamples]()
     if variants.large and samples.status[-1] < Status.UNSTABLE:
         corners, finer = walk_corners(variants, joints, accuracy)
         if len(finer) > len(joints):  # the file's robot and all corners once more, at the samples of any

@@ -200,7 +200,7 @@ def _direction(base: BaseEntry, document: Document) -> Array:
 
 
 ROBOT_PREFIX = "robot."
-FRICTION, TURNS = "friction", "turns"  # keys of [start] that are no joints
+FRICTION, WHOLE_TURNS = "friction", "turns"  # keys of [start] that are no joints
 
 
 def load_scenario(
@@ -254,7 +254,7 @@ def _build(document: Document, for_robot: Sequence[str], allow_outside: bool) ->
         base_R=base_rotation(entry.base, document),
         registration=Registration(entry.base.position_sigma_mm * 1e-3, math.radians(entry.base.rotation_sigma_deg)),
         start=joint_values(
-            {k: v for k, v in entry.start.items() if k not in (FRICTION, TURNS)}, robot, document, "start"
+            {k: v for k, v in entry.start.items() if k not in (FRICTION, WHOLE_TURNS)}, robot, document, "start"
         ),
         start_friction=_start_friction(entry, document),
         start_turns=_start_turns(entry, document),
@@ -303,9 +303,9 @@ def _start_friction(entry: ScenarioEntry, document: Document) -> StartFriction:
 
 
 def _start_turns(entry: ScenarioEntry, document: Document) -> StartTurns:
-    value = entry.start.get(TURNS, "unknown")
+    value = entry.start.get(WHOLE_TURNS, "unknown")
     if value not in get_args(StartTurns):
-        raise document.fault(f"must be one of {', '.join(get_args(StartTurns))}", "start", TURNS)
+        raise document.fault(f"must be one of {', '.join(get_args(StartTurns))}", "start", WHOLE_TURNS)
     return cast(StartTurns, value)
 
 

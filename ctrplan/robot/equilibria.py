@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -28,7 +28,26 @@ from ctrplan.mechanics.tube import Loads
 
 if TYPE_CHECKING:
     from ctrplan.mechanics.tube import Tube
-    from ctrplan.robot.robot import Robot
+
+
+class Tubes(Protocol):
+    """What equilibria are enumerated of: a robot's tubes, the loads on them, and its file."""
+
+    @property
+    def tubes(self) -> tuple[Tube, ...]:
+        """Outermost first."""
+        ...
+
+    @property
+    def loads(self) -> Loads:
+        """Force, moment and weight."""
+        ...
+
+    @property
+    def path(self) -> str | None:
+        """For messages."""
+        ...
+
 
 STEP_M = 4e-3  # of the integration from the tips, of fourth order: angles are within 1e-6 rad of shorter ones
 GRID = {1: 12, 2: 12, 3: 6, 4: 6}  # angles along each pair: none of 120 random configurations had one between them
@@ -81,12 +100,12 @@ class Equilibria:
         return f"{len(self.stable)} stable and {len(self.each) - len(self.stable)} unstable equilibria{missed}"
 
 
-def equilibria(robot: Robot, theta_b: ArrayLike, l_b: ArrayLike) -> Equilibria:
+def equilibria(robot: Tubes, theta_b: ArrayLike, l_b: ArrayLike) -> Equilibria:
     """Every equilibrium without clearance and friction at collars (n,) [rad], (n,) [m], stable or not.
 
     Raises InputError for robots whose tubes carry loads, are oval or soften, and for more than five tubes.
     """
-    theta, l = joint_row(theta_b, robot.n), joint_row(l_b, robot.n)  # noqa: E741 (as in the equations)
+    theta, l = joint_row(theta_b, len(robot.tubes)), joint_row(l_b, len(robot.tubes))  # noqa: E741 (as in the equations)
     _refuse(robot)
     torus = Torus(robot.tubes, l)
     roots = torus.roots(np.diff(theta))
@@ -94,7 +113,7 @@ def equilibria(robot: Robot, theta_b: ArrayLike, l_b: ArrayLike) -> Equilibria:
     return Equilibria(tuple(sorted(found, key=lambda one: one.energy_J)), sum(sign for _, sign in roots))
 
 
-def is_unique(robot: Robot, l_b: ArrayLike) -> bool:
+def is_unique(robot: Tubes, l_b: ArrayLike) -> bool:
     """Whether there is one equilibrium at every rotation of the collars, at translations (n,) [m].
 
     False where robots are of a kind that `equilibria` refuses.
@@ -103,18 +122,18 @@ def is_unique(robot: Robot, l_b: ArrayLike) -> bool:
         _refuse(robot)
     except InputError:
         return False
-    torus = Torus(robot.tubes, joint_row(l_b, robot.n))
-    return robot.n == 1 or bool(np.all(np.linalg.det(torus.relative(torus.shoot(torus.grid()))[1]) > 0))
+    torus = Torus(robot.tubes, joint_row(l_b, len(robot.tubes)))
+    return len(robot.tubes) == 1 or bool(np.all(np.linalg.det(torus.relative(torus.shoot(torus.grid()))[1]) > 0))
 
 
-def _refuse(robot: Robot) -> None:
+def _refuse(robot: Tubes) -> None:
     rule = ""
     if robot.loads != Loads():
         rule = "has loads, with which equilibria without clearance are not enumerated"
     elif any(tube.ovality or np.isfinite(tube.softening_strain) for tube in robot.tubes):
         rule = "has oval tubes or such that soften, of which equilibria are not enumerated"
-    elif robot.n - 1 > max(GRID):
-        rule = f"has {robot.n} tubes: equilibria are enumerated of at most {max(GRID) + 1}"
+    elif len(robot.tubes) - 1 > max(GRID):
+        rule = f"has {len(robot.tubes)} tubes: equilibria are enumerated of at most {max(GRID) + 1}"
     if rule:
         raise InputError(rule, file=robot.path, key="tube")
 
@@ -215,7 +234,7 @@ class Torus:
     @property
     def _behind(self) -> Array:
         """(n,) [m] from the plate back to where a tube is held, its shaft's compliance as a length of the tube."""
-        return self.l_b - self.shaft * self.GJ
+        return np.asarray(self.l_b - self.shaft * self.GJ)
 
     def _step(self, part: _Stretch, state: Array, at: float, h: float) -> Array:
         """A step of Nystroem's method of fourth order; the derivatives go along."""
