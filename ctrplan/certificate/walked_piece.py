@@ -211,13 +211,22 @@ def _at(place: Array, rows: Array, where: Array | float) -> Array:
     return np.array([np.interp(where, place, column) for column in rows.T]).T
 
 
+def _joints(rows: Array, samples: PathSamples) -> Array:
+    """(K, m) joints at samples of a walk along rows (S, m); exact at the rows."""
+    if len(rows) == 1:
+        return np.repeat(rows, len(samples.fraction), axis=0)
+    begin, end = rows[samples.segment], rows[np.minimum(samples.segment + 1, len(rows) - 1)]
+    share = samples.fraction[:, None]
+    return np.where(share == 1, end, begin + share * (end - begin))
+
+
 def walked(variants: Variants, space: JointSpace, leg: int, way: Array, accuracy: Accuracy) -> Piece:
     """One piece, along the joints of a way (S, m)."""
     scenario, mechanics = variants.scenario, variants.scenario.robot.mechanics
     density = PathDensity(motion_m=SPACING_M, near_m=SPACING_M, point_spacing_m=POINT_SPACING_M)
     rows = _straight_steps(space, way)
     samples = mechanics.check_path(*space.drive.collars(rows), density=density, accuracy=accuracy, bodies=True)
-    joints, corners = _at(np.arange(float(len(rows))), rows, samples.segment + samples.fraction), list[PathSamples]()
+    joints, corners = _joints(rows, samples), list[PathSamples]()
     if variants.large and samples.status[-1] < Status.UNSTABLE:
         corners, finer = walk_corners(variants, joints, accuracy)
         if len(finer) > len(joints):  # the file's robot and all corners once more, at the samples of any
