@@ -344,7 +344,7 @@ def _execution(robot: Robot, joints: Array, leg: NDArray[np.int_], prediction: P
         way = np.where(np.abs(moved) > ROUNDING, np.sign(moved) * most, 0.0)
         after, moving = joints[last[last > row]], np.flatnonzero(way)
         beyond = np.clip(joints[row] + way, drive.lower, drive.upper)
-        if row in kept and space.allowed(beyond):  # else the drive is at a stop
+        if row in kept and way.any() and space.allowed(beyond):  # else the drive is exact, or at a stop
             runs.append((kept[row], np.vstack([beyond, joints[row], after])))
         for joint in {int(moving[0]), int(moving[-1])} if len(moving) > 1 and row - 1 in kept else ():
             late = joints[row] - np.where(np.arange(len(way)) == joint, way, 0.0)
