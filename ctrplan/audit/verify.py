@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import copy
 import json
 import os
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -15,6 +14,7 @@ import numpy as np
 
 from ctrplan.audit.audited_plan import AuditedPlan, WorstFigure
 from ctrplan.audit.counterexamples import HistoryHunt, StateHunt
+from ctrplan.audit.sweep import Sweep
 from ctrplan.base.arguments import EVENT, PROGRESS, SEED, Choice, Number, Whole, checked
 from ctrplan.base.arrays import Array
 from ctrplan.base.long_work import Progress, StageProgress, interrupt_event, part_of
@@ -24,14 +24,12 @@ from ctrplan.certificate.certify import certify
 from ctrplan.drive.trajectory import PERIOD_S, remade_trajectory
 from ctrplan.errors import CtrplanError
 from ctrplan.files.plan_file import WrittenPlan, load_plan
-from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.mechanics.shapes import Accuracy
 from ctrplan.planning.compensate import either_arrives
 from ctrplan.planning.endings import settled_again
 from ctrplan.planning.goal_states import nearest_turn
 from ctrplan.plans.plan import Plan, plan_to_json
 from ctrplan.plans.planned_motion import Leg, ReorderReport, follow_the_leader_m, leg_kind
-from ctrplan.robot.robot import Robot
 
 # Of plan.json, what follows from scenario and legs; None where a hand-made plan says nothing.
 KEYS = ("base", "goal", "via", "margins", "cost", "joints", "legs", "certificate", "trajectory", "follow_the_leader_m")
@@ -157,29 +155,6 @@ def _shown(value: Any) -> float | str:
     return float(value) if isinstance(value, (int, float)) else np.nan
 
 
-def robots_at_ends(robot: Robot) -> Iterator[tuple[str, Robot]]:
-    """What was changed, in words, and the robot; ends that make none are left out."""
-    for name, content in _contents(robot):
-        try:
-            yield name, robot_from_dict(content, file=robot.path)
-        except CtrplanError:
-            continue
-
-
-def _contents(robot: Robot) -> Iterator[tuple[str, dict[str, Any]]]:
-    for k, (low, high) in enumerate(robot.friction.tolist()):
-        if low < high:
-            content = copy.deepcopy(dict(robot.content))
-            content["contact"][k]["friction_coefficient"] = low
-            yield f"contact.{k + 1}.friction_coefficient = {low:.4g}", content
-    for effect, table in robot.effects.items():
-        for key, ends in table.get("ci95", {}).items():
-            for end in ends:
-                content = copy.deepcopy(dict(robot.content))
-                content["effects"][effect][key] = end
-                yield f"effects.{effect}.{key} = {end:.4g}", content
-
-
 WORK = 100_000  # units of the hunt, about as many tenths of a millisecond on a quiet core
 TIME, BUDGET = Number(0, 1e6, "s", above=True), Whole(1, 10**10)
 
@@ -191,7 +166,7 @@ class Verification:
 
     plan: WrittenPlan
     worst: tuple[WorstFigure, ...]  # of every claim, by its name
-    beside: tuple[tuple[str, WorstFigure], ...]  # with a parameter at an end of its interval, not claimed
+    beside: tuple[WorstFigure, ...]  # with parameters at the ends of their intervals, where that is not claimed
     differences: tuple[Difference, ...]  # figures that do not come out again
     refusal: str  # why the plan is not valid: its own word, or what walking the legs again says; empty if it is
     work: int  # units spent
@@ -250,8 +225,7 @@ def verify(
         differences, refusal = _recomputed(written, lambda share: told("recomputing", share))
         histories = HistoryHunt(case, seed)
         _hunt(case, StateHunt(case, seed), histories, _Budget(case, work, time_s, stop, told))
-        worst = tuple(case.worst[claim] for claim in sorted(case.worst))
-        beside = () if stop.is_set() else _at_interval_ends(case, worst)
+        worst, beside = (tuple(of[claim] for claim in sorted(of)) for of in (case.worst, case.beside))
         return Verification(written, worst, beside, differences, refusal, case.work, histories.snaps, stop.is_set())
 
 
@@ -285,12 +259,16 @@ class _Budget:
 
 
 def _hunt(case: AuditedPlan, states: StateHunt, histories: HistoryHunt, budget: _Budget) -> None:
-    """Rounds of both, half of the work each; a robot of one tube has no friction states to come from."""
-    spent: dict[StateHunt | HistoryHunt, int] = {states: 0, histories: 0}
-    hunts: Sequence[StateHunt | HistoryHunt] = (states, histories) if case.pairs else (states,)
+    """Rounds of the sweep, of states and of histories, the same work each; a robot of one tube has no histories."""
+    hunts: list[Sweep | StateHunt | HistoryHunt] = [states]
+    if case.plan.scenario.anatomy:
+        hunts.insert(0, Sweep(case))
+    if case.pairs:
+        hunts.append(histories)
+    spent = dict.fromkeys(hunts, 0)
     case.note(case.solved(1.0, (1.0,) * case.pairs))  # something to tell, whenever the hunt is ended
-    while True:
-        hunt = min(hunts, key=lambda hunt: spent[hunt])
+    while spent:
+        hunt = min(spent, key=lambda hunt: spent[hunt])
         before = case.work
         for _ in hunt.round():
             if budget.is_spent():
@@ -298,17 +276,5 @@ def _hunt(case: AuditedPlan, states: StateHunt, histories: HistoryHunt, budget: 
         spent[hunt] += case.work - before
         if budget.is_spent():
             return
-
-
-def _at_interval_ends(case: AuditedPlan, worst: Sequence[WorstFigure]) -> tuple[tuple[str, WorstFigure], ...]:
-    """The worst of each claim where a parameter is at an end of its interval, at the places found."""
-    beside: dict[str, tuple[str, WorstFigure]] = {}
-    for name, robot in robots_at_ends(case.robot):
-        other = replace(case, robot=robot, worst={}, work=0)
-        for result in worst:
-            if result.before is None:
-                other.note(other.solved(result.place, result.phi, result.play))
-        for claim, result in other.worst.items():
-            if result.worse_than(beside.get(claim, (name, None))[1]):
-                beside[claim] = name, result
-    return tuple(beside.values())
+        if hunt.is_done:
+            del spent[hunt]
