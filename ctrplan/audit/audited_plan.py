@@ -165,6 +165,10 @@ class AuditedPlan:
             raise CtrplanError("there is no robot with these parameters")
         return robot
 
+    def count_points(self, count: int) -> None:
+        """Counts the work of the distances of points."""
+        self.work += -(-count * self.anatomy.work // 100)
+
     def located(self, points_m: Array) -> Array:
         """(K, 3) of the robot's frame in the anatomy's."""
         return points_m @ self.plan.scenario.base_R.T + self.plan.scenario.base_position_m

@@ -106,10 +106,11 @@ class StateHunt:
         excess = none if state.axes is not None else off - case.stated("bound", state.place)
         room = none
         if case.plan.scenario.anatomy:
-            points = bodies.point_m[1:].reshape(-1, 3)
-            rooms = case.anatomy.room(case.located(points)).reshape(len(phi), -1) - bodies.radius_m
-            room = -rooms.min(axis=1)
-            case.work += len(phi)
+            points = bodies.point_m[1:]
+            located = case.located(points.reshape(-1, 3)).reshape(points.shape)
+            least, looked = case.anatomy.least(located, bodies.radius_m)
+            room = -least
+            case.count_points(looked)
         solved = bodies.solved[1:]
         strain = bodies.max_strain[1:] - np.nan_to_num(case.stated("strain", state.place))
         stability = np.nan_to_num(case.stated("stability", state.place)) - bodies.stability[1:]

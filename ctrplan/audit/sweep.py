@@ -30,7 +30,7 @@ MOST_GRID = 3  # pairs of tubes whose friction states are a grid of -1, 0 and 1;
 SAME_PLACE = 0.004  # by which descents begin apart
 HALVINGS = 9  # of the steps of a descent
 CLOSE_M = 0.3e-3  # more than is claimed, within which the judge's mesh descends too: what meshes differ by
-SOLVE, STATE, ROOM = 6, 1, 1  # work of a configuration, of a friction state in it, of a body's distances
+SOLVE, STATE = 6, 1  # work of a configuration, of a friction state in it
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,17 +125,30 @@ class Sweep:
         if own is None:
             return None
         points, radius, solved = own
-        rooms = self._rooms(points, radius)
-        rooms[~solved] = np.inf
-        nearer, sides = np.zeros((case.robots.count, points.shape[1])), np.zeros((case.robots.count, points.shape[1]))
+        base = self._base_m(points)
+        others: list[tuple[int, float, Array]] = []
         for axis, side in case.robots.ends:
             other = self._bodies(place, self.phi[:1], side * np.eye(case.robots.count)[axis])
-            if other is None or not other[2][0]:
-                continue
-            taken = rooms[0] - self._rooms(other[0], other[1])[0]
-            more = taken > nearer[axis]
+            if other is not None and other[2][0]:
+                others.append((axis, side, other[0][0]))
+        middle = self._rooms(points[:1], radius)[0]
+        moved = np.linalg.norm(points - points[0], axis=2)
+        moved[~solved] = 0.0
+        shifts = np.zeros((case.robots.count, points.shape[1]))
+        for axis, _, body in others:
+            shifts[axis] = np.maximum(shifts[axis], np.linalg.norm(body - points[0], axis=1))
+        # points that can't be nearest, whatever is moved, are not looked at: they keep the bound
+        near = middle - moved.max(axis=0) - shifts.sum(axis=0) - base.max(axis=0) <= (middle - base[0]).min()
+        rooms = middle - moved
+        rooms[:, near] = self._rooms(points[:, near], radius[near])
+        rooms[~solved] = np.inf
+        nearer, sides = shifts.copy(), np.zeros(shifts.shape)
+        nearer[:, near] = 0.0
+        for axis, side, body in others:
+            taken = np.where(near, -np.inf, 0.0)
+            taken[near] = rooms[0, near] - self._rooms(body[None, near], radius[near])[0]
+            more = near & (taken > nearer[axis])
             nearer[axis, more], sides[axis, more] = taken[more], side
-        base = self._base_m(points)
         predicted = rooms - nearer.sum(axis=0) - base
         k = np.argmin(predicted, axis=1)
         rows = np.arange(len(predicted))
@@ -167,13 +180,9 @@ class Sweep:
         return case.located(points.reshape(-1, 3)).reshape(points.shape), radius, np.asarray(bodies.solved)
 
     def _rooms(self, points: Array, radius: Array) -> Array:
-        """(S, N) clearances; every second body is gone through backwards, so that points follow along a curve."""
-        self.case.work += ROOM * len(points)
-        points = points.copy()
-        points[1::2] = points[1::2, ::-1]
-        rooms = self.case.anatomy.room(points.reshape(-1, 3)).reshape(points.shape[:2])
-        rooms[1::2] = rooms[1::2, ::-1].copy()
-        return np.asarray(rooms - radius)
+        """(S, N) clearances of bodies (S, N, 3) with radii (N,)."""
+        self.case.count_points(points.shape[0] * points.shape[1])
+        return self.case.anatomy.along(points) - radius
 
     def _next(self, of_all: bool) -> Suspect | None:
         """The lowest place along the way that no descent began near: of all that is allowed, or of friction alone."""
@@ -200,10 +209,12 @@ class Sweep:
         if body is None or not body[2].all():
             return np.inf
         points, radius, _ = body
-        rooms = self._rooms(points, radius)[0]
         scenario = case.plan.scenario
         if scenario.registration.is_exact:
-            return float(rooms.min())
+            least, looked = case.anatomy.least(points, radius)
+            case.count_points(looked)
+            return float(least[0])
+        rooms = self._rooms(points, radius)[0]
         move = nearest_base(scenario.registration, case.anatomy, points[0], rooms, scenario.base_position_m)
         return float((case.anatomy.room(move.of(points[0], scenario.base_position_m)) - radius).min())
 
