@@ -1,5 +1,5 @@
-"""What a scenario allows besides friction: play of the drive, parameters within their intervals, late drives, and a base
-that stands elsewhere.
+"""What a scenario allows besides friction: play of the drive, parameters within their intervals, drives that follow
+late, and a base that stands elsewhere.
 
 All but the base are a box of axes from -1 to 1, with the robot of the file in its middle. Correlated parameters are
 moved along the principal axes of their errors. The base's shift and turn lie in balls that hold 95 % of them; which

@@ -187,6 +187,7 @@ def descend(
 
 
 GRID = 64  # places of the way where tips are looked at
+LOOKS = 9  # bodies around the worst place of another equilibrium, on the judge's mesh
 STEP_RAD, STEP_M = 0.05, 0.5e-3  # of a history, for counting its work
 STEP_WORK: dict[Accuracy, int] = {"search": 8, "certificate": 20, "exact": 20}
 SMALL_DEG, LARGE_DEG = (1.0, 30.0), (30.0, 180.0)
@@ -197,6 +198,7 @@ KEPT = 0.5  # share of histories that are the worst one so far, changed a little
 MOST_WINDINGS = 2  # whole turns of a joint before the start, either way
 MOST_WOUND = 60  # combinations of them
 COARSE = HistoryOptions(rotation_rad=0.1, translation_m=1e-3)  # without friction there is no state to step finely for
+COARSE_SHARE = 0.25  # of the work of a history
 OTHER_M = 1e-3  # between tips of one configuration, beyond which its equilibria are two
 
 
@@ -212,6 +214,7 @@ class Before:
     start: FrictionStart = "released"
     without_friction: bool = False
     oscillates: bool = False
+    elsewhere: bool = False  # the start is another equilibrium then, whose bodies are looked at all along the way
 
     def phi(self, pairs: int) -> tuple[float, ...]:
         """(P,) of the state where it began."""
@@ -242,6 +245,7 @@ class HistoryHunt:
         self.queue = [Before(none, start) for start in start_states(case.plan.scenario)]
         self.starts = len(self.queue)
         self.wound = [] if self.friction == "observed" else self._wound()
+        self.usual: Array | None = None  # (3,) the tip at the start without turns before
         self.late: list[Before] = []  # whole turns that lead back to the same equilibrium, without friction
         self.number = 0
         self.snaps = 0  # of simulated robots on the way
@@ -256,7 +260,7 @@ class HistoryHunt:
         if before is None:
             yield
             return
-        result = self._driven(before, self._end(), "search")
+        result = self._driven(before, 1.0 if before.elsewhere else self._end(), "search")
         self._note(result)
         yield
         for aim in ("clearance", "bound"):
@@ -264,7 +268,9 @@ class HistoryHunt:
             if worst is not None and worse(worst) > self.kept.get(aim, (-np.inf, before))[0]:
                 self.kept[aim] = worse(worst), before
                 if self.mesh != "search":
-                    self._note(self._driven(before, worst.place, self.mesh, looks=(worst.place,)))
+                    near = np.clip(worst.place + np.linspace(-1, 1, LOOKS) / GRID, 0, 1) if before.elsewhere else []
+                    looks = (worst.place, *map(float, near))
+                    self._note(self._driven(before, max(looks), self.mesh, looks=looks))
                 yield
 
     def _wound(self) -> list[Array]:
@@ -287,12 +293,14 @@ class HistoryHunt:
         """The next whole turns that lead to another equilibrium; others are put off."""
         while self.wound:
             joints = self.wound.pop(0)[None]
-            usual, wound = (self._arrived(rows) for rows in (joints[:0], joints))
+            if self.usual is None:
+                self.usual = self._arrived(joints[:0])
+            usual, wound = self.usual, self._arrived(joints)
             same = usual is not None and wound is not None and np.linalg.norm(usual - wound) < OTHER_M
             released = self.friction == "released"
             before = Before(joints, without_friction=released, oscillates=self.friction == "oscillated")
             if not same:
-                return before
+                return replace(before, elsewhere=True)
             if not released:
                 self.late.append(before)
         return self.late.pop(0) if self.late else None
@@ -305,7 +313,7 @@ class HistoryHunt:
             path = history.follow(*self.case.robot.drive.collars(rows))
         except CtrplanError:
             return None
-        self._count(rows, "search")
+        self._count(rows[-2:], "search", COARSE_SHARE)
         return path.position_m[-1] if path.status[-1] < Status.FAILED else None
 
     def _note(self, results: list[WorstFigure]) -> None:
@@ -318,10 +326,12 @@ class HistoryHunt:
         """
         number, self.number = self.number, self.number + 1
         if number % 2 == 0 or self.friction != "unknown":
-            if self.queue:
+            if self.queue and (number % 4 == 0 or not (self.wound or self.late)):
                 return self.queue.pop(0)
             if (before := self._of_windings()) is not None:
                 return before
+            if self.queue:
+                return self.queue.pop(0)
             if self.friction != "unknown":
                 self.is_done = True
                 return None
@@ -365,7 +375,9 @@ class HistoryHunt:
         case = self.case
         tight = case.worst.get("clearance")
         seen = {end, *looks, *([tight.place] if tight is not None and tight.place <= end else [])}
-        if case.plan.scenario.anatomy and not looks:
+        if before.elsewhere and not looks:
+            seen |= {float(x) for x in self.grid if x <= end}
+        elif case.plan.scenario.anatomy and not looks:
             seen |= {float(x) for x in self.rng.choice(self.grid, 2) if x <= end}
         places = np.unique([0.0, *self.grid[self.grid <= end], *seen])
         robot = self.frictionless if before.without_friction else case.robot
@@ -427,6 +439,6 @@ class HistoryHunt:
                 results.append(case.finding(claim, float(off[k]), float(places[k]), phi, tips[k], before=before.joints))
         return results
 
-    def _count(self, joints: Array, mesh: Accuracy) -> None:
+    def _count(self, joints: Array, mesh: Accuracy, share: float = 1.0) -> None:
         steps = np.abs(np.diff(joints, axis=0)) / np.where(self.case.robot.drive.is_rotation, STEP_RAD, STEP_M)
-        self.case.work += STEP_WORK[mesh] * int(np.ceil(steps.max(axis=1, initial=0.0)).sum() + 1)
+        self.case.work += int(share * STEP_WORK[mesh] * (np.ceil(steps.max(axis=1, initial=0.0)).sum() + 1))

@@ -3,7 +3,7 @@ descents from the worst places.
 
 At a row, friction states of the file's robot are solved, and the frictionless robot at either end of every axis (play,
 parameters, delays). A point of a body comes nearer by what each axis takes off its distance; the sum over axes predicts
-the worst vertex, which is solved in a descent. No distance changes by more than the point moves. So between two rows
+the worst vertex, which is solved. No distance changes by more than the point moves. So between two rows
 the clearance is at least the mean of theirs less half the motion between them: the interval where that is least is
 halved next, until none can break the claim. What is looked at depends on the plan alone.
 """
@@ -42,12 +42,7 @@ class Row:
     alone_m: Array  # (F,) clearance of the file's robot
     least_m: Array  # (F,) predicted at the worst vertex of the axes
     vertex: Array  # (F, A) which that is
-    base_m: float  # what the registration takes off at most
-
-    @property
-    def low_m(self) -> float:
-        """The least that is predicted of any state."""
-        return float(self.least_m.min())
+    low_m: float  # clearance at the lowest of these vertices, solved; sums over axes predict too little where they bend
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +63,7 @@ class Sweep:
         pairs = case.pairs
         signs = (0.0, 1.0, -1.0) if pairs <= MOST_GRID else (1.0, -1.0)
         grid = [row for row in itertools.product(signs, repeat=pairs) if any(row)]
-        self.phi = np.array([(0.0,) * pairs, *grid]).reshape(-1, pairs)
+        self.phi = np.array([(0.0,) * pairs, *grid]).reshape(1 + len(grid), pairs)
         self.count = 2 + int(max(tube.length_m for tube in case.robot.tubes) / SPACING_M)
         self.rows: dict[float, Row] = {}
         self.intervals: list[tuple[float, float, float]] = []
@@ -114,9 +109,9 @@ class Sweep:
 
     def _keep(self, a: Row, b: Row) -> None:
         """Notes the interval between two rows, if the claim could be broken in it."""
-        moved = np.linalg.norm(a.point_m - b.point_m, axis=2).max(axis=1)
-        bound = float(np.min((a.least_m + b.least_m - moved) / 2))
-        if moved.max() > CLOSEST_M and bound < self.case.stated("clearance", a.place):
+        moved = float(np.linalg.norm(a.point_m - b.point_m, axis=2).max())
+        bound = (a.low_m + b.low_m - moved) / 2
+        if moved > CLOSEST_M and bound < self.case.stated("clearance", a.place):
             heapq.heappush(self.intervals, (bound, a.place, b.place))
 
     def _row(self, place: float) -> Row | None:
@@ -151,8 +146,14 @@ class Sweep:
             nearer[axis, more], sides[axis, more] = taken[more], side
         predicted = rooms - nearer.sum(axis=0) - base
         k = np.argmin(predicted, axis=1)
-        rows = np.arange(len(predicted))
-        return Row(place, points, rooms.min(axis=1), predicted[rows, k], sides.T[k], float(base.max(initial=0.0)))
+        least = predicted[np.arange(len(predicted)), k]
+        row = Row(place, points, rooms.min(axis=1), least, sides.T[k], least.min())
+        if not others:
+            return row
+        f = int(np.argmin(least))
+        return replace(
+            row, low_m=min(self._score(Suspect(place, self.phi[f], row.vertex[f])), float(row.alone_m.min()))
+        )
 
     def _base_m(self, points: Array) -> Array:
         """(F, N) [m] more than which the registration takes off no point."""
@@ -219,10 +220,10 @@ class Sweep:
         return float((case.anatomy.room(move.of(points[0], scenario.base_position_m)) - radius).min())
 
     def _descent(self, begin: Suspect) -> Iterator[None]:
-        """Compass search over place, friction state and vertex on the coarse mesh, and what it leads to on the judge's."""
+        """Compass search over place, friction state and vertex on the coarse mesh; its end on the judge's mesh."""
         known = sorted(self.rows)
         at = known.index(begin.place)
-        step = max(np.diff(known[max(at - 1, 0) : at + 2]), default=1.0) / 2
+        step = max(1 / FIRST_ROWS, *np.diff(known[max(at - 1, 0) : at + 2])) / 2
         best, least, size = begin, self._score(begin), 0.5
         for _ in range(HALVINGS):
             for other in self._around(best, step, size):

@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from ctrplan.audit.audited_plan import AuditedPlan, WorstFigure
 from ctrplan.audit.counterexamples import HistoryHunt, StateHunt
 from ctrplan.audit.sweep import Sweep
 from ctrplan.base.arguments import EVENT, PROGRESS, SEED, Choice, Number, Whole, checked
-from ctrplan.base.arrays import Array
+from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.base.long_work import Progress, StageProgress, interrupt_event, part_of
 from ctrplan.base.package import shown
 from ctrplan.certificate.certificate import SAME, SHARE, Certificate, Difference, Settling, joined_certificates
@@ -30,6 +31,9 @@ from ctrplan.planning.endings import settled_again
 from ctrplan.planning.goal_states import nearest_turn
 from ctrplan.plans.plan import Plan, plan_to_json
 from ctrplan.plans.planned_motion import Leg, ReorderReport, follow_the_leader_m, leg_kind
+from ctrplan.scenario.joint_space import JointSpace
+from ctrplan.scenario.prediction import predict, start_states
+from ctrplan.scenario.scenario import Goal, Scenario
 
 # Of plan.json, what follows from scenario and legs; None where a hand-made plan says nothing.
 KEYS = ("base", "goal", "via", "margins", "cost", "joints", "legs", "certificate", "trajectory", "follow_the_leader_m")
@@ -155,7 +159,74 @@ def _shown(value: Any) -> float | str:
     return float(value) if isinstance(value, (int, float)) else np.nan
 
 
-WORK = 100_000  # units of the hunt, about as many tenths of a millisecond on a quiet core
+AT_GOAL = 1e-6  # rad or m by which joints may end beside the goal's: rounding
+MESH_M, MESH_RAD = 0.1e-3, 2e-3  # by which tips may miss beyond the tolerance: what meshes differ by
+
+
+def broken_promises(plan: WrittenPlan) -> tuple[str, ...]:
+    """Sentences where the motion is not the one that the scenario wants: limits, and every target in its order.
+
+    A tip arrives if the frictionless one does, or the middle of the simulated ones from the starts that the scenario
+    allows.
+    """
+    scenario, drive = plan.scenario, plan.scenario.robot.drive
+    space = JointSpace.of(scenario)
+    results = []
+    for name, rows in (("the legs", plan.waypoints), ("the trajectory", plan.position)):
+        over = np.maximum(rows - drive.upper, drive.lower - rows).max(axis=0)
+        k = int(np.argmax(over))
+        if over[k] > AT_GOAL:
+            joint = drive.joints[k]
+            beyond = f"{over[k] / joint.si_per_unit:.3g} {joint.unit}"
+            results.append(f"{name} take joint {joint.name!r} {beyond} beyond its limit")
+        elif not np.all(space.allowed_rows(rows)):
+            results.append(f"{name} break the nesting of the tubes")
+    lasts = [target["leg"] for target in plan.certificate["targets"]]
+    if len(lasts) != len(scenario.targets) or lasts != sorted(lasts) or lasts[-1] != len(plan.waypoints) - 2:
+        return (*results, "the plan's targets are not those of the scenario, in its order")
+    for goal, last in zip(scenario.targets, lasts, strict=True):
+        results += _missed(plan, space, goal, plan.waypoints[: last + 2])
+    return tuple(results)
+
+
+def _missed(plan: WrittenPlan, space: JointSpace, goal: Goal, legs: Array) -> list[str]:
+    """Why the end of legs (K, m) is not the goal; empty where it is."""
+    scenario, robot = plan.scenario, plan.scenario.robot
+    name = goal.name or goal.table
+    if goal.tip_m is None:
+        off = np.abs(space.difference(legs[-1], legs[-1] if goal.joints is None else goal.joints))
+        joint = robot.drive.joints[int(np.argmax(off))]
+        if off.max() <= AT_GOAL:
+            return []
+        return [f"{name}: joint {joint.name!r} ends {off.max() / joint.si_per_unit:.3g} {joint.unit} beside the goal's"]
+    free = robot.mechanics.tips_with_friction(*robot.drive.collars(legs[-1:]), np.zeros((1, robot.n - 1)))
+    misses = [_miss(scenario, goal, free.position_m[0], free.tangent[0])]
+    if any(misses[0]):
+        rows = np.concatenate([legs[:1], *(a + np.linspace(0, 1, 41)[1:, None] * (b - a) for a, b in pairwise(legs))])
+        simulated = predict(robot, rows, start_states(scenario))
+        tangent = simulated.tangent[:, -1].mean(axis=0)
+        misses.append(_miss(scenario, goal, simulated.end_middle_m, tangent / np.linalg.norm(tangent)))
+    of_each = zip(*misses, strict=True)  # by distance, by direction: each may be kept by either tip
+    return [f"{name}: {sentences[0]}" for sentences in of_each if all(sentences)]
+
+
+def _miss(scenario: Scenario, goal: Goal, tip_m: Array, tangent: Array) -> tuple[str, str]:
+    """Sentences about the distance and the direction of a tip (3,), robot's frame; empty where they are within."""
+    off_m = float(np.linalg.norm(scenario.located(tip_m[None])[0] - goal.tip_m))
+    far = "" if off_m <= goal.tolerance_m + MESH_M else (
+        f"the tip ends {off_m * MM_PER_M:.2f} mm from the target, tolerance {goal.tolerance_m * MM_PER_M:g} mm"
+    )  # fmt: skip
+    if goal.direction is None or goal.direction_tolerance_rad is None:
+        return far, ""
+    angle = float(np.arccos(np.clip(scenario.base_R @ tangent @ goal.direction, -1, 1)))
+    most = np.degrees(goal.direction_tolerance_rad)
+    turned = "" if angle <= goal.direction_tolerance_rad + MESH_RAD else (
+        f"the tip ends {np.degrees(angle):.3g} deg off the goal's direction, tolerance {most:g} deg"
+    )  # fmt: skip
+    return far, turned
+
+
+WORK = 60_000  # units of the hunt, about as many tenths of a millisecond on a quiet core
 TIME, BUDGET = Number(0, 1e6, "s", above=True), Whole(1, 10**10)
 
 
@@ -169,6 +240,7 @@ class Verification:
     beside: tuple[WorstFigure, ...]  # with parameters at the ends of their intervals, where that is not claimed
     differences: tuple[Difference, ...]  # figures that do not come out again
     refusal: str  # why the plan is not valid: its own word, or what walking the legs again says; empty if it is
+    missed: tuple[str, ...]  # what the scenario wants and the motion does not do: goals, direction, limits, order
     work: int  # units spent
     snaps: int  # of robots simulated on the way
     interrupted: bool = False
@@ -181,7 +253,7 @@ class Verification:
     @property
     def is_kept(self) -> bool:
         """Whether no claim was found broken, and every figure came out again."""
-        return not (self.broken or self.differences or self.refusal)
+        return not (self.broken or self.differences or self.refusal or self.missed)
 
     @property
     def counterexample(self) -> WorstFigure | None:
@@ -212,9 +284,9 @@ def verify(
     """Judges a plan, or a plan.json with the trajectory.csv beside it; see `docs/planning.md`, Verification.
 
     Figures are computed anew and compared. Then a counter-example is hunted for: after `work` counted units the same
-    seed has found the same, more work never less; with `time_s` the clock ends the hunt. `accuracy` is that of the
-    mesh on which findings count. Setting `interrupted`, or Ctrl-C, ends it early. Raises InputError for files that
-    `ctrplan.load_plan` refuses.
+    seed has found the same, however busy the machine, more work never less; with `time_s` the hunt goes on until that
+    time is over. `accuracy` is that of the mesh on which findings count. Setting `interrupted`, or Ctrl-C, ends it
+    early. Raises InputError for files that `ctrplan.load_plan` refuses.
     """
     written = WrittenPlan.of(plan) if isinstance(plan, Plan) else plan
     if not isinstance(written, WrittenPlan):
@@ -225,8 +297,11 @@ def verify(
         differences, refusal = _recomputed(written, lambda share: told("recomputing", share))
         histories = HistoryHunt(case, seed)
         _hunt(case, StateHunt(case, seed), histories, _Budget(case, work, time_s, stop, told))
+        if not stop.is_set():
+            _solve_ends(case)
         worst, beside = (tuple(of[claim] for claim in sorted(of)) for of in (case.worst, case.beside))
-        return Verification(written, worst, beside, differences, refusal, case.work, histories.snaps, stop.is_set())
+        counted = case.work, histories.snaps, stop.is_set()
+        return Verification(written, worst, beside, differences, refusal, broken_promises(written), *counted)
 
 
 def _recomputed(plan: WrittenPlan, progress: object) -> tuple[tuple[Difference, ...], str]:
@@ -241,7 +316,7 @@ def _recomputed(plan: WrittenPlan, progress: object) -> tuple[tuple[Difference, 
 
 @dataclass(eq=False)
 class _Budget:
-    """Work or time, whichever was given."""
+    """Work that is always done, and time until which the hunt goes on."""
 
     case: AuditedPlan
     work: int
@@ -253,7 +328,9 @@ class _Budget:
         self.began = time.monotonic()
 
     def is_spent(self) -> bool:
-        share = self.case.work / self.work if self.time_s is None else (time.monotonic() - self.began) / self.time_s
+        share = self.case.work / self.work
+        if self.time_s is not None:
+            share = min(share, (time.monotonic() - self.began) / self.time_s)
         self.told("hunting", min(share, 1.0))
         return share >= 1 or self.stop.is_set()
 
@@ -278,3 +355,11 @@ def _hunt(case: AuditedPlan, states: StateHunt, histories: HistoryHunt, budget: 
             return
         if hunt.is_done:
             del spent[hunt]
+
+
+def _solve_ends(case: AuditedPlan) -> None:
+    """The worst states of each claim once more at either end of every axis of the allowed robots, one by one."""
+    for worst in list(case.worst.values()):
+        for axis, side in case.robots.ends if worst.before is None else ():
+            axes = np.where(np.arange(case.robots.count) == axis, side, worst.axes or case.middle)
+            case.note(case.solved(worst.place, worst.phi, axes))

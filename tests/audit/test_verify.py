@@ -20,7 +20,7 @@ from ctrplan.anatomy.shapes.capsule import Capsule
 from ctrplan.anatomy.shapes.sphere import Sphere
 from ctrplan.audit.audited_plan import ALLOWED
 from ctrplan.audit.scene import write_scene
-from ctrplan.audit.verify import Verification, robots_at_ends, verify
+from ctrplan.audit.verify import Verification, verify
 from ctrplan.certificate.certificate import Certificate
 from ctrplan.cli import main
 from ctrplan.errors import InputError
@@ -210,22 +210,18 @@ def test_play_of_the_drive_is_taken_up() -> None:
     for scenario in given:
         found = verify(claiming(scenario, [0, 2, 3, -80]), work=LITTLE)
         least.append(next(found for found in found.worst if found.claim == "clearance"))
-    assert not least[0].play and set(map(abs, least[1].play)) == {1.0}
+    assert not least[0].play and set(map(abs, least[1].play[:3])) == {1.0} and not any(least[1].play[3:])
     assert least[1].value < least[0].value - 0.3e-3
 
 
-def test_parameters_at_the_ends_of_their_intervals_are_told_beside_the_claims() -> None:
+def test_parameters_at_the_ends_of_their_intervals_are_told_beside_the_claims_that_do_not_cover_them() -> None:
     overrides = ["contact.1.friction_coefficient=[0.1, 0.2]", "effects.joint_scale.theta_3=0.01"]
     given = scene(*BESIDE, *overrides, "effects.joint_scale.ci95={theta_3 = [-0.5, 0.02]}")
-    found = verify(claiming(given, [0, 2, 3, -80]), work=1_500)
-    named = [name for name, _ in robots_at_ends(given.robot)]
-    assert named == [
-        "contact.1.friction_coefficient = 0.1",
-        "effects.joint_scale.theta_3 = -0.5",
-        "effects.joint_scale.theta_3 = 0.02",
-    ]
-    assert found.is_kept and {name for name, _ in found.beside} <= set(named)
-    assert {f.claim for _, f in found.beside} >= {"bound", "clearance", "strain"}
+    plan = claiming(given, [0, 2, 3, -80], lambda c: replace(c, min_clearance_m=0.0))
+    found = verify(plan, work=LITTLE)
+    assert not found.broken and {f.claim for f in found.beside} >= {"strain", "stability"}
+    for beside in found.beside:
+        assert "effects.joint_scale.theta_3" in beside.parameters or "contact.1" in beside.parameters
 
 
 def test_a_single_tube_is_judged_on_the_exact_geometry() -> None:
