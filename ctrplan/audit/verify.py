@@ -24,7 +24,7 @@ from ctrplan.certificate.certificate import SAME, SHARE, Certificate, Difference
 from ctrplan.certificate.certify import certify
 from ctrplan.drive.trajectory import PERIOD_S, remade_trajectory
 from ctrplan.errors import CtrplanError
-from ctrplan.files.plan_file import WrittenPlan, load_plan
+from ctrplan.files.plan_file import WrittenPlan, check_origin, load_plan
 from ctrplan.mechanics.shapes import Accuracy
 from ctrplan.planning.compensate import either_arrives
 from ctrplan.planning.endings import settled_again
@@ -291,6 +291,7 @@ def verify(
     written = WrittenPlan.of(plan) if isinstance(plan, Plan) else plan
     if not isinstance(written, WrittenPlan):
         written = load_plan(written, scenario)
+    check_origin(written)
     told = progress or (lambda *_: None)
     with interrupt_event(interrupted) as stop:
         case = AuditedPlan.of(written, accuracy)

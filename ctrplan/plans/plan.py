@@ -25,9 +25,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from ctrplan.plans.planned_motion import Leg
+    from ctrplan.robot.robot import Robot
     from ctrplan.scenario.scenario import Goal, Scenario
 
-SCHEMA_VERSION = 4  # rises when a key changes its meaning or goes
+SCHEMA_VERSION = 5  # rises when a key changes its meaning or goes
 SI_UNITS = {"deg": "rad", "mm": "m"}
 
 
@@ -40,8 +41,8 @@ def plan_to_json(plan: PlannedMotion) -> dict[str, Any]:
     content = {
         "schema_version": SCHEMA_VERSION,
         "ctrplan_version": __version__,
-        "scenario": {"name": scenario.name, "path": scenario.path, "sha256": scenario.sha256},
-        "robot": {"name": robot.name, "path": robot.path, "sha256": robot.sha256},
+        "scenario": _source(scenario),
+        "robot": _source(robot),
         "seed": plan.seed,
         "planner": plan.planner,
         "style": plan.style,
@@ -76,6 +77,10 @@ def write_plan_json(path: str | os.PathLike[str], plan: PlannedMotion) -> None:
     content = plan_to_json(plan).items()
     rows = (f"  {json.dumps(key)}: {json.dumps(value, ensure_ascii=False, allow_nan=False)}" for key, value in content)
     write_atomically(path, "{\n" + ",\n".join(rows) + "\n}\n")
+
+
+def _source(of: Scenario | Robot) -> dict[str, Any]:
+    return {"name": of.name, "path": of.path, "sha256": of.sha256, "sha256_of": of.sha256_of}
 
 
 def _goal(scenario: Scenario, goal: Goal) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from stated_plans import in_si, scene_of, sphere, stated, table_ii
+from stated_plans import in_si, moved_to, scene_of, sphere, stated, table_ii
 
 from ctrplan.anatomy.parts import AnatomyPart
 from ctrplan.anatomy.shapes.mesh import Mesh
@@ -77,7 +77,7 @@ def maybe_late() -> WrittenPlan:
     """The same where only the interval says that they may be late."""
     robot = table_ii("effects.drive_lag.theta_s=0.0", "effects.drive_lag.ci95={theta_s = [0.0, 0.4]}")
     plan = late()
-    return replace(plan, scenario=replace(plan.scenario, robot=robot))
+    return moved_to(plan, replace(plan.scenario, robot=robot))
 
 
 def wound() -> WrittenPlan:
@@ -136,13 +136,13 @@ def test_a_clearance_that_the_scenario_does_not_leave_is_found(plan: Any, at_mos
 def test_nothing_is_broken_from_a_start_that_the_scenario_excludes(hunted: Any) -> None:
     """All tubes turn together, so that a robot without friction at its start has none on the way."""
     plan = uncertain_curvature()
-    plan = replace(plan, scenario=replace(plan.scenario, anatomy=()))
+    plan = moved_to(plan, replace(plan.scenario, anatomy=()))
     plan.certificate["samples"]["predicted_m"] = [0.0, 0.0]
     result = hunted(plan)
     assert result.is_kept
     (predicted,) = (found for found in result.worst if found.claim == "predicted")
     assert predicted.value < 0.05e-3 and not any(predicted.phi)
-    unknown = replace(plan, scenario=replace(plan.scenario, start_friction="unknown"))
+    unknown = moved_to(plan, replace(plan.scenario, start_friction="unknown"))
     assert "predicted" in {found.claim for found in hunted(unknown).broken}
 
 

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from claimed_plans import claiming, scene
 from scipy.spatial.transform import Rotation
+from stated_plans import moved_to
 
 from ctrplan.anatomy.parts import AnatomyPart
 from ctrplan.anatomy.shapes.capsule import Capsule
@@ -81,7 +82,7 @@ def test_moving_everything_together_changes_nothing(short: Plan, judged: Verific
     assert isinstance(part.shape, Sphere)
     sphere = replace(part, shape=Sphere(R @ part.shape.center_m + shift, part.shape.radius_m))
     moved = replace(scenario, anatomy=(sphere,), base_R=R @ scenario.base_R, base_position_m=shift)
-    found = verify(replace(WrittenPlan.of(short), scenario=moved), work=LITTLE)
+    found = verify(moved_to(WrittenPlan.of(short), moved), work=LITTLE)
     for here, there in zip(judged.worst, found.worst, strict=True):
         assert there.value == pytest.approx(here.value, abs=1e-8)
         np.testing.assert_allclose(there.point_m, R @ here.point_m + shift, atol=1e-7)
@@ -92,7 +93,7 @@ def test_a_sphere_put_in_is_found(short: Plan, judged: Verification) -> None:
     q = short.waypoints[1]
     body = short.scenario.robot.solve(*short.scenario.robot.drive.collars(q), [0.5, -0.5], accuracy="certificate")
     sphere = AnatomyPart(Sphere(body.tip_m + [0, 1.5e-3, 0], 1e-3))
-    written = replace(WrittenPlan.of(short), scenario=replace(short.scenario, anatomy=(sphere,)))
+    written = moved_to(WrittenPlan.of(short), replace(short.scenario, anatomy=(sphere,)))
     found = verify(written, work=LITTLE)
     assert found.counterexample is not None and found.counterexample.claim == "clearance"
     assert found.counterexample.value < 0 and not found.is_kept

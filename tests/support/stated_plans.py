@@ -66,6 +66,17 @@ def stated(scenario: Scenario, clearance_mm: float | None, waypoints: Any = None
     clearance = None if clearance_mm is None else clearance_mm * 1e-3
     certificate = {**figures, "min_clearance_m": clearance, "worst_bound_m": WIDE_M, "valid": True, "samples": samples}
     certificate |= {"targets": [{"leg": len(rows) - 2}], "start_friction": scenario.start_friction}
-    content = {"certificate": certificate, "trajectory": {"period_s": None}}
+    content = {"certificate": certificate, "trajectory": {"period_s": None}, **origin(scenario)}
     played = trajectory.time_s, trajectory.position
     return WrittenPlan(scenario, content, rows, *played, np.array(places), corners)
+
+
+def origin(scenario: Scenario) -> dict[str, Any]:
+    """What a plan's content says of its scenario and robot."""
+    made_of = {"scenario": scenario, "robot": scenario.robot}
+    return {key: {"sha256": one.sha256, "sha256_of": one.sha256_of} for key, one in made_of.items()}
+
+
+def moved_to(plan: WrittenPlan, scenario: Scenario) -> WrittenPlan:
+    """The plan as if it had been made in another scenario."""
+    return replace(plan, scenario=scenario, content={**plan.content, **origin(scenario)})
