@@ -9,12 +9,13 @@ import math
 import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ctrplan.base.arrays import Array
+from ctrplan.base.arrays import Array, content_sha256
 from ctrplan.base.package import __version__, shown
 from ctrplan.certificate.certificate import Closest, Recheck, path_differences
 from ctrplan.drive.drive import Drive
@@ -177,6 +178,11 @@ ENDED_BY_TIME = "The search was ended by the clock: with the same seed, another 
 @dataclass(frozen=True, eq=False)
 class Plan(PlannedMotion):
     """A certified motion of the drive from a scenario's start to its goal."""
+
+    @cached_property
+    def sha256(self) -> str:
+        """Hash of its content: the scenario's, the robot's in it, the legs, and when the trajectory is where."""
+        return content_sha256((self.scenario, self.waypoints, self.trajectory.time_s, self.trajectory.position))
 
     def headline(self) -> str:
         """Its scenario, length and duration, as it shows itself."""
