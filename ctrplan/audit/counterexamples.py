@@ -240,9 +240,10 @@ class HistoryHunt:
         ends = case.way.places_of(np.arange(len(case.plan.waypoints), dtype=np.float64))
         self.grid = np.unique(np.concatenate([np.linspace(0, 1, GRID), ends]))
         self.kept: dict[str, tuple[float, Before]] = {}
-        self.friction = case.plan.scenario.start_friction
+        self.friction = case.plan.certificate.get("start_friction", case.plan.scenario.start_friction)
         none = np.empty((0, len(case.way.joints[0])))
-        self.queue = [Before(none, start) for start in start_states(case.plan.scenario)]
+        is_lost = self.friction == "observed" and case.plan.scenario.start_state is None  # no file holds that state
+        self.queue = [] if is_lost else [Before(none, start) for start in start_states(case.plan.scenario)]
         self.starts = len(self.queue)
         self.wound = [] if self.friction == "observed" else self._wound()
         self.usual: Array | None = None  # (3,) the tip at the start without turns before

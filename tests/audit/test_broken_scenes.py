@@ -14,6 +14,7 @@ from stated_plans import in_si, moved_to, scene_of, sphere, stated, table_ii
 
 from ctrplan.anatomy.parts import AnatomyPart
 from ctrplan.anatomy.shapes.mesh import Mesh
+from ctrplan.audit.audited_plan import DrivenWay
 from ctrplan.audit.verify import Verification, verify
 from ctrplan.files.plan_file import WrittenPlan
 from ctrplan.files.robot_file import robot_from_dict
@@ -196,3 +197,28 @@ def test_friction_states_are_none_that_a_lower_friction_excludes(hunted: Any) ->
     wide = hunted(stated(single, 0.0)).worst
     of = [next(f.value for f in found if f.claim == "clearance") for found in (narrow, wide)]
     assert of[0] == pytest.approx(of[1], abs=0.02e-3)
+
+
+def test_histories_of_an_observed_start_are_left_to_where_its_state_is(hunted: Any) -> None:
+    """No file holds the state, so that no simulated history says anything against the plan."""
+    plan = moved_to(wound(), replace(wound().scenario, anatomy=()))
+    plan.certificate["start_friction"] = "observed"
+    plan.certificate["samples"]["predicted_m"] = [0.0, 0.0]
+    result = hunted(plan, 4_000)
+    assert result.is_kept and all(found.before is None for found in result.worst)
+
+
+def test_the_way_is_as_late_as_each_drive() -> None:
+    plan = late()
+    way = DrivenWay.of(plan)
+    drive, n = plan.scenario.robot.drive, 3
+    for time_s in np.linspace(0, plan.time_s[-1] + 0.4, 23).tolist():
+        told = way.commanded(np.array([time_s]), np.zeros(way.robots.count))[0]
+        behind, now = (
+            np.array([np.interp(t, plan.time_s, q) for q in plan.position.T]) for t in (time_s - 0.4, time_s)
+        )
+        np.testing.assert_allclose(told[:n], drive.commanded(behind)[0], atol=1e-9)
+        np.testing.assert_allclose(told[n:], drive.commanded(now)[1], atol=1e-9)
+    assert way.time_at(1.0) == pytest.approx(plan.time_s[-1] + 0.4)
+    np.testing.assert_allclose(np.hstack(way.commanded_at(1.0, np.zeros(way.robots.count))),
+                               np.hstack(drive.commanded(plan.waypoints[-1])), atol=1e-9)  # fmt: skip

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from written_plan_files import write_small_plan
 
-from ctrplan.audit.driven_way import DrivenWay
+from ctrplan.audit.audited_plan import DrivenWay
 from ctrplan.errors import InputError
 from ctrplan.files.plan_file import WrittenPlan, load_plan
 
