@@ -29,12 +29,13 @@ if TYPE_CHECKING:
     from ctrplan.patients.case import Case
     from ctrplan.patients.case import case as case
     from ctrplan.planning.base_pose import BasePose
+    from ctrplan.planning.given_path import certify as certify
+    from ctrplan.planning.given_path import reorder as reorder
     from ctrplan.planning.inverse_kinematics import InverseKinematics
     from ctrplan.planning.inverse_kinematics import inverse_kinematics as inverse_kinematics
     from ctrplan.planning.place import Placement
     from ctrplan.planning.place import place as place
     from ctrplan.planning.planner import plan as plan
-    from ctrplan.planning.reordering import reorder as reorder
     from ctrplan.plans.plan import Plan
     from ctrplan.plans.uncertainty import plan_uncertainty as plan_uncertainty
     from ctrplan.reports.check import Check
@@ -82,7 +83,8 @@ _HOMES = {
     "verify": "audit.verify",
     "Plan": "plans.plan",
     "plan": "planning.planner",
-    "reorder": "planning.reordering",
+    "certify": "planning.given_path",
+    "reorder": "planning.given_path",
     "InverseKinematics": "planning.inverse_kinematics",
     "inverse_kinematics": "planning.inverse_kinematics",
     "BasePose": "planning.base_pose",
@@ -133,6 +135,7 @@ __all__ = [
     "bound_with_parameters",
     "calibrate",
     "case",
+    "certify",
     "check",
     "diagnose",
     "inverse_kinematics",

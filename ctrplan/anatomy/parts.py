@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ctrplan import _model
 from ctrplan.anatomy.shape import PartShape, Role
-from ctrplan.base.arrays import Array
+from ctrplan.base.arrays import Array, content_sha256
 from ctrplan.base.package import shown
 from ctrplan.errors import CtrplanError, InputError
 
@@ -48,6 +48,12 @@ class AnatomyPart:
             raise InputError("must be 'avoid' or 'inside'", key="role", value=self.role)
         if not (np.isfinite(self.margin_m) and self.margin_m >= 0):
             raise InputError("must be a finite number, zero or more", key="margin_m", value=self.margin_m, unit="m")
+
+    @cached_property
+    def sha256(self) -> str:
+        """Of its content: kind and numbers of the shape, role and margin; not of where they came from."""
+        numbers = [np.asarray(each) for each in self.shape.content()]
+        return content_sha256((self.shape.kind, numbers, self.shape.surface_error_m, self.role, self.margin_m))
 
     @cached_property
     def box(self) -> tuple[Array, Array]:

@@ -1,13 +1,15 @@
-"""A plan under judgement: its way, its claims, what a state of the robot on the way says about them, and the worst
-of these.
+"""A plan under judgement: its way as the drive follows it in time, its claims, what a state of the robot on the way
+says about them, and the worst of these.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
+from ctrplan.audit.allowed_robots import STANDING, AllowedRobots, BaseMove, nearest_base
 from ctrplan.audit.body import BodyPoints, RawAnatomy, body_of
 from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.certificate.certificate import FIGURES
@@ -17,32 +19,69 @@ from ctrplan.mechanics.shapes import Accuracy, Shape, Status
 from ctrplan.robot.robot import Robot
 
 MM_PER_RAD = 20.0  # of the length by which places are counted; it changes no claim
+LATE_MM_PER_S = 1.0  # likewise, of time in which drives may rest
 
 
 @dataclass(frozen=True, eq=False)
 class DrivenWay:
-    """R rows of joints, straight in between; a place is a share from 0 to 1 of the length travelled."""
+    """R rows of time, straight in between; a place is a share from 0 to 1 of the length that the collars travel.
 
+    It ends when the last drive has come to rest.
+    """
+
+    robots: AllowedRobots
     joints: Array  # (R, m)
     leg: Array  # (R,) legs driven until there, and the share of the next
     time_s: Array  # (R,)
     place: Array  # (R,)
 
     @classmethod
-    def of(cls, plan: WrittenPlan) -> DrivenWay:
-        """The way of a plan: trajectory and legs together."""
+    def of(cls, plan: WrittenPlan, robots: AllowedRobots | None = None) -> DrivenWay:
+        """The way of a plan: trajectory and legs together, and what follows late."""
+        allowed = robots or AllowedRobots.of(plan.scenario.robot)
         corners = np.arange(len(plan.waypoints), dtype=np.float64)
         legs = np.concatenate([plan.places, corners])
         order = np.argsort(legs, kind="stable")
         joints = np.concatenate([plan.position, plan.waypoints])[order]
         times = np.concatenate([plan.time_s, np.interp(corners, plan.places, plan.time_s)])[order]
-        is_rotation = plan.scenario.robot.drive.is_rotation
-        steps = np.abs(np.diff(joints, axis=0)) * np.where(is_rotation, MM_PER_RAD, MM_PER_M)
-        travelled = np.concatenate([[0.0], np.cumsum(steps.sum(axis=1))])
-        return cls(joints, legs[order], times, travelled / max(travelled[-1], 1e-300))
+        legs = legs[order]
+        if allowed.latest_s > 0:
+            delays = np.unique(allowed.delays_s(np.zeros(allowed.count)))
+            late = np.unique(
+                np.concatenate([times, *(times + delay for delay in delays), times[-1:] + allowed.latest_s])
+            )
+            joints = np.column_stack([np.interp(late, times, column) for column in joints.T])
+            legs, times = np.interp(late, times, legs), late
+        way = cls(allowed, joints, legs, times, np.zeros(len(times)))
+        commanded = way.commanded(times, np.zeros(allowed.count))
+        weights = np.repeat([MM_PER_RAD, MM_PER_M], plan.scenario.robot.n)
+        steps = (np.abs(np.diff(commanded, axis=0)) * weights).sum(axis=1)
+        if allowed.latest_s > 0:  # drives whose delay is uncertain move while the others rest
+            steps += LATE_MM_PER_S * np.diff(times)
+        travelled = np.concatenate([[0.0], np.cumsum(steps)])
+        return cls(allowed, joints, legs, times, travelled / max(travelled[-1], 1e-300))
+
+    def commanded(self, time_s: Array, axes: Array) -> Array:
+        """(K, 2 n) where rotations [rad], then translations [m], are told to be at times (K,), as late as they follow.
+
+        axes (A,) of the allowed robots.
+        """
+        delays = self.robots.delays_s(axes)
+        columns = zip(delays, self._table.T, strict=True)
+        return np.column_stack([np.interp(time_s - delay, self.time_s, column) for delay, column in columns])
+
+    @cached_property
+    def _table(self) -> Array:
+        """(R, 2 n) what is commanded at the rows."""
+        return np.hstack(self.robots.robot.drive.commanded(self.joints))
+
+    def commanded_at(self, place: float, axes: Array) -> tuple[Array, Array]:
+        """(n,) [rad], (n,) [m] at a place."""
+        row = self.commanded(np.array([self.time_at(place)]), axes)[0]
+        return row[: self.robots.robot.n], row[self.robots.robot.n :]
 
     def joints_at(self, place: float) -> Array:
-        """(m,) rad or m."""
+        """(m,) rad or m, as they are commanded."""
         return np.array([np.interp(place, self.place, column) for column in self.joints.T])
 
     def leg_at(self, place: float) -> float:
@@ -58,10 +97,12 @@ class DrivenWay:
         return np.interp(legs, self.leg, self.place)
 
     def until(self, place: float) -> Array:
-        """(K, m) corners of the way from its start to a place, both included."""
-        passed = self.leg_at(place)
-        corners = [self.joints_at(float(self.places_of(np.array([k]))[0])) for k in range(int(np.ceil(passed)))]
-        return np.array([*corners, self.joints_at(place)])
+        """(K, 2 n) where the collars are told to be on the way from its start to a place, both included."""
+        places = self.places_of(np.arange(int(np.ceil(self.leg_at(place))), dtype=np.float64))
+        times = np.interp([*places[places < place], place], self.place, self.time_s)
+        if self.robots.latest_s > 0:
+            times = np.append(self.time_s[self.time_s < times[-1]], times[-1])
+        return self.commanded(times, np.zeros(self.robots.count))
 
 
 # By how much a figure may miss its claim, and what share of the claim comes on top: rounding, or what the meshes of
@@ -93,7 +134,11 @@ class WorstFigure:
     tube: int  # from 1
     phi: tuple[float, ...]  # uniform friction state; of a history where it started
     before: Array | None = None  # (H, m) joints driven before the start, for a state that a history leads to
+    began: str = ""  # how friction at the start of a history came about, where `phi` does not say it
     play: tuple[float, ...] = ()  # share of the play of every collar, rotations first
+    axes: tuple[float, ...] = ()  # of the allowed robots, where it is not the file's
+    parameters: str = ""  # those that differ from the file's, with their values
+    base: BaseMove = STANDING
     accuracy: Accuracy = "certificate"
 
     @property
@@ -116,12 +161,20 @@ class WorstFigure:
 
     @property
     def how(self) -> str:
-        """The friction state in words."""
+        """The friction state, and what else was taken, in words."""
         state = ", ".join(f"{phi:+.3g}" for phi in self.phi)
-        if self.before is None:
-            return f"friction state ({state})"
-        began = f"({state})" if any(self.phi) else "released"
-        return f"a simulated history, {began}, {len(self.before)} turns before the start"
+        if self.before is not None:
+            began = self.began or (f"({state})" if any(self.phi) else "released")
+            return f"a simulated history, {began}, {len(self.before)} turns before the start{self._allowed}"
+        return f"friction state ({state}){self._allowed}"
+
+    @property
+    def _allowed(self) -> str:
+        """What else the scenario allows was taken, in words."""
+        words = [self.parameters] if self.parameters else []
+        words += ["play taken up"] if any(self.play) else []
+        words += ["the base within its registration"] if self.base != STANDING else []
+        return f"; {', '.join(words)}" if words else ""
 
     @property
     def where(self) -> str:
@@ -142,15 +195,18 @@ class AuditedPlan:
     robot: Robot
     way: DrivenWay
     anatomy: RawAnatomy
+    robots: AllowedRobots
     accuracy: Accuracy
     worst: dict[str, WorstFigure] = field(default_factory=dict)  # of every claim
+    beside: dict[str, WorstFigure] = field(default_factory=dict)  # of other parameters than the file's, not claimed
     work: int = 0
 
     @classmethod
     def of(cls, plan: WrittenPlan, accuracy: Accuracy) -> AuditedPlan:
         """The case of a written plan; figures are those of meshes of `accuracy`."""
-        scenario = plan.scenario
-        return cls(plan, scenario.robot, DrivenWay.of(plan), RawAnatomy.of(scenario.anatomy), accuracy)
+        robots = AllowedRobots.of(plan.scenario.robot)
+        way, anatomy = DrivenWay.of(plan, robots), RawAnatomy.of(plan.scenario.anatomy)
+        return cls(plan, robots.robot, way, anatomy, robots, accuracy)
 
     def __post_init__(self) -> None:
         """Where the certificate's samples lie, and what it claims there."""
@@ -171,13 +227,34 @@ class AuditedPlan:
         value = self.plan.certificate[WHOLE_WAY[claim]]
         return np.nan if value is None else float(value)
 
-    def collars(self, place: float, play: tuple[float, ...] = ()) -> tuple[Array, Array]:
-        """(n,) [rad], (n,) [m] that the drive holds at a place, moved within its play."""
-        theta_b, l_b = self.robot.drive.collars(self.way.joints_at(place))
-        if not play or self.robot.drive.play is None:
+    @property
+    def middle(self) -> Array:
+        """(A,) axes of the file's robot."""
+        return np.zeros(self.robots.count)
+
+    def collars(self, place: float, axes: Array | None = None) -> tuple[Array, Array]:
+        """(n,) [rad], (n,) [m] that the drive holds at a place, on axes (A,) of the allowed robots.
+
+        Raises CtrplanError where there is no such robot.
+        """
+        at = self.middle if axes is None else axes
+        robot = self.robot_at(at)
+        theta_b, l_b = robot.drive.reached(*self.way.commanded_at(place, at))
+        if robot.drive.play is None:
             return theta_b, l_b
-        n = self.robot.n
-        return theta_b + self.robot.drive.play[0] * play[:n], l_b + self.robot.drive.play[1] * play[n:]
+        play, n = self.robots.play(at), robot.n
+        return theta_b + robot.drive.play[0] * play[:n], l_b + robot.drive.play[1] * play[n:]
+
+    def robot_at(self, axes: Array) -> Robot:
+        """The robot on axes (A,). Raises CtrplanError where there is none."""
+        robot = self.robots.at(axes)
+        if robot is None:
+            raise CtrplanError("there is no robot with these parameters")
+        return robot
+
+    def count_points(self, count: int) -> None:
+        """Counts the work of the distances of points."""
+        self.work += -(-count * self.anatomy.work // 100)
 
     def located(self, points_m: Array) -> Array:
         """(K, 3) of the robot's frame in the anatomy's."""
@@ -195,24 +272,45 @@ class AuditedPlan:
                 return float(finer[j]), int(body.tube[k]), self.located(near.point_m[j : j + 1])[0]
         return float(rooms[k]), int(body.tube[k]), self.located(body.point_m[k : k + 1])[0]
 
+    def nearest(self, body: BodyPoints) -> tuple[float, int, Array, BaseMove]:
+        """Least clearance [m] of a body with the base where its registration brings it nearest; as `room`, and where
+        the base is then.
+        """
+        room, tube, point = self.room(body)
+        scenario = self.plan.scenario
+        if scenario.registration.is_exact or not np.isfinite(room):
+            return room, tube, point, STANDING
+        places = self.located(body.point_m)
+        rooms = self.anatomy.room(places) - body.radius_m
+        move = nearest_base(scenario.registration, self.anatomy, places, rooms, scenario.base_position_m)
+        moved = move.of(places, scenario.base_position_m)
+        there = self.anatomy.room(moved) - body.radius_m
+        k = int(np.argmin(there))
+        return (
+            (float(there[k]), int(body.tube[k]), moved[k], move) if there[k] < room else (room, tube, point, STANDING)
+        )
+
     def solved(
-        self, place: float, phi: tuple[float, ...], play: tuple[float, ...] = (), accuracy: Accuracy | None = None
+        self, place: float, phi: tuple[float, ...], axes: Array | None = None, accuracy: Accuracy | None = None
     ) -> list[WorstFigure]:
-        """Findings of one state in the cube of friction, and of the frictionless one; empty where unsolved."""
-        mesh = accuracy or self.accuracy
+        """Findings of one state in the cube of friction, and of the frictionless one; empty where unsolved.
+
+        On axes (A,) of the allowed robots besides play, clearance alone: no other claim covers them.
+        """
+        mesh, at = accuracy or self.accuracy, self.middle if axes is None else axes
         self.work += 2 * COST[mesh]
         try:
-            collars = self.collars(place, play)
+            collars, robot = self.collars(place, at), self.robot_at(at)
             states = np.array([np.zeros(self.pairs), phi])
-            free, shape = (self.robot.solve(*collars, state, accuracy=mesh) for state in states)
-            bodies = self.robot.mechanics.friction_bodies(*collars, states, spacing_m=5e-3, accuracy=mesh)
+            free, shape = (robot.solve(*collars, state, accuracy=mesh) for state in states)
+            bodies = robot.mechanics.friction_bodies(*collars, states, spacing_m=5e-3, accuracy=mesh)
         except CtrplanError:
             return []
         if max(free.status, shape.status) >= Status.FAILED:
             return []
-        result = self.of_shape(shape, None if play else free.tip_m, place, phi, play=play)
+        result = self.of_shape(shape, None if np.any(at) else free.tip_m, place, phi, axes=at)
         for state, solved, stability in zip(states, (free, shape), bodies.stability, strict=True):
-            result.append(self.finding("stability", float(stability), place, tuple(state), solved, play=play))
+            result.append(self.finding("stability", float(stability), place, tuple(state), solved, axes=at))
         return [replace(f, accuracy=mesh) for f in result]
 
     def of_shape(
@@ -223,14 +321,15 @@ class AuditedPlan:
         phi: tuple[float, ...],
         *,
         before: Array | None = None,
-        play: tuple[float, ...] = (),
+        axes: Array | None = None,
     ) -> list[WorstFigure]:
         """Clearance, strain, and deviation from the frictionless tip (3,) of a solved shape."""
-        results = [self.finding("strain", float(shape.max_strain), place, phi, shape, before=before, play=play)]
+        results = [self.finding("strain", float(shape.max_strain), place, phi, shape, before=before, axes=axes)]
         if self.plan.scenario.anatomy:
-            room, tube, point = self.room(body_of(self.robot, shape))
-            least = self.finding("clearance", room, place, phi, shape, before=before, play=play)
-            results.append(replace(least, tube=tube, point_m=point))
+            robot = self.robot if axes is None else self.robot_at(axes)
+            room, tube, point, base = self.nearest(body_of(robot, shape))
+            least = self.finding("clearance", room, place, phi, shape, before=before, axes=axes)
+            results.append(replace(least, tube=tube, point_m=point, base=base))
         if free_tip_m is not None:
             off = float(np.linalg.norm(shape.tip_m - free_tip_m))
             results += [
@@ -247,7 +346,7 @@ class AuditedPlan:
         shape: Shape | Array,
         *,
         before: Array | None = None,
-        play: tuple[float, ...] = (),
+        axes: Array | None = None,
     ) -> WorstFigure:
         """A figure at a place; its point is the tip of the shape, or the tip (3,) itself."""
         tip = shape if isinstance(shape, np.ndarray) else shape.tip_m
@@ -264,12 +363,15 @@ class AuditedPlan:
             tube=self.robot.n,
             phi=tuple(float(x) for x in phi),
             before=before,
-            play=play,
+            play=() if axes is None or not np.any(play := self.robots.play(axes)) else tuple(play.tolist()),
+            axes=() if axes is None or not np.any(axes) else tuple(axes.tolist()),
+            parameters="" if axes is None else self.robots.in_words(axes),
             accuracy=self.accuracy,
         )
 
     def note(self, findings: list[WorstFigure]) -> None:
-        """Keeps of every claim what says most against it."""
+        """Keeps of every claim what says most against it; beside, what other parameters do that no claim covers."""
         for result in findings:
-            if np.isfinite(result.value) and result.worse_than(self.worst.get(result.claim)):
-                self.worst[result.claim] = result
+            kept = self.beside if result.parameters and result.claim != "clearance" else self.worst
+            if np.isfinite(result.value) and result.worse_than(kept.get(result.claim)):
+                kept[result.claim] = result

@@ -1,8 +1,9 @@
 """The search for counter-examples to a certificate: places and friction states of the way, and what the robot did
 before it.
 
-Small turns leave friction states that no corner has. Large ones reach other equilibria, which the way then starts from.
-The robot follows the way from there; its bodies are looked at where the least clearance was found so far.
+Small turns leave friction states that no corner has. Large ones and whole ones reach other equilibria, which the way
+then starts from. The robot follows the way from there; its bodies are looked at where the least clearance was found so
+far. Histories begin with no other friction than the scenario allows at its start.
 """
 
 from __future__ import annotations
@@ -16,8 +17,10 @@ import numpy as np
 from ctrplan.audit.audited_plan import AuditedPlan, WorstFigure
 from ctrplan.base.arrays import Array
 from ctrplan.errors import CtrplanError, SolverError
-from ctrplan.mechanics.history import History
+from ctrplan.mechanics.history import OSCILLATION_DEG, History, HistoryOptions
 from ctrplan.mechanics.shapes import Accuracy, Status
+from ctrplan.robot.named_numbers import with_values
+from ctrplan.scenario.prediction import FrictionStart, begun_histories, start_states
 
 PLACES = 8  # of a round
 DRAWN = 8  # states at a place, besides the corners
@@ -33,7 +36,7 @@ class State:
 
     place: float
     phi: Array  # (P,)
-    play: tuple[float, ...] = ()
+    axes: Array | None = None  # (A,) of the allowed robots, where play is taken
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +57,8 @@ class Scores:
 class StateHunt:
     """Rounds over places; the sequence of what is looked at depends on the seed alone."""
 
+    is_done = False  # there is always another place
+
     def __init__(self, case: AuditedPlan, seed: int) -> None:
         """case: what is judged."""
         self.case = case
@@ -68,11 +73,11 @@ class StateHunt:
         best: dict[str, tuple[float, State]] = {}
         for place in self._places():
             phi = np.vstack([self.corners, self.rng.uniform(-1, 1, (DRAWN, self.case.pairs))])
-            play = self._play()
-            scores = self.scores(State(place, phi[0], play), phi)
+            axes = self._play()
+            scores = self.scores(State(place, phi[0], axes), phi)
             for aim in AIMS:
                 if (k := int(np.argmax(scores.of(aim)))) >= 0 and np.isfinite(scores.of(aim)[k]):
-                    result = float(scores.of(aim)[k]), State(place, phi[k], play)
+                    result = float(scores.of(aim)[k]), State(place, phi[k], axes)
                     best[aim] = max(best.get(aim, result), result, key=lambda pair: pair[0])
             yield
         for aim, (score, state) in best.items():
@@ -90,7 +95,7 @@ class StateHunt:
         case, none = self.case, np.full(len(phi), -np.inf)
         case.work += 2 * (len(phi) + 1)
         try:
-            collars = case.collars(state.place, state.play)
+            collars = case.collars(state.place, state.axes)
             states = np.vstack([np.zeros((1, case.pairs)), phi])
             bodies = case.robot.mechanics.friction_bodies(*collars, states, spacing_m=2e-3)
         except CtrplanError:
@@ -98,13 +103,14 @@ class StateHunt:
         if not bodies.solved[0]:
             return Scores(none, none, none, none)
         off = np.linalg.norm(bodies.point_m[1:, -1] - bodies.point_m[0, -1], axis=1)
-        excess = none if state.play else off - case.stated("bound", state.place)
+        excess = none if state.axes is not None else off - case.stated("bound", state.place)
         room = none
         if case.plan.scenario.anatomy:
-            points = bodies.point_m[1:].reshape(-1, 3)
-            rooms = case.anatomy.room(case.located(points)).reshape(len(phi), -1) - bodies.radius_m
-            room = -rooms.min(axis=1)
-            case.work += len(phi)
+            points = bodies.point_m[1:]
+            located = case.located(points.reshape(-1, 3)).reshape(points.shape)
+            least, looked = case.anatomy.least(located, bodies.radius_m)
+            room = -least
+            case.count_points(looked)
         solved = bodies.solved[1:]
         strain = bodies.max_strain[1:] - np.nan_to_num(case.stated("strain", state.place))
         stability = np.nan_to_num(case.stated("stability", state.place)) - bodies.stability[1:]
@@ -123,11 +129,12 @@ class StateHunt:
             else:
                 yield number * GOLDEN % 1.0
 
-    def _play(self) -> tuple[float, ...]:
-        """Either end of every collar's play, every other time; empty without play."""
-        if self.case.robot.drive.play is None or self.rng.integers(2):
-            return ()
-        return tuple(self.rng.choice((-1.0, 1.0), 2 * self.case.robot.n).tolist())
+    def _play(self) -> Array | None:
+        """Either end of every collar's play, every other time; None without play."""
+        played = len(self.case.robots.played)
+        if not played or self.rng.integers(2):
+            return None
+        return np.append(self.rng.choice((-1.0, 1.0), played), np.zeros(self.case.robots.count - played))
 
     def _downhill(self, aim: str, score: float, state: State) -> tuple[float, State]:
         """Compass search over place and friction state on the coarse mesh."""
@@ -140,7 +147,7 @@ class StateHunt:
         def score(at: State, phi: Array) -> Array:
             scores = []
             for row in phi:
-                result = case.solved(at.place, tuple(row), at.play)
+                result = case.solved(at.place, tuple(row), at.axes)
                 case.note(result)
                 scores.append(max((worse(f) for f in result if f.claim == aim), default=-np.inf))
             return np.array(scores)
@@ -166,12 +173,12 @@ def descend(
         if len(phi):
             result = scores(state, phi)
             if result.max() > score:
-                score, state = float(result.max()), State(state.place, phi[int(np.argmax(result))], state.play)
+                score, state = float(result.max()), State(state.place, phi[int(np.argmax(result))], state.axes)
         for side in (1, -1):
             place = float(np.clip(state.place + side * step * PLACE_PER_PHI, 0, 1))
             if place == state.place:
                 continue
-            there = State(place, state.phi, state.play)
+            there = State(place, state.phi, state.axes)
             if (found_there := float(scores(there, there.phi[None])[0])) > score:
                 score, state = found_there, there
         if score == before and step <= steps[-1]:
@@ -180,6 +187,7 @@ def descend(
 
 
 GRID = 64  # places of the way where tips are looked at
+LOOKS = 9  # bodies around the worst place of another equilibrium, on the judge's mesh
 STEP_RAD, STEP_M = 0.05, 0.5e-3  # of a history, for counting its work
 STEP_WORK: dict[Accuracy, int] = {"search": 8, "certificate": 20, "exact": 20}
 SMALL_DEG, LARGE_DEG = (1.0, 30.0), (30.0, 180.0)
@@ -187,12 +195,39 @@ MOST_TURNS = 4
 KEPT = 0.5  # share of histories that are the worst one so far, changed a little
 
 
+MOST_WINDINGS = 2  # whole turns of a joint before the start, either way
+MOST_WOUND = 60  # combinations of them
+COARSE = HistoryOptions(rotation_rad=0.1, translation_m=1e-3)  # without friction there is no state to step finely for
+COARSE_SHARE = 0.25  # of the work of a history
+OTHER_M = 1e-3  # between tips of one configuration, beyond which its equilibria are two
+
+
 @dataclass(frozen=True, eq=False)
 class Before:
-    """What happened before the start: joints (H, m) driven through, and the friction state at the first."""
+    """What happened before the start: joints (H, m) driven through, and the friction state at the first.
+
+    The history is one without friction at all, or ends at the start with the oscillation that takes friction away,
+    where the scenario says so.
+    """
 
     joints: Array
-    phi: tuple[float, ...]
+    start: FrictionStart = "released"
+    without_friction: bool = False
+    oscillates: bool = False
+    elsewhere: bool = False  # the start is another equilibrium then, whose bodies are looked at all along the way
+
+    def phi(self, pairs: int) -> tuple[float, ...]:
+        """(P,) of the state where it began."""
+        return tuple(float(x) for x in self.start) if isinstance(self.start, tuple) else (0.0,) * pairs
+
+    @property
+    def began(self) -> str:
+        """How the friction at the start came about, in words; empty where its state says it."""
+        if self.without_friction:
+            return "without friction"
+        if self.oscillates or self.start == "oscillated":
+            return "oscillated at the start"
+        return "" if isinstance(self.start, (tuple, str)) else "as observed"
 
 
 class HistoryHunt:
@@ -205,15 +240,28 @@ class HistoryHunt:
         ends = case.way.places_of(np.arange(len(case.plan.waypoints), dtype=np.float64))
         self.grid = np.unique(np.concatenate([np.linspace(0, 1, GRID), ends]))
         self.kept: dict[str, tuple[float, Before]] = {}
-        self.starts = [(0.0,) * case.pairs, *_corners(case.pairs)]
+        self.friction = case.plan.certificate.get("start_friction", case.plan.scenario.start_friction)
+        none = np.empty((0, len(case.way.joints[0])))
+        is_lost = self.friction == "observed" and case.plan.scenario.start_state is None  # no file holds that state
+        self.queue = [] if is_lost else [Before(none, start) for start in start_states(case.plan.scenario)]
+        self.starts = len(self.queue)
+        self.wound = [] if self.friction == "observed" else self._wound()
+        self.usual: Array | None = None  # (3,) the tip at the start without turns before
+        self.late: list[Before] = []  # whole turns that lead back to the same equilibrium, without friction
         self.number = 0
         self.snaps = 0  # of simulated robots on the way
+        self.is_done = False
         self.mesh: Accuracy = "certificate" if case.accuracy == "exact" else case.accuracy
+        names = [f"contact.{k + 1}.friction_coefficient" for k in range(case.pairs)]
+        self.frictionless = with_values(case.robot, dict.fromkeys(names, 0.0))
 
     def round(self) -> Iterator[None]:
         """One history on the coarse mesh; once more on the judge's where it is the worst of its kind."""
         before = self._drawn()
-        result = self._driven(before, self._end(), "search")
+        if before is None:
+            yield
+            return
+        result = self._driven(before, 1.0 if before.elsewhere else self._end(), "search")
         self._note(result)
         yield
         for aim in ("clearance", "bound"):
@@ -221,24 +269,80 @@ class HistoryHunt:
             if worst is not None and worse(worst) > self.kept.get(aim, (-np.inf, before))[0]:
                 self.kept[aim] = worse(worst), before
                 if self.mesh != "search":
-                    self._note(self._driven(before, worst.place, self.mesh, looks=(worst.place,)))
+                    near = np.clip(worst.place + np.linspace(-1, 1, LOOKS) / GRID, 0, 1) if before.elsewhere else []
+                    looks = (worst.place, *map(float, near))
+                    self._note(self._driven(before, max(looks), self.mesh, looks=looks))
                 yield
+
+    def _wound(self) -> list[Array]:
+        """Joints (m,) that are whole turns away from the start, no tube more than some; the nearest first."""
+        drive, start = self.case.robot.drive, self.case.way.joints[0]
+        turns = [
+            [k for k in range(-MOST_WINDINGS, MOST_WINDINGS + 1) if low <= q + 2 * np.pi * k <= high]
+            if rotates
+            else [0]
+            for q, low, high, rotates in zip(start, drive.lower, drive.upper, drive.is_rotation, strict=True)
+        ]
+        known: dict[tuple[float, ...], Array] = {}
+        for row in sorted(itertools.product(*turns), key=lambda row: sum(map(abs, row))):
+            relative = tuple(np.round(np.diff(drive.matrix_theta @ np.array(row)), 6).tolist())
+            if any(relative) and max(map(abs, relative)) <= MOST_WINDINGS:
+                known.setdefault(relative, start + 2 * np.pi * np.array(row))
+        return [known[key] for key in sorted(known, key=lambda key: sum(map(abs, key)))[:MOST_WOUND]]
+
+    def _of_windings(self) -> Before | None:
+        """The next whole turns that lead to another equilibrium; others are put off."""
+        while self.wound:
+            joints = self.wound.pop(0)[None]
+            if self.usual is None:
+                self.usual = self._arrived(joints[:0])
+            usual, wound = self.usual, self._arrived(joints)
+            same = usual is not None and wound is not None and np.linalg.norm(usual - wound) < OTHER_M
+            released = self.friction == "released"
+            before = Before(joints, without_friction=released, oscillates=self.friction == "oscillated")
+            if not same:
+                return replace(before, elsewhere=True)
+            if not released:
+                self.late.append(before)
+        return self.late.pop(0) if self.late else None
+
+    def _arrived(self, joints: Array) -> Array | None:
+        """(3,) the tip at the start after joints (H, m), without friction; None where no equilibrium is reached."""
+        history = self.frictionless.history(options=COARSE)
+        rows = np.vstack([joints, self.case.way.joints[:1]])
+        try:
+            path = history.follow(*self.case.robot.drive.collars(rows))
+        except CtrplanError:
+            return None
+        self._count(rows[-2:], "search", COARSE_SHARE)
+        return path.position_m[-1] if path.status[-1] < Status.FAILED else None
 
     def _note(self, results: list[WorstFigure]) -> None:
         """What counts: on the judge's mesh; predictions on the coarse one, where certificates make them."""
         self.case.note([f for f in results if f.accuracy == ("search" if f.claim == "predicted" else self.mesh)])
 
-    def _drawn(self) -> Before:
-        """The starts that certificates simulate, each second; else turns, or the worst ones with other amplitudes."""
+    def _drawn(self) -> Before | None:
+        """Every second time a start that the scenario allows, then whole turns; else turns, or the worst ones with
+        other amplitudes. None where the scenario allows nothing else.
+        """
         number, self.number = self.number, self.number + 1
-        if number % 2 == 0 and number // 2 < len(self.starts):
-            return Before(np.empty((0, len(self.case.way.joints[0]))), self.starts[number // 2])
+        if number % 2 == 0 or self.friction != "unknown":
+            if self.queue and (number % 4 == 0 or not (self.wound or self.late)):
+                return self.queue.pop(0)
+            if (before := self._of_windings()) is not None:
+                return before
+            if self.queue:
+                return self.queue.pop(0)
+            if self.friction != "unknown":
+                self.is_done = True
+                return None
         if self.kept and self.rng.random() < KEPT:
             _, worst = list(self.kept.values())[number % len(self.kept)]
             if len(worst.joints):
                 turns = worst.joints - self.case.way.joints[0]
                 return replace(worst, joints=self._turned(turns * self.rng.uniform(0.6, 1.5, turns.shape)))
-        return Before(self._turned(self._turns(*(LARGE_DEG if number % 4 < 2 else SMALL_DEG))), self.starts[0])
+        none = np.zeros(self.case.pairs)
+        return Before(self._turned(self._turns(*(LARGE_DEG if number % 4 < 2 else SMALL_DEG))), tuple(none.tolist()))
 
     def _turns(self, low_deg: float, high_deg: float) -> Array:
         """(H, m) joint motions: some turns of amplitudes between the two, of all joints or of neighbours against each
@@ -263,7 +367,7 @@ class HistoryHunt:
     def _end(self) -> float:
         """How far the way is followed: to its end, or to where little clearance was found."""
         tight = self.case.worst.get("clearance")
-        if self.number <= 2 * len(self.starts) or tight is None:
+        if self.number <= 2 * self.starts or tight is None:
             return 1.0
         return (1.0, tight.place, float(self.rng.random() ** 2))[self.number % 3]
 
@@ -272,10 +376,13 @@ class HistoryHunt:
         case = self.case
         tight = case.worst.get("clearance")
         seen = {end, *looks, *([tight.place] if tight is not None and tight.place <= end else [])}
-        if case.plan.scenario.anatomy and not looks:
+        if before.elsewhere and not looks:
+            seen |= {float(x) for x in self.grid if x <= end}
+        elif case.plan.scenario.anatomy and not looks:
             seen |= {float(x) for x in self.rng.choice(self.grid, 2) if x <= end}
         places = np.unique([0.0, *self.grid[self.grid <= end], *seen])
-        history = case.robot.history(before.phi, accuracy=mesh)
+        robot = self.frictionless if before.without_friction else case.robot
+        history = begun_histories(robot, [before.start], mesh)[0]
         try:
             self._approach(history, before, mesh)
             result = self._followed(history, before, places, seen, mesh)
@@ -286,18 +393,26 @@ class HistoryHunt:
     def _approach(self, history: History, before: Before, mesh: Accuracy) -> None:
         start = self.case.way.joints[0]
         rows = np.array([*before.joints, start])
-        collars = self.case.robot.drive.collars(rows)
-        history.follow(*collars)
+        theta, l = self.case.robot.drive.collars(rows)  # noqa: E741 (as in the equations)
+        path = history.follow(theta, l)
         self._count(np.vstack([rows, rows[:1]]) if len(rows) == 1 else rows, mesh)
+        if path.status[-1] >= Status.FAILED:
+            raise SolverError("the start is not reached")
+        if before.oscillates:
+            swing = np.radians(OSCILLATION_DEG)[:, None] * np.arange(self.case.robot.n)
+            history.follow(
+                theta[-1] + (-1.0) ** np.arange(len(swing))[:, None] * swing, np.tile(l[-1], (len(swing), 1))
+            )
 
     def _followed(
         self, history: History, before: Before, places: Array, seen: set[float], mesh: Accuracy
     ) -> list[WorstFigure]:
         case, begin = self.case, 0
         results: list[WorstFigure] = []
-        joints = np.array([case.way.joints_at(place) for place in places])
-        theta, l = case.robot.drive.collars(joints)  # noqa: E741 (as in the equations)
-        self._count(joints, mesh)
+        phi = before.phi(case.pairs)
+        told = case.way.commanded(np.interp(places, case.way.place, case.way.time_s), case.middle)
+        theta, l = case.robot.drive.reached(told[:, : case.robot.n], told[:, case.robot.n :])  # noqa: E741
+        self._count(np.array([case.way.joints_at(place) for place in places]), mesh)
         case.work += 2 * len(places)
         free = case.robot.mechanics.tips_with_friction(theta, l, np.zeros((len(places), case.pairs)), accuracy=mesh)
         for k in [k for k, place in enumerate(places) if place in seen]:
@@ -309,27 +424,22 @@ class HistoryHunt:
                 break
             if case.plan.scenario.anatomy:
                 shape = history.advance(theta[k], l[k]).shape
-                results += case.of_shape(shape, None, float(places[k]), before.phi, before=before.joints)
+                results += case.of_shape(shape, None, float(places[k]), phi, before=before.joints)
             begin = k + 1
-        return results
+        return [replace(figure, began=before.began) for figure in results]
 
     def _tips(self, tips: Array, off: Array, places: Array, before: Before) -> list[WorstFigure]:
         """The worst against the bound, and against the certificate's own prediction where it simulated the same."""
         case, claims = self.case, ["bound", "worst bound", *([] if len(before.joints) else ["predicted"])]
+        phi = before.phi(case.pairs)
         results = []
         for claim in claims:
             excess = np.array([d - case.stated(claim, p) for d, p in zip(off, places, strict=True)])
             if np.isfinite(excess).any():
                 k = int(np.nanargmax(excess))
-                results.append(
-                    case.finding(claim, float(off[k]), float(places[k]), before.phi, tips[k], before=before.joints)
-                )
+                results.append(case.finding(claim, float(off[k]), float(places[k]), phi, tips[k], before=before.joints))
         return results
 
-    def _count(self, joints: Array, mesh: Accuracy) -> None:
+    def _count(self, joints: Array, mesh: Accuracy, share: float = 1.0) -> None:
         steps = np.abs(np.diff(joints, axis=0)) / np.where(self.case.robot.drive.is_rotation, STEP_RAD, STEP_M)
-        self.case.work += STEP_WORK[mesh] * int(np.ceil(steps.max(axis=1, initial=0.0)).sum() + 1)
-
-
-def _corners(pairs: int) -> list[tuple[float, ...]]:
-    return [tuple(np.where([k >> j & 1 for j in range(pairs)], -1.0, 1.0).tolist()) for k in range(2**pairs)]
+        self.case.work += int(share * STEP_WORK[mesh] * (np.ceil(steps.max(axis=1, initial=0.0)).sum() + 1))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import io
 import json
 from collections.abc import Iterator
@@ -16,11 +17,13 @@ from scipy.spatial.transform import Rotation
 
 from ctrplan.anatomy.parts import AnatomyPart
 from ctrplan.anatomy.shapes.mesh import Mesh
+from ctrplan.audit.allowed_robots import AllowedRobots
 from ctrplan.audit.audited_plan import AuditedPlan, WorstFigure
 from ctrplan.audit.verify import Verification
 from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.errors import InputError
 from ctrplan.files.joint_path_file import joint_columns
+from ctrplan.robot.robot import Robot, file_key
 from ctrplan.scenario.scenario import Scenario
 from ctrplan.storage.output_folder import write_results
 
@@ -41,8 +44,8 @@ def write_scene(folder: Path, verification: Verification, figure: WorstFigure) -
         meshes |= mesh
     commands = _commands(folder, figure)
     results: dict[str, str | bytes] = {
-        "scenario.toml": tomli_w.dumps(_scenario(scenario, figure, entries)),
-        "robot.toml": tomli_w.dumps(dict(scenario.robot.content)),
+        "scenario.toml": tomli_w.dumps(_scenario(verification, figure, entries)),
+        "robot.toml": tomli_w.dumps(_robot(scenario.robot, figure)),
         "joints.csv": _joints(verification, figure),
         "counterexample.json": json.dumps(_content(figure, commands), indent=2) + "\n",
         **meshes,
@@ -61,19 +64,55 @@ def _commands(folder: Path, figure: WorstFigure) -> list[str]:
     ]
 
 
-def _scenario(scenario: Scenario, figure: WorstFigure, anatomy: list[dict[str, Any]]) -> dict[str, Any]:
-    """The robot where the claim breaks; the goal is to stay there."""
-    here = scenario.robot.drive.named(figure.joints)
-    x, y, z, w = Rotation.from_matrix(scenario.base_R).as_quat().tolist()
+def _scenario(verification: Verification, figure: WorstFigure, anatomy: list[dict[str, Any]]) -> dict[str, Any]:
+    """The robot where the claim breaks, its base where it is then; the goal is to stay there."""
+    scenario = verification.plan.scenario
+    drive = scenario.robot.drive
+    told = np.concatenate(_told(verification, figure)) - np.concatenate([drive.home_theta_rad, drive.home_l_m])
+    joints = np.linalg.lstsq(np.vstack([drive.matrix_theta, drive.matrix_l]), told, rcond=None)[0]
+    here = drive.named(joints)
+    turned = Rotation.from_rotvec(figure.base.turn_rad).as_matrix() @ scenario.base_R
+    x, y, z, w = Rotation.from_matrix(turned).as_quat().tolist()
     return {
         "name": f"{scenario.name}: {figure.claim} broken",
         "robot": "robot.toml",
-        "base": {"position_mm": _mm(scenario.base_position_m), "quaternion_wxyz": [w, x, y, z]},
+        "base": {
+            "position_mm": _mm(scenario.base_position_m + figure.base.shift_m),
+            "quaternion_wxyz": [w, x, y, z],
+        },
         "start": here,
         "goal": {"joints": here},
         "margins": asdict(scenario.margins),
         "anatomy": anatomy,
     }
+
+
+def _told(verification: Verification, figure: WorstFigure) -> tuple[Array, Array]:
+    """(n,) [rad], (n,) [m] where the drive is told to be, as late as it follows."""
+    way = AuditedPlan.of(verification.plan, figure.accuracy).way
+    axes = np.array(figure.axes) if figure.axes else np.zeros(way.robots.count)
+    return way.commanded_at(figure.place, axes)
+
+
+def _robot(robot: Robot, figure: WorstFigure) -> dict[str, Any]:
+    """The content of the robot's file, with the parameters of the finding."""
+    content: dict[str, Any] = copy.deepcopy(dict(robot.content))
+    if not figure.axes:
+        return content
+    robots = AllowedRobots.of(robot)
+    units = dict(zip(robots.parameters.names, robots.parameters.si, strict=True))
+    for name, value in robots.values(np.array(figure.axes)).items():
+        path, in_file = (name, value / units[name]) if name.startswith("effects.") else file_key(name, value)
+        *steps, key = path.split(".")
+        table: Any = content
+        for step in steps:
+            table = table[int(step) - 1] if step.isdecimal() else table[step]
+        if key == "curvature_per_m" and key not in table:
+            given = {each: float(table.get(each) or 0.0) for each in ("curvature_x_per_m", "curvature_y_per_m")}
+            table |= {each: part * in_file / np.hypot(*given.values()) for each, part in given.items()}
+        else:
+            table[key] = in_file
+    return content
 
 
 def _part(part: AnatomyPart, mesh_file: str) -> tuple[dict[str, Any], dict[str, bytes]]:
@@ -92,16 +131,18 @@ def _part(part: AnatomyPart, mesh_file: str) -> tuple[dict[str, Any], dict[str, 
 
 def _joints(verification: Verification, figure: WorstFigure) -> str:
     """What the tubes are commanded to: before the start, then along the way until the claim breaks."""
-    plan, drive = verification.plan, verification.plan.scenario.robot.drive
-    rows = figure.joints[None]
+    plan, n = verification.plan, verification.plan.scenario.robot.n
+    theta, l = (np.atleast_2d(column) for column in _told(verification, figure))  # noqa: E741 (as in the equations)
     if figure.before is not None:
-        way = AuditedPlan.of(plan, figure.accuracy).way
-        rows = np.vstack([figure.before, way.until(figure.place)])
-    theta, l = drive.commanded(rows)  # noqa: E741 (as in the equations)
+        way = AuditedPlan.of(plan, figure.accuracy).way.until(figure.place)
+        before = plan.scenario.robot.drive.commanded(figure.before)
+        theta, l = np.vstack([before[0], way[:, :n]]), np.vstack([before[1], way[:, n:]])  # noqa: E741
+    drive = plan.scenario.robot.drive
+    if figure.axes and (robot := AllowedRobots.of(plan.scenario.robot).at(np.array(figure.axes))) is not None:
+        drive = robot.drive
     if figure.play and drive.play is not None:
-        n = plan.scenario.robot.n
         theta, l = theta + drive.play[0] * figure.play[:n], l + drive.play[1] * figure.play[n:]  # noqa: E741
-    header = [name for names in joint_columns(plan.scenario.robot.n) for name in names]
+    header = [name for names in joint_columns(n) for name in names]
     lines = [",".join(header), *(",".join(map(repr, row)) for row in np.hstack([theta, l]).tolist())]
     return "\n".join(lines) + "\n"
 
@@ -119,6 +160,8 @@ def _content(figure: WorstFigure, commands: list[str]) -> dict[str, Any]:
         "friction_state": list(figure.phi),
         "joints_before": None if figure.before is None else figure.before.tolist(),
         "play": list(figure.play),
+        "parameters": figure.parameters,
+        "base": {"turn_rad": list(figure.base.turn_rad), "shift_m": list(figure.base.shift_m)},
         "accuracy": figure.accuracy,
         "commands": commands,
     }

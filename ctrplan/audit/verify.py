@@ -2,36 +2,38 @@
 
 from __future__ import annotations
 
-import copy
 import json
 import os
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 from ctrplan.audit.audited_plan import AuditedPlan, WorstFigure
 from ctrplan.audit.counterexamples import HistoryHunt, StateHunt
+from ctrplan.audit.sweep import Sweep
 from ctrplan.base.arguments import EVENT, PROGRESS, SEED, Choice, Number, Whole, checked
-from ctrplan.base.arrays import Array
+from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.base.long_work import Progress, StageProgress, interrupt_event, part_of
 from ctrplan.base.package import shown
 from ctrplan.certificate.certificate import SAME, SHARE, Certificate, Difference, Settling, joined_certificates
 from ctrplan.certificate.certify import certify
 from ctrplan.drive.trajectory import PERIOD_S, remade_trajectory
 from ctrplan.errors import CtrplanError
-from ctrplan.files.plan_file import WrittenPlan, load_plan
-from ctrplan.files.robot_file import robot_from_dict
+from ctrplan.files.plan_file import WrittenPlan, check_origin, load_plan
 from ctrplan.mechanics.shapes import Accuracy
 from ctrplan.planning.compensate import either_arrives
 from ctrplan.planning.endings import settled_again
 from ctrplan.planning.goal_states import nearest_turn
 from ctrplan.plans.plan import Plan, plan_to_json
 from ctrplan.plans.planned_motion import Leg, ReorderReport, follow_the_leader_m, leg_kind
-from ctrplan.robot.robot import Robot
+from ctrplan.scenario.joint_space import JointSpace
+from ctrplan.scenario.prediction import predict, start_states
+from ctrplan.scenario.scenario import Goal, Scenario
 
 # Of plan.json, what follows from scenario and legs; None where a hand-made plan says nothing.
 KEYS = ("base", "goal", "via", "margins", "cost", "joints", "legs", "certificate", "trajectory", "follow_the_leader_m")
@@ -157,30 +159,74 @@ def _shown(value: Any) -> float | str:
     return float(value) if isinstance(value, (int, float)) else np.nan
 
 
-def robots_at_ends(robot: Robot) -> Iterator[tuple[str, Robot]]:
-    """What was changed, in words, and the robot; ends that make none are left out."""
-    for name, content in _contents(robot):
-        try:
-            yield name, robot_from_dict(content, file=robot.path)
-        except CtrplanError:
-            continue
+AT_GOAL = 1e-6  # rad or m by which joints may end beside the goal's: rounding
+MESH_M, MESH_RAD = 0.1e-3, 2e-3  # by which tips may miss beyond the tolerance: what meshes differ by
 
 
-def _contents(robot: Robot) -> Iterator[tuple[str, dict[str, Any]]]:
-    for k, (low, high) in enumerate(robot.friction.tolist()):
-        if low < high:
-            content = copy.deepcopy(dict(robot.content))
-            content["contact"][k]["friction_coefficient"] = low
-            yield f"contact.{k + 1}.friction_coefficient = {low:.4g}", content
-    for effect, table in robot.effects.items():
-        for key, ends in table.get("ci95", {}).items():
-            for end in ends:
-                content = copy.deepcopy(dict(robot.content))
-                content["effects"][effect][key] = end
-                yield f"effects.{effect}.{key} = {end:.4g}", content
+def broken_promises(plan: WrittenPlan) -> tuple[str, ...]:
+    """Sentences where the motion is not the one that the scenario wants: limits, and every target in its order.
+
+    A tip arrives if the frictionless one does, or the middle of the simulated ones from the starts that the scenario
+    allows.
+    """
+    scenario, drive = plan.scenario, plan.scenario.robot.drive
+    space = JointSpace.of(scenario)
+    results = []
+    for name, rows in (("the legs", plan.waypoints), ("the trajectory", plan.position)):
+        over = np.maximum(rows - drive.upper, drive.lower - rows).max(axis=0)
+        k = int(np.argmax(over))
+        if over[k] > AT_GOAL:
+            joint = drive.joints[k]
+            beyond = f"{over[k] / joint.si_per_unit:.3g} {joint.unit}"
+            results.append(f"{name} take joint {joint.name!r} {beyond} beyond its limit")
+        elif not np.all(space.allowed_rows(rows)):
+            results.append(f"{name} break the nesting of the tubes")
+    lasts = [target["leg"] for target in plan.certificate["targets"]]
+    if len(lasts) != len(scenario.targets) or lasts != sorted(lasts) or lasts[-1] != len(plan.waypoints) - 2:
+        return (*results, "the plan's targets are not those of the scenario, in its order")
+    for goal, last in zip(scenario.targets, lasts, strict=True):
+        results += _missed(plan, space, goal, plan.waypoints[: last + 2])
+    return tuple(results)
 
 
-WORK = 100_000  # units of the hunt, about as many tenths of a millisecond on a quiet core
+def _missed(plan: WrittenPlan, space: JointSpace, goal: Goal, legs: Array) -> list[str]:
+    """Why the end of legs (K, m) is not the goal; empty where it is."""
+    scenario, robot = plan.scenario, plan.scenario.robot
+    name = goal.name or goal.table
+    if goal.tip_m is None:
+        off = np.abs(space.difference(legs[-1], legs[-1] if goal.joints is None else goal.joints))
+        joint = robot.drive.joints[int(np.argmax(off))]
+        if off.max() <= AT_GOAL:
+            return []
+        return [f"{name}: joint {joint.name!r} ends {off.max() / joint.si_per_unit:.3g} {joint.unit} beside the goal's"]
+    free = robot.mechanics.tips_with_friction(*robot.drive.collars(legs[-1:]), np.zeros((1, robot.n - 1)))
+    misses = [_miss(scenario, goal, free.position_m[0], free.tangent[0])]
+    if any(misses[0]):
+        rows = np.concatenate([legs[:1], *(a + np.linspace(0, 1, 41)[1:, None] * (b - a) for a, b in pairwise(legs))])
+        simulated = predict(robot, rows, start_states(scenario))
+        tangent = simulated.tangent[:, -1].mean(axis=0)
+        misses.append(_miss(scenario, goal, simulated.end_middle_m, tangent / np.linalg.norm(tangent)))
+    of_each = zip(*misses, strict=True)  # by distance, by direction: each may be kept by either tip
+    return [f"{name}: {sentences[0]}" for sentences in of_each if all(sentences)]
+
+
+def _miss(scenario: Scenario, goal: Goal, tip_m: Array, tangent: Array) -> tuple[str, str]:
+    """Sentences about the distance and the direction of a tip (3,), robot's frame; empty where they are within."""
+    off_m = float(np.linalg.norm(scenario.located(tip_m[None])[0] - goal.tip_m))
+    far = "" if off_m <= goal.tolerance_m + MESH_M else (
+        f"the tip ends {off_m * MM_PER_M:.2f} mm from the target, tolerance {goal.tolerance_m * MM_PER_M:g} mm"
+    )  # fmt: skip
+    if goal.direction is None or goal.direction_tolerance_rad is None:
+        return far, ""
+    angle = float(np.arccos(np.clip(scenario.base_R @ tangent @ goal.direction, -1, 1)))
+    most = np.degrees(goal.direction_tolerance_rad)
+    turned = "" if angle <= goal.direction_tolerance_rad + MESH_RAD else (
+        f"the tip ends {np.degrees(angle):.3g} deg off the goal's direction, tolerance {most:g} deg"
+    )  # fmt: skip
+    return far, turned
+
+
+WORK = 60_000  # units of the hunt, about as many tenths of a millisecond on a quiet core
 TIME, BUDGET = Number(0, 1e6, "s", above=True), Whole(1, 10**10)
 
 
@@ -191,9 +237,10 @@ class Verification:
 
     plan: WrittenPlan
     worst: tuple[WorstFigure, ...]  # of every claim, by its name
-    beside: tuple[tuple[str, WorstFigure], ...]  # with a parameter at an end of its interval, not claimed
+    beside: tuple[WorstFigure, ...]  # with parameters at the ends of their intervals, where that is not claimed
     differences: tuple[Difference, ...]  # figures that do not come out again
     refusal: str  # why the plan is not valid: its own word, or what walking the legs again says; empty if it is
+    missed: tuple[str, ...]  # what the scenario wants and the motion does not do: goals, direction, limits, order
     work: int  # units spent
     snaps: int  # of robots simulated on the way
     interrupted: bool = False
@@ -206,7 +253,7 @@ class Verification:
     @property
     def is_kept(self) -> bool:
         """Whether no claim was found broken, and every figure came out again."""
-        return not (self.broken or self.differences or self.refusal)
+        return not (self.broken or self.differences or self.refusal or self.missed)
 
     @property
     def counterexample(self) -> WorstFigure | None:
@@ -237,22 +284,25 @@ def verify(
     """Judges a plan, or a plan.json with the trajectory.csv beside it; see `docs/planning.md`, Verification.
 
     Figures are computed anew and compared. Then a counter-example is hunted for: after `work` counted units the same
-    seed has found the same, more work never less; with `time_s` the clock ends the hunt. `accuracy` is that of the
-    mesh on which findings count. Setting `interrupted`, or Ctrl-C, ends it early. Raises InputError for files that
-    `ctrplan.load_plan` refuses.
+    seed has found the same, however busy the machine, more work never less; with `time_s` the hunt goes on until that
+    time is over. `accuracy` is that of the mesh on which findings count. Setting `interrupted`, or Ctrl-C, ends it
+    early. Raises InputError for files that `ctrplan.load_plan` refuses.
     """
     written = WrittenPlan.of(plan) if isinstance(plan, Plan) else plan
     if not isinstance(written, WrittenPlan):
         written = load_plan(written, scenario)
+    check_origin(written)
     told = progress or (lambda *_: None)
     with interrupt_event(interrupted) as stop:
         case = AuditedPlan.of(written, accuracy)
         differences, refusal = _recomputed(written, lambda share: told("recomputing", share))
         histories = HistoryHunt(case, seed)
         _hunt(case, StateHunt(case, seed), histories, _Budget(case, work, time_s, stop, told))
-        worst = tuple(case.worst[claim] for claim in sorted(case.worst))
-        beside = () if stop.is_set() else _at_interval_ends(case, worst)
-        return Verification(written, worst, beside, differences, refusal, case.work, histories.snaps, stop.is_set())
+        if not stop.is_set():
+            _solve_ends(case)
+        worst, beside = (tuple(of[claim] for claim in sorted(of)) for of in (case.worst, case.beside))
+        counted = case.work, histories.snaps, stop.is_set()
+        return Verification(written, worst, beside, differences, refusal, broken_promises(written), *counted)
 
 
 def _recomputed(plan: WrittenPlan, progress: object) -> tuple[tuple[Difference, ...], str]:
@@ -267,7 +317,7 @@ def _recomputed(plan: WrittenPlan, progress: object) -> tuple[tuple[Difference, 
 
 @dataclass(eq=False)
 class _Budget:
-    """Work or time, whichever was given."""
+    """Work that is always done, and time until which the hunt goes on."""
 
     case: AuditedPlan
     work: int
@@ -279,18 +329,24 @@ class _Budget:
         self.began = time.monotonic()
 
     def is_spent(self) -> bool:
-        share = self.case.work / self.work if self.time_s is None else (time.monotonic() - self.began) / self.time_s
+        share = self.case.work / self.work
+        if self.time_s is not None:
+            share = min(share, (time.monotonic() - self.began) / self.time_s)
         self.told("hunting", min(share, 1.0))
         return share >= 1 or self.stop.is_set()
 
 
 def _hunt(case: AuditedPlan, states: StateHunt, histories: HistoryHunt, budget: _Budget) -> None:
-    """Rounds of both, half of the work each; a robot of one tube has no friction states to come from."""
-    spent: dict[StateHunt | HistoryHunt, int] = {states: 0, histories: 0}
-    hunts: Sequence[StateHunt | HistoryHunt] = (states, histories) if case.pairs else (states,)
+    """Rounds of the sweep, of states and of histories, the same work each; a robot of one tube has no histories."""
+    hunts: list[Sweep | StateHunt | HistoryHunt] = [states]
+    if case.plan.scenario.anatomy:
+        hunts.insert(0, Sweep(case))
+    if case.pairs:
+        hunts.append(histories)
+    spent = dict.fromkeys(hunts, 0)
     case.note(case.solved(1.0, (1.0,) * case.pairs))  # something to tell, whenever the hunt is ended
-    while True:
-        hunt = min(hunts, key=lambda hunt: spent[hunt])
+    while spent:
+        hunt = min(spent, key=lambda hunt: spent[hunt])
         before = case.work
         for _ in hunt.round():
             if budget.is_spent():
@@ -298,17 +354,13 @@ def _hunt(case: AuditedPlan, states: StateHunt, histories: HistoryHunt, budget: 
         spent[hunt] += case.work - before
         if budget.is_spent():
             return
+        if hunt.is_done:
+            del spent[hunt]
 
 
-def _at_interval_ends(case: AuditedPlan, worst: Sequence[WorstFigure]) -> tuple[tuple[str, WorstFigure], ...]:
-    """The worst of each claim where a parameter is at an end of its interval, at the places found."""
-    beside: dict[str, tuple[str, WorstFigure]] = {}
-    for name, robot in robots_at_ends(case.robot):
-        other = replace(case, robot=robot, worst={}, work=0)
-        for result in worst:
-            if result.before is None:
-                other.note(other.solved(result.place, result.phi, result.play))
-        for claim, result in other.worst.items():
-            if result.worse_than(beside.get(claim, (name, None))[1]):
-                beside[claim] = name, result
-    return tuple(beside.values())
+def _solve_ends(case: AuditedPlan) -> None:
+    """The worst states of each claim once more at either end of every axis of the allowed robots, one by one."""
+    for worst in list(case.worst.values()):
+        for axis, side in case.robots.ends if worst.before is None else ():
+            axes = np.where(np.arange(case.robots.count) == axis, side, worst.axes or case.middle)
+            case.note(case.solved(worst.place, worst.phi, axes))

@@ -1,8 +1,11 @@
-"""Arrays of all packages, units of files and screens in SI, and directions as unit vectors."""
+"""Arrays of all packages, units of files and screens in SI, directions as unit vectors, and hashes of contents."""
 
 from __future__ import annotations
 
+import hashlib
 import math
+from collections.abc import Iterator, Mapping
+from dataclasses import fields, is_dataclass
 from typing import Any
 
 import numpy as np
@@ -100,3 +103,42 @@ def are_degrees(theta: ArrayLike) -> bool:
     if largest > MOST_DEGREES:
         return False
     return largest > MOST_WINDING_RAD or (largest > WINDING_RAD and bool((angles == np.round(angles)).all()))
+
+
+def content_sha256(value: object) -> str:
+    """Hash of what a value is made of, however it came about: numbers, texts, arrays, tables, rows, dataclasses.
+
+    1 and 1.0 are the same, rows as lists and tuples too. What has a hash of its own counts by that.
+    """
+    digest = hashlib.sha256()
+    for piece in _pieces(value):
+        digest.update(piece)
+    return digest.hexdigest()
+
+
+def _pieces(value: object) -> Iterator[bytes]:
+    if value is None or isinstance(value, (str, bool)):
+        yield repr(value).encode()
+    elif isinstance(value, (int, float, np.number)):
+        yield repr(float(value) + 0.0).encode()  # no -0
+    elif isinstance(value, np.ndarray):
+        yield f"array{value.shape}".encode()
+        yield np.ascontiguousarray(value, dtype=np.float64).__add__(0.0).tobytes()
+    elif isinstance(value, Mapping):
+        for key in sorted(value, key=str):
+            yield f"{{{key}:".encode()
+            yield from _pieces(value[key])
+        yield b"}"
+    elif isinstance(value, (list, tuple)):
+        for item in value:
+            yield b"["
+            yield from _pieces(item)
+        yield b"]"
+    elif isinstance(own := getattr(value, "sha256", None), str):
+        yield own.encode()
+    elif is_dataclass(value) and not isinstance(value, type):
+        yield type(value).__qualname__.encode()
+        yield from _pieces({field.name: getattr(value, field.name) for field in fields(value)})
+    else:  # a function, or an effect of the catalogue
+        kind = value if callable(value) and hasattr(value, "__qualname__") else type(value)
+        yield f"{kind.__module__}.{kind.__qualname__}".encode()

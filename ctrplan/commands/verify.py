@@ -45,7 +45,7 @@ UNITS = {"stability": (1.0, ""), "strain": (100.0, " %")}
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Adds the command's arguments."""
     add_output_option(parser, "folder for a counter-example", DEFAULT_FOLDER)
-    add_number(parser, "--time", TIME, metavar="S", default=10.0, help="seconds of the hunt (default: 10)")
+    add_number(parser, "--time", TIME, metavar="S", help="seconds until which the hunt goes on, when its work is done")
     add_number(parser, "--seed", SEED, default=0, help="seed of the hunt (default: %(default)s)")
     parser.add_argument(
         "--accuracy",
@@ -60,7 +60,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Runs the command; returns its exit code. Raises InputError for what is no plan."""
     with interrupt_event() as interrupted:
         from ctrplan.audit.scene import outputs, write_scene
-        from ctrplan.audit.verify import verify
+        from ctrplan.audit.verify import WORK, verify
 
         plan = read_plan(arguments)
         folder = output_folder(arguments.output, list(outputs(plan.scenario)))
@@ -68,6 +68,7 @@ def run(arguments: argparse.Namespace) -> int:
             result = verify(
                 plan,
                 seed=arguments.seed,
+                work=WORK,
                 time_s=arguments.time,
                 accuracy=arguments.accuracy,
                 progress=bar.show,
@@ -97,11 +98,11 @@ def _report(result: Verification) -> Iterator[str]:
     yield f"{name}: {verdict}{', interrupted' if result.interrupted else ''}"
     if result.refusal:
         yield f"  {result.refusal}"
+    yield from (f"  {sentence}" for sentence in result.missed)
     for difference in result.differences:
         yield f"  {difference.sentence}"
     yield from (_line(found) for found in result.worst)
-    for parameter, outcome in result.beside:
-        yield f"{_line(outcome)}; with {parameter}, which is not claimed"
+    yield from (f"{_line(outcome)}, which is not claimed" for outcome in result.beside)
     if result.snaps:
         yield f"  simulated robots snapped {result.snaps} times"
 

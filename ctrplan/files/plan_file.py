@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -34,6 +34,7 @@ class SourceEntry(Struct):
 
     sha256: str
     path: str | None = None
+    sha256_of: dict[str, str] = {}
 
 
 class PlanJointEntry(Struct):
@@ -112,13 +113,18 @@ class TrajectoryEntry(Struct):
     period_s: Annotated[float, Meta(ge=1e-9, le=1e9)] | None
 
 
-class PlanEntry(Struct):
+class OriginEntry(Struct, kw_only=True):
+    """What a plan.json was made of."""
+
+    scenario: SourceEntry
+    robot: SourceEntry
+
+
+class PlanEntry(OriginEntry, kw_only=True):
     """A plan.json."""
 
     schema_version: int
     ctrplan_version: str
-    scenario: SourceEntry
-    robot: SourceEntry
     joints: list[PlanJointEntry]
     legs: Annotated[list[LegEntry], Meta(min_length=1)]
     certificate: CertificateEntry
@@ -291,13 +297,31 @@ def _scenario_file(entry: PlanEntry, file: str) -> str:
     )
 
 
-def _check_origin(entry: PlanEntry, scenario: Scenario, file: str) -> None:
+def check_origin(plan: WrittenPlan) -> None:
+    """Raises InputError for a plan that is not of its robot and scenario, in their content, and says what differs."""
+    _check_origin(Document(plan.content, plan.file).to(OriginEntry), plan.scenario, plan.file)
+
+
+def _check_origin(entry: OriginEntry, scenario: Scenario, file: str | None) -> None:
     """Raises InputError for the plan of another scenario or robot."""
-    for key, stated, here in (("scenario", entry.scenario, scenario), ("robot", entry.robot, scenario.robot)):
+    for key, stated, here in (("robot", entry.robot, scenario.robot), ("scenario", entry.scenario, scenario)):
         if stated.sha256 != here.sha256:
-            place = here.path or here.name
-            rule = f"is that of another {key}: the content of {place} has {here.sha256[:12]}... (with other --set?)"
+            differs = "; ".join(_differing(stated.sha256_of, here.sha256_of, key)) or "nothing says what differs"
+            rule = f"is that of another {key} than {here.path or here.name}: {differs}"
             raise InputError(rule, file=file, key=f"{key}.sha256", value=stated.sha256)
+
+
+def _differing(stated: Mapping[str, str], here: Mapping[str, str], what: str) -> Iterator[str]:
+    """What a plan's robot or scenario does not have alike; parts of the anatomy by content, whatever their number."""
+    for key, value in here.items():
+        if key not in stated or key.startswith("anatomy."):
+            if value not in stated.values():
+                yield f"{key} is not in the plan's {what}"
+        elif stated[key] != value:
+            yield f"{key} differs"
+    for key, value in stated.items():
+        if (key not in here or key.startswith("anatomy.")) and value not in here.values():
+            yield f"the plan's {key} is not here"
 
 
 def _checked(scenario: Scenario, content: dict[str, Any], file: str | None, played: tuple[Array, Array]) -> WrittenPlan:

@@ -13,7 +13,6 @@ import tempfile
 import zipfile
 import zlib
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -21,7 +20,7 @@ from ctrplan.errors import InputError
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.scenario.scenario import Scenario
 from ctrplan.storage.output_folder import write_atomically
-from ctrplan.storage.toml_document import Document, toml_text
+from ctrplan.storage.toml_document import toml_text
 
 INPUTS, MANIFEST, SCENARIO = "inputs.zip", "manifest.json", "scenario.toml"
 SUFFIX = ".ctrplan"  # of a plan's folder as one file
@@ -88,32 +87,16 @@ def _zipped(packed: Mapping[str, bytes]) -> bytes:
 
 
 def scenario_within(folder: Path) -> Scenario | None:
-    """The scenario that a plan's folder holds, as it was planned; None where it holds none. Raises InputError."""
+    """The scenario that a plan's folder holds; None where it holds none. Raises InputError.
+
+    Whether it is the plan's, the hashes in plan.json say.
+    """
     if not (folder / INPUTS).is_file():
         return None
     place = unpacked(folder / INPUTS)
-    try:
-        manifest = json.loads((place / MANIFEST).read_text(encoding="utf-8"))
-        named, said = dict(manifest["named"]), str(manifest["scenario_sha256"])
-    except (OSError, ValueError, KeyError, TypeError):
-        raise InputError("is damaged: it has no manifest", file=str(folder / INPUTS)) from None
-    scenario = load_scenario(place / SCENARIO)
-    if Document(_renamed(scenario.content, named), None).sha256 != said:
-        raise InputError("is damaged: its scenario is not the one that its manifest says", file=str(folder / INPUTS))
-    return replace(scenario, sha256=said)
-
-
-def _renamed(content: Mapping[str, Any], named: Mapping[str, str]) -> dict[str, Any]:
-    """The content with the names that stood in it before it was packed."""
-    result: dict[str, Any] = copy.deepcopy(dict(content))
-    result["robot"] = named.get(result["robot"], result["robot"])
-    for table in [*result.get("anatomy", []), *result.get("fixture", [])]:
-        for key in ("file", "files"):
-            if isinstance(table.get(key), list):
-                table[key] = [named.get(name, name) for name in table[key]]
-            elif key in table:
-                table[key] = named.get(table[key], table[key])
-    return result
+    if not (place / MANIFEST).is_file():
+        raise InputError("is damaged: it has no manifest", file=str(folder / INPUTS))
+    return load_scenario(place / SCENARIO)
 
 
 def unpacked(path: Path) -> Path:

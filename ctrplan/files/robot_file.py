@@ -309,7 +309,6 @@ def _build(document: Document) -> Robot:
         provenance=entry.provenance,
         content=document.content,
         path=document.file,
-        sha256=document.sha256,
     )
     if violation := never_nests(robot):
         raise document.fault(f"no joint values within limits nest the tubes, at home {violation}", "home", "l_mm")

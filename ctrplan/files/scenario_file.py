@@ -267,7 +267,6 @@ def _build(document: Document, for_robot: Sequence[str], allow_outside: bool) ->
         cost=_cost(entry.cost),
         planner=planner_settings(TomlTable(document, ("planner",))),
         path=document.file,
-        sha256=document.sha256,
         content=document.content,
         warnings=(*doubts, *robot.warnings, *anatomy_notes(anatomy)),
     )

@@ -77,7 +77,7 @@ from ctrplan.scenario.joint_space import retracted
 from ctrplan.scenario.scenario import Scenario
 from ctrplan.storage.csv_table import CsvTable
 from ctrplan.storage.output_folder import output_folder, write_atomically, write_results
-from ctrplan.storage.toml_document import Document, read_document, toml_text
+from ctrplan.storage.toml_document import read_document, toml_text
 
 DEFAULT_ROBOT = "three_tube_insertion.toml"
 ENTRY_COLUMNS = "x_mm,y_mm,z_mm,look_x_mm,look_y_mm,look_z_mm"
@@ -114,7 +114,7 @@ class ScenarioStep(CaseStep):
         write_atomically(work.file(ENTRIES), _more(task.entries, task.targets))
         write_atomically(work.file(SCENARIO), _with_head(content))
         robot = load_robot(work.file(ROBOT))
-        work.keep(SCENARIO, replace(scenario, robot=robot, sha256=Document(content).sha256))
+        work.keep(SCENARIO, replace(scenario, robot=robot))
         return task.sentence
 
 
@@ -281,7 +281,7 @@ def _standing(scenario: Scenario, row: Array, table: CsvTable, k: int) -> Scenar
     if not np.any(row[3:] - row[:3]) or not np.abs(row).max() < 10:
         raise table.fault("must be two places near each other", k)
     turned = shortest_rotation(row[3:] - row[:3])
-    return replace(scenario, base_position_m=row[:3], base_R=turned, sha256="")
+    return replace(scenario, base_position_m=row[:3], base_R=turned)
 
 
 def _away(scenario: Scenario) -> float:
@@ -314,7 +314,6 @@ class PlacedStep(CaseStep):
             base_position_m=pose.position_m,
             base_R=pose.R,
             path=str(work.file(PLACED)),
-            sha256=Document(content).sha256,
         )
         work.keep(PLACED, kept)
         position = ", ".join(f"{x:.1f}" for x in pose.position_m * MM_PER_M)

@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from ctrplan.certificate.certificate import Certificate as Certificate
     from ctrplan.certificate.certificate import CertificateSamples as CertificateSamples
     from ctrplan.motion.checker import MotionChecker as MotionChecker
+    from ctrplan.planning.given_path import reorder as reorder
     from ctrplan.planning.planner import plan as plan
-    from ctrplan.planning.reordering import reorder as reorder
     from ctrplan.planning.search.ompl_set_up import BoundObjective as BoundObjective
     from ctrplan.planning.search.ompl_set_up import MotionValidity as MotionValidity
     from ctrplan.planning.search.ompl_set_up import StateReader as StateReader
@@ -41,7 +41,7 @@ _HOMES = {
     "Validity": "planning.search.ompl_set_up",
     "l_shaped": "scenario.joint_space",
     "plan": "planning.planner",
-    "reorder": "planning.reordering",
+    "reorder": "planning.given_path",
     "state_space": "planning.search.ompl_set_up",
 }
 __all__ = [

@@ -196,8 +196,8 @@ class BasePose:
 
 
 def placed(scenario: Scenario, pose: BaseFrame) -> Scenario:
-    """The scenario with its robot standing at a pose: no longer that of its file."""
-    return replace(scenario, base_position_m=pose.position_m, base_R=pose.R, sha256="")
+    """The scenario with its robot standing at a pose."""
+    return replace(scenario, base_position_m=pose.position_m, base_R=pose.R)
 
 
 def base_pose(scenario: Scenario, seed: int, *, is_own: bool = False) -> BasePose:

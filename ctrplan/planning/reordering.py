@@ -2,29 +2,24 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from ctrplan.base.arguments import Made, checked
-from ctrplan.base.arrays import MM_PER_M, Array, numbers
+from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.base.long_work import SearchEnd
 from ctrplan.certificate.certificate import Certificate
-from ctrplan.certificate.certify import certify
 from ctrplan.drive.legs import merge_legs
-from ctrplan.drive.trajectory import PERIOD, time_parameterise
-from ctrplan.errors import InputError, NoAnswerError
+from ctrplan.drive.trajectory import time_parameterise
+from ctrplan.errors import InputError
 from ctrplan.motion.checker import Motion, MotionChecker
 from ctrplan.pipeline.installed import plan_range_notes
 from ctrplan.plans.plan import Plan
 from ctrplan.plans.planned_motion import ComparedWay, Compensation, Leg, ReorderReport, follow_the_leader_m, leg_kind
-from ctrplan.scenario.joint_space import JointSpace, MotionStyle
+from ctrplan.scenario.joint_space import MotionStyle
 from ctrplan.scenario.prediction import TIP_TOLERANCE_M, goal_error, start_states
 from ctrplan.scenario.scenario import path_cost_mm
-from ctrplan.scenario.tip_solver import angle_to
 
 if TYPE_CHECKING:
     from ctrplan.scenario.scenario import Scenario
@@ -117,58 +112,6 @@ class Reordered:
     motion_after: Motion
     style: MotionStyle
     on_line: bool = False  # follows a line with the tip, which takes all joints together
-
-
-@checked(scenario=Made("Scenario"), period_s=PERIOD)
-def reorder(path: ArrayLike, scenario: Scenario, *, period_s: float = 0.01) -> Plan:
-    """Plan that drives a path (K, m) of actuated joint values, from anyone's planner, at lower or equal cost.
-
-    Consecutive waypoints are joined by straight lines as given; unlimited rotations keep their winding. Raises
-    InputError for a path of the wrong shape, or one that does not lead from the scenario's start to its goal,
-    NoAnswerError if the path itself is not valid in the scenario.
-    """
-    began = time.monotonic()
-    m = len(scenario.robot.drive.joints)
-    corners = numbers(path, "path").copy()
-    if corners.ndim != 2 or corners.shape[1] != m or len(corners) < 2 or not np.all(np.isfinite(corners)):
-        raise InputError(f"must be finite, of shape (K, {m}) with K >= 2, not {corners.shape}", key="path")
-    if scenario.via:
-        rule = "has several targets; give the path of one, with the goal alone, at a time"
-        raise InputError(rule, file=scenario.path, key="target")
-    checker = MotionChecker(scenario)
-    result = least_error_order(checker, merge_legs(corners))
-    if not result.motion_before.valid:
-        raise NoAnswerError(f"{scenario.path or scenario.name}: path: not valid: {result.motion_before.reason}.")
-    _refuse_other_ends(scenario, checker.space, corners)
-    certificate = certify(scenario, result.after)
-    elapsed = time.monotonic() - began
-    return assemble(scenario, [result], certificate, planner="given path", seed=0, time_s=elapsed, period_s=period_s)
-
-
-SAME_JOINTS = 1e-6  # rad or m by which a path may begin or end beside the joint values asked for
-
-
-def _refuse_other_ends(scenario: Scenario, space: JointSpace, path: Array) -> None:
-    """Raises InputError unless a path (K, m) begins at the start and ends at the goal, direction included."""
-    goal, robot = scenario.goal, scenario.robot
-    ends = [("start", scenario.start, path[0])]
-    ends += [("goal", goal.joints, path[-1])] if goal.joints is not None else []
-    for name, asked, given in ends:
-        off = np.abs(space.difference(asked, given))
-        if off.max() > SAME_JOINTS:
-            joint = robot.drive.joints[int(np.argmax(off))]
-            rule = f"must {'begin' if name == 'start' else 'end'} at the scenario's {name}, but {joint.name} is "
-            rule += f"{off.max() / joint.si_per_unit:.4g} {joint.unit} away"
-            raise InputError(rule, file=scenario.path, key="path")
-    if goal.direction is not None and goal.direction_tolerance_rad is not None:
-        tips = robot.mechanics.tips_with_friction(*robot.drive.collars(path[-1:]), np.zeros((1, robot.n - 1)))
-        angle = float(angle_to(tips.tangent, scenario.base_R.T @ goal.direction)[0])
-        if not angle <= goal.direction_tolerance_rad:
-            most = f"{np.degrees(goal.direction_tolerance_rad):g}"
-            rule = (
-                f"must end in the goal's direction within {most} deg, but the tip is {np.degrees(angle):.3g} deg off it"
-            )
-            raise InputError(rule, file=scenario.path, key="path")
 
 
 def least_error_order(checker: MotionChecker, corners: Array) -> Reordered:

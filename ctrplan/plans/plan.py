@@ -9,12 +9,13 @@ import math
 import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ctrplan.base.arrays import Array
+from ctrplan.base.arrays import Array, content_sha256
 from ctrplan.base.package import __version__, shown
 from ctrplan.certificate.certificate import Closest, Difference, Recheck, path_differences
 from ctrplan.drive.drive import Drive
@@ -27,9 +28,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from ctrplan.plans.planned_motion import Leg
+    from ctrplan.robot.robot import Robot
     from ctrplan.scenario.scenario import Goal, Scenario
 
-SCHEMA_VERSION = 4  # rises when a key changes its meaning or goes
+SCHEMA_VERSION = 5  # rises when a key changes its meaning or goes
 SI_UNITS = {"deg": "rad", "mm": "m"}
 
 
@@ -42,8 +44,8 @@ def plan_to_json(plan: PlannedMotion) -> dict[str, Any]:
     content = {
         "schema_version": SCHEMA_VERSION,
         "ctrplan_version": __version__,
-        "scenario": {"name": scenario.name, "path": scenario.path, "sha256": scenario.sha256},
-        "robot": {"name": robot.name, "path": robot.path, "sha256": robot.sha256},
+        "scenario": _source(scenario),
+        "robot": _source(robot),
         "seed": plan.seed,
         "planner": plan.planner,
         "style": plan.style,
@@ -78,6 +80,10 @@ def write_plan_json(path: str | os.PathLike[str], plan: PlannedMotion) -> None:
     content = plan_to_json(plan).items()
     rows = (f"  {json.dumps(key)}: {json.dumps(value, ensure_ascii=False, allow_nan=False)}" for key, value in content)
     write_atomically(path, "{\n" + ",\n".join(rows) + "\n}\n")
+
+
+def _source(of: Scenario | Robot) -> dict[str, Any]:
+    return {"name": of.name, "path": of.path, "sha256": of.sha256, "sha256_of": of.sha256_of}
 
 
 def _goal(scenario: Scenario, goal: Goal) -> dict[str, Any]:
@@ -174,6 +180,11 @@ ENDED_BY_TIME = "The search was ended by the clock: with the same seed, another 
 @dataclass(frozen=True, eq=False)
 class Plan(PlannedMotion):
     """A certified motion of the drive from a scenario's start to its goal."""
+
+    @cached_property
+    def sha256(self) -> str:
+        """Hash of its content: the scenario's, the robot's in it, the legs, and when the trajectory is where."""
+        return content_sha256((self.scenario, self.waypoints, self.trajectory.time_s, self.trajectory.position))
 
     def headline(self) -> str:
         """Its scenario, length and duration, as it shows itself."""

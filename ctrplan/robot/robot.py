@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ctrplan.base.arrays import Array, are_degrees, numbers, read_only
+from ctrplan.base.arrays import Array, are_degrees, content_sha256, numbers, read_only
 from ctrplan.base.package import shown
 from ctrplan.drive.drive import Drive
 from ctrplan.errors import InputError
@@ -132,7 +132,6 @@ class Robot:
     provenance: Mapping[str, Any] = field(default_factory=dict)  # as in the file
     content: Mapping[str, Any] = field(default_factory=dict)  # of the file after overrides
     path: str | None = None
-    sha256: str = ""  # of the file's content after overrides
     warnings: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -140,6 +139,29 @@ class Robot:
         if len(self.contacts) != max(len(self.tubes) - 1, 0):
             rule = f"must be {max(len(self.tubes) - 1, 0)}, one for each pair of neighbouring tubes"
             raise InputError(rule, key="contacts", value=len(self.contacts))
+
+    @cached_property
+    def sha256_of(self) -> dict[str, str]:
+        """Hashes of its contents by what a robot file calls them; names and where they came from do not count."""
+        drive = self.drive
+        rest = {
+            "drive": (drive.joints, drive.home_theta_rad, drive.home_l_m, drive.terms, drive.play, drive.execution),
+            "model_error_mm": self.model_error_m,
+            "friction_memory": self.friction_memory,
+            "measurement": self.measurement,
+            "marker": self.markers,
+            "loads": self.loads,
+            "effects": (self.effects, self.ideal),
+            "uncertainty": self.intervals,
+        }
+        numbered = {"tube": self.tubes, "contact": self.contacts}
+        each = {f"{key}.{k}": one for key, rows in numbered.items() for k, one in enumerate(rows, start=1)}
+        return {key: content_sha256(value) for key, value in (each | rest).items()}
+
+    @cached_property
+    def sha256(self) -> str:
+        """Hash of its content, as it is: a robot that was changed has another one."""
+        return content_sha256(self.sha256_of)
 
     @property
     def n(self) -> int:

@@ -11,6 +11,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 from weakref import WeakKeyDictionary
 
@@ -19,7 +20,7 @@ from msgspec import Meta, Struct
 
 from ctrplan.anatomy.anatomy_field import anatomy_field, shared_spacing_m
 from ctrplan.anatomy.clearance_grid import SignedDistanceField, field_bounds
-from ctrplan.base.arrays import MM_PER_M, Array
+from ctrplan.base.arrays import MM_PER_M, Array, content_sha256
 from ctrplan.base.catalogue import AbstractStruct, Catalogue
 from ctrplan.base.package import shown
 from ctrplan.errors import InputError
@@ -160,7 +161,6 @@ class Scenario:
     margins: Margins = Margins()
     cost: Cost = Cost()
     path: str | None = None
-    sha256: str = ""  # of the scenario file's content after overrides; the robot has its own
     warnings: tuple[str, ...] = ()  # the robot's included
     start_friction: StartFriction = "unknown"
     start_turns: StartTurns = "unknown"
@@ -169,6 +169,27 @@ class Scenario:
     frame: Literal["RAS", "LPS"] | None = None  # of the patient, which the anatomy's frame is; None where not said
     content: Mapping[str, Any] = field(default_factory=dict)  # of the scenario's file after overrides
     start_state: ObserverState | None = None  # of a robot that was followed to `start`, where friction is "observed"
+
+    @cached_property
+    def sha256_of(self) -> dict[str, str]:
+        """Hashes of its contents by what a scenario file calls them; names, the planner and where they came from do not
+        count.
+        """
+        each = {
+            **{f"anatomy.{k}": part for k, part in enumerate(self.anatomy, start=1)},
+            **{f"fixture.{k}": _of_fixture(one) for k, one in enumerate(self.fixtures, start=1)},
+            "goal": [_of_goal(goal) for goal in self.targets],
+            "base": (self.base_position_m, self.base_R, self.registration),
+            "start": (self.start, self.start_friction if self.start_state is None else "unknown"),  # as in its file
+            "margins": self.margins,
+            "cost": self.cost,
+        }
+        return {"robot": self.robot.sha256, **{key: content_sha256(value) for key, value in each.items()}}
+
+    @cached_property
+    def sha256(self) -> str:
+        """Hash of its content, as it is, the robot's among it: a scenario that was changed has another one."""
+        return content_sha256(self.sha256_of)
 
     @property
     def targets(self) -> tuple[Goal, ...]:
@@ -200,6 +221,14 @@ class Scenario:
         """
         state.check(self.robot.mechanics, *self.robot.drive.collars(self.start))
         return replace(self, start_friction="observed", start_state=state)
+
+
+def _of_goal(goal: Goal) -> object:
+    return (goal.joints, goal.tip_m, goal.tolerance_m, goal.direction, goal.direction_tolerance_rad, goal.line_m)
+
+
+def _of_fixture(one: Fixture) -> object:
+    return (one.shape.kind, [np.asarray(each) for each in one.shape.content()], one.margin_m, one.stays_inside)
 
 
 MOST_GRIDS = 4  # kept in memory for one robot, of different bases or anatomies

@@ -73,3 +73,21 @@ def test_a_rigid_displacement_changes_no_distance() -> None:
     moved = AnatomyPart(Mesh(SHELL.vertices @ R.T + shift, SHELL.faces))
     here = RawAnatomy.of([AnatomyPart(Mesh(SHELL.vertices, SHELL.faces))]).room(line())
     np.testing.assert_allclose(RawAnatomy.of([moved]).room(line() @ R.T + shift), here, atol=1e-9)
+
+
+def test_the_least_of_a_body_is_that_of_all_its_points() -> None:
+    """Points that are left out can't be nearer."""
+    rng = np.random.default_rng(5)
+    sphere = AnatomyPart(Sphere(np.array([0.02, 0.01, 0.06]), 0.01))
+    block = trimesh.creation.box(bounds=[[-0.02, -0.02, 0.03], [-0.005, 0.02, 0.05]])
+    box = AnatomyPart(Mesh(np.array(block.vertices), np.array(block.faces)))
+    for _ in range(50):
+        turns = np.cumsum(0.06 * rng.standard_normal((6, 60, 3)), axis=1) + [0.0, 0.0, 1.0]
+        bodies = 2e-3 * np.cumsum(turns / np.linalg.norm(turns, axis=2, keepdims=True), axis=1)
+        radius = np.where(np.arange(60) < 30, 1.3e-3, 0.9e-3)
+        for parts in ((sphere,), (box,), (sphere, box)):
+            anatomy = RawAnatomy.of(parts)
+            least, looked = anatomy.least(bodies, radius)
+            every = np.array([(anatomy.room(body) - radius).min() for body in bodies])
+            np.testing.assert_allclose(least, every, atol=1e-12)
+            assert looked <= bodies.shape[0] * bodies.shape[1]

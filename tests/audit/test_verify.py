@@ -14,13 +14,14 @@ import numpy as np
 import pytest
 from claimed_plans import claiming, scene
 from scipy.spatial.transform import Rotation
+from stated_plans import moved_to
 
 from ctrplan.anatomy.parts import AnatomyPart
 from ctrplan.anatomy.shapes.capsule import Capsule
 from ctrplan.anatomy.shapes.sphere import Sphere
 from ctrplan.audit.audited_plan import ALLOWED
 from ctrplan.audit.scene import write_scene
-from ctrplan.audit.verify import Verification, robots_at_ends, verify
+from ctrplan.audit.verify import Verification, verify
 from ctrplan.certificate.certificate import Certificate
 from ctrplan.cli import main
 from ctrplan.errors import InputError
@@ -81,7 +82,7 @@ def test_moving_everything_together_changes_nothing(short: Plan, judged: Verific
     assert isinstance(part.shape, Sphere)
     sphere = replace(part, shape=Sphere(R @ part.shape.center_m + shift, part.shape.radius_m))
     moved = replace(scenario, anatomy=(sphere,), base_R=R @ scenario.base_R, base_position_m=shift)
-    found = verify(replace(WrittenPlan.of(short), scenario=moved), work=LITTLE)
+    found = verify(moved_to(WrittenPlan.of(short), moved), work=LITTLE)
     for here, there in zip(judged.worst, found.worst, strict=True):
         assert there.value == pytest.approx(here.value, abs=1e-8)
         np.testing.assert_allclose(there.point_m, R @ here.point_m + shift, atol=1e-7)
@@ -92,7 +93,7 @@ def test_a_sphere_put_in_is_found(short: Plan, judged: Verification) -> None:
     q = short.waypoints[1]
     body = short.scenario.robot.solve(*short.scenario.robot.drive.collars(q), [0.5, -0.5], accuracy="certificate")
     sphere = AnatomyPart(Sphere(body.tip_m + [0, 1.5e-3, 0], 1e-3))
-    written = replace(WrittenPlan.of(short), scenario=replace(short.scenario, anatomy=(sphere,)))
+    written = moved_to(WrittenPlan.of(short), replace(short.scenario, anatomy=(sphere,)))
     found = verify(written, work=LITTLE)
     assert found.counterexample is not None and found.counterexample.claim == "clearance"
     assert found.counterexample.value < 0 and not found.is_kept
@@ -210,22 +211,18 @@ def test_play_of_the_drive_is_taken_up() -> None:
     for scenario in given:
         found = verify(claiming(scenario, [0, 2, 3, -80]), work=LITTLE)
         least.append(next(found for found in found.worst if found.claim == "clearance"))
-    assert not least[0].play and set(map(abs, least[1].play)) == {1.0}
+    assert not least[0].play and set(map(abs, least[1].play[:3])) == {1.0} and not any(least[1].play[3:])
     assert least[1].value < least[0].value - 0.3e-3
 
 
-def test_parameters_at_the_ends_of_their_intervals_are_told_beside_the_claims() -> None:
+def test_parameters_at_the_ends_of_their_intervals_are_told_beside_the_claims_that_do_not_cover_them() -> None:
     overrides = ["contact.1.friction_coefficient=[0.1, 0.2]", "effects.joint_scale.theta_3=0.01"]
     given = scene(*BESIDE, *overrides, "effects.joint_scale.ci95={theta_3 = [-0.5, 0.02]}")
-    found = verify(claiming(given, [0, 2, 3, -80]), work=1_500)
-    named = [name for name, _ in robots_at_ends(given.robot)]
-    assert named == [
-        "contact.1.friction_coefficient = 0.1",
-        "effects.joint_scale.theta_3 = -0.5",
-        "effects.joint_scale.theta_3 = 0.02",
-    ]
-    assert found.is_kept and {name for name, _ in found.beside} <= set(named)
-    assert {f.claim for _, f in found.beside} >= {"bound", "clearance", "strain"}
+    plan = claiming(given, [0, 2, 3, -80], lambda c: replace(c, min_clearance_m=0.0))
+    found = verify(plan, work=LITTLE)
+    assert not found.broken and {f.claim for f in found.beside} >= {"strain", "stability"}
+    for beside in found.beside:
+        assert "effects.joint_scale.theta_3" in beside.parameters or "contact.1" in beside.parameters
 
 
 def test_a_single_tube_is_judged_on_the_exact_geometry() -> None:

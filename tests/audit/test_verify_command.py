@@ -36,6 +36,12 @@ CONTENT: dict[str, Any] = {
 }
 
 
+@pytest.fixture(autouse=True)
+def little_work(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A second or so of the hunt."""
+    monkeypatch.setattr("ctrplan.audit.verify.WORK", 3_000)
+
+
 @pytest.fixture(scope="module")
 def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder of a plan; the sphere stands beside the robot."""
@@ -61,7 +67,7 @@ def arguments(folder: Path, *more: str) -> list[str]:
 
 
 def test_a_plan_that_holds(written: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(arguments(written, "--time", "1")) == 0
+    assert main(arguments(written)) == 0
     shown = capsys.readouterr().out
     assert "no claim was found broken" in shown and " claimed; leg " in shown and "BROKEN" not in shown
     assert not (written / "broken").exists()
@@ -83,7 +89,7 @@ def test_a_broken_claim_is_shown_as_a_scene_that_replays(
     change = {"min_clearance_m": 0.2} if claim == "clearance" else {"samples": {**content["samples"]}}
     if claim == "bound":
         change["samples"] |= {"bound_m": [0.0 for _ in content["samples"]["bound_m"]]}
-    assert main(arguments(spoiled(written, tmp_path, change), "--time", "1")) == 1
+    assert main(arguments(spoiled(written, tmp_path, change))) == 1
     shown = capsys.readouterr().out
     assert "the certificate does not hold" in shown and "BROKEN" in shown
     found = json.loads((tmp_path / "broken" / "counterexample.json").read_text())

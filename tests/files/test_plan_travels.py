@@ -87,15 +87,15 @@ def changed(source: Path, target: Path, member: str, change: object) -> None:
 def test_inputs_that_are_not_those_of_the_plan_are_refused(saved: Path, tmp_path: Path) -> None:
     shutil.copytree(saved / "out", tmp_path / "out")
     changed(saved / "out" / INPUTS, tmp_path / "out" / INPUTS, "scenario.toml", lambda d: d.replace(b"0.05", b"0.5"))
-    with pytest.raises(InputError, match="its scenario is not the one that its manifest says"):
+    with pytest.raises(InputError, match="is that of another scenario.*margins differs"):
         ctrplan.load_plan(tmp_path / "out")
     changed(
         saved / "out" / INPUTS,
         tmp_path / "out" / INPUTS,
         "elsewhere/1/pair.toml",
-        lambda d: d.replace(b"pair", b"tube"),
+        lambda d: d.replace(b"poisson_ratio = -0.2", b"poisson_ratio = -0.1"),
     )
-    with pytest.raises(InputError, match="is that of another robot"):
+    with pytest.raises(InputError, match="is that of another robot.*tube.2 differs"):
         ctrplan.load_plan(tmp_path / "out")
     (tmp_path / "out" / INPUTS).write_bytes(b"PK nonsense")
     with pytest.raises(InputError, match=r"inputs.zip: is damaged"):

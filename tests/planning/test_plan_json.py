@@ -92,7 +92,8 @@ def test_legs_join_and_say_both_units(plan: Plan) -> None:
 
 def test_provenance(plan: Plan) -> None:
     content, scenario = plan_to_json(plan), plan.scenario
-    assert content["scenario"] == {"name": scenario.name, "path": scenario.path, "sha256": scenario.sha256}
+    source = {"name": scenario.name, "path": scenario.path, "sha256": scenario.sha256}
+    assert content["scenario"] == {**source, "sha256_of": scenario.sha256_of}
     assert content["robot"]["sha256"] == scenario.robot.sha256
     assert content["seed"] == plan.seed and content["trajectory"]["period_s"] == pytest.approx(0.01)
 

@@ -70,10 +70,8 @@ def hostile(plan: Plan) -> Plan:
     """A plan in which every text of the user is an attack."""
     drive = plan.scenario.robot.drive
     joints = tuple(replace(joint, name=f"{HOSTILE}{k}") for k, joint in enumerate(drive.joints))
-    robot = replace(
-        plan.scenario.robot, name=HOSTILE, path=HOSTILE, sha256=HOSTILE, drive=replace(drive, joints=joints)
-    )
-    scenario = replace(plan.scenario, name=HOSTILE, path=HOSTILE, sha256=HOSTILE, robot=robot, warnings=(HOSTILE,))
+    robot = replace(plan.scenario.robot, name=HOSTILE, path=HOSTILE, drive=replace(drive, joints=joints))
+    scenario = replace(plan.scenario, name=HOSTILE, path=HOSTILE, robot=robot, warnings=(HOSTILE,))
     certificate = replace(plan.certificate, valid=False, problems=(HOSTILE,))
     return replace(plan, scenario=scenario, certificate=certificate, planner=HOSTILE, notes=(HOSTILE,))
 

@@ -1,0 +1,244 @@
+"""What a scenario allows besides friction: play of the drive, parameters within their intervals, drives that follow
+late, and a base that stands elsewhere.
+
+All but the base are a box of axes from -1 to 1, with the robot of the file in its middle. Correlated parameters are
+moved along the principal axes of their errors. The base's shift and turn lie in balls that hold 95 % of them; which
+shift and turn bring a body nearest is computed for each body.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from ctrplan.audit.body import RawAnatomy
+from ctrplan.base.arrays import Array
+from ctrplan.effects.learned.learned import effect_of
+from ctrplan.errors import CtrplanError
+from ctrplan.pipeline.chain import Chain
+from ctrplan.robot.robot import Robot
+from ctrplan.scenario.scenario import Registration
+from ctrplan.uncertainty.parameters import UncertainParameters, uncertain_parameters
+
+CHI95 = 2.795483  # standard deviations within which 95 % of the lengths of three normal coordinates lie
+MOST_ROBOTS = 400  # that are kept, of a few kB each
+EVEN = 1e-9  # by which correlations and sides of intervals count as nothing
+
+
+@dataclass(frozen=True)
+class BaseMove:
+    """Where the base stands instead, anatomy's frame: turned about its origin, then shifted."""
+
+    turn_rad: tuple[float, float, float] = (0.0, 0.0, 0.0)  # rotation vector
+    shift_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def of(self, points_m: Array, base_m: Array) -> Array:
+        """Points (K, 3) of the anatomy's frame, moved."""
+        angle = float(np.linalg.norm(self.turn_rad))
+        lever = points_m - base_m
+        if angle:
+            axis = np.array(self.turn_rad) / angle
+            along = np.outer(lever @ axis, axis)
+            lever = along + np.cos(angle) * (lever - along) + np.sin(angle) * np.cross(axis, lever)
+        return np.asarray(base_m + lever + self.shift_m)
+
+
+STANDING = BaseMove()
+
+
+@dataclass(frozen=True, eq=False)
+class AllowedRobots:
+    """The robots of a file: A axes of their box, the robot at a place of it, and how late its drive follows."""
+
+    robot: Robot
+    parameters: UncertainParameters
+    played: Array  # (B,) collars with play, of the 2 n: rotations, then translations
+    sides: Array  # (A', 2, Q) offsets of Q parameters at either end of their axes
+    clock: tuple[tuple[str, str, float, float, float], ...]  # effect, parameter, value, low and high [s]
+    known: dict[bytes, Robot | None] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, robot: Robot) -> AllowedRobots:
+        """What the file of a robot says."""
+        parameters = _with_contacts(uncertain_parameters(robot))
+        none, sides, clock = np.empty(0, dtype=np.intp), _sides(parameters), tuple(_clock(robot))
+        still = cls(robot, parameters, none, sides, clock)
+        every = [robot, *(still.at(side * np.eye(still.count)[axis]) for axis, side in still.ends)]
+        plays = [np.concatenate(each.drive.play) for each in every if each is not None and each.drive.play is not None]
+        played = np.flatnonzero(np.max(plays, axis=0)) if plays else none
+        return cls(robot, parameters, played, sides, clock, still.known)
+
+    @property
+    def count(self) -> int:
+        """Number of axes: play, parameters, delays."""
+        return len(self.played) + len(self.sides) + len(self.clock)
+
+    @cached_property
+    def ends(self) -> tuple[tuple[int, float], ...]:
+        """Axes and the ends of them, -1 or 1, that differ from the file's robot."""
+        play = [(k, side) for k in range(len(self.played)) for side in (-1.0, 1.0)]
+        of_parameters = [(len(play) // 2 + k, k) for k in range(len(self.sides))]
+        wide = [(a, s) for a, k in of_parameters for j, s in enumerate((-1.0, 1.0)) if np.any(self.sides[k, j])]
+        begin = len(self.played) + len(self.sides)
+        late = [
+            (begin + k, s)
+            for k, (_, _, value, low, high) in enumerate(self.clock)
+            for s, end in ((-1.0, low), (1.0, high))
+            if abs(end - value) > EVEN
+        ]
+        return (*play, *wide, *late)
+
+    def play(self, axes: Array) -> Array:
+        """(2 n,) shares of the play, -1 to 1."""
+        shares = np.zeros(2 * self.robot.n)
+        shares[self.played] = axes[: len(self.played)]
+        return shares
+
+    def offset(self, axes: Array) -> Array:
+        """(Q,) by which parameters differ from the file's."""
+        of_parameters = axes[len(self.played) : len(self.played) + len(self.sides)]
+        below, above = np.minimum(of_parameters, 0.0), np.maximum(of_parameters, 0.0)
+        total: Array = above @ self.sides[:, 1] - below @ self.sides[:, 0]
+        return total
+
+    def at(self, axes: Array) -> Robot | None:
+        """The robot with its parameters at axes (A,); None where there is no such robot."""
+        offset = self.offset(axes)
+        if not np.any(offset):
+            return self.robot
+        key = offset.tobytes()
+        if key not in self.known:
+            while len(self.known) >= MOST_ROBOTS:
+                del self.known[next(iter(self.known))]
+            try:
+                self.known[key] = self.parameters.robot_at(offset)
+            except CtrplanError:
+                self.known[key] = None
+        return self.known[key]
+
+    def delays_s(self, axes: Array) -> Array:
+        """(2 n,) how late collars follow, rotations, then translations."""
+        delays: Array = (
+            Chain.of(self.robot).drive_delays_s(self.robot.n) if self.is_late else np.zeros(2 * self.robot.n)
+        )
+        begin = len(self.played) + len(self.sides)
+        for (name, key, value, low, high), share in zip(self.clock, axes[begin:], strict=True):
+            more = share * (high - value if share > 0 else value - low)
+            effect = effect_of(name, self.robot.effects[name], self.robot.n)
+            delays = delays + effect.drive_delays_s({key: more}, self.robot.n)
+        return delays
+
+    @cached_property
+    def is_late(self) -> bool:
+        """Whether the drive of the file follows late."""
+        return bool(np.any(Chain.of(self.robot).drive_delays_s(self.robot.n)))
+
+    @cached_property
+    def latest_s(self) -> float:
+        """How late any collar may be."""
+        ends = [self.delays_s(np.zeros(self.count))]
+        for axis, side in self.ends:
+            ends.append(self.delays_s(side * np.eye(self.count)[axis]))
+        return float(np.max(ends, initial=0.0))
+
+    def in_words(self, axes: Array) -> str:
+        """Parameters that differ from the file's, with their values in the file's units; empty where none does."""
+        offset = self.offset(axes)
+        values = np.clip(self.parameters.value + offset, self.parameters.least, self.parameters.most)
+        words = [
+            f"{name} = {value / si:.5g} {unit}".rstrip()
+            for name, value, si, unit, moved in zip(
+                self.parameters.names, values, self.parameters.si, self.parameters.unit, offset, strict=True
+            )
+            if moved
+        ]
+        begin = len(self.played) + len(self.sides)
+        for (name, key, value, low, high), share in zip(self.clock, axes[begin:], strict=True):
+            if share:
+                words.append(
+                    f"effects.{name}.{key} = {value + share * (high - value if share > 0 else value - low):.4g} s"
+                )
+        return ", ".join(words)
+
+    def values(self, axes: Array) -> dict[str, float]:
+        """Values [SI] of the parameters that differ from the file's, by their names."""
+        offset = self.offset(axes)
+        moved = np.clip(self.parameters.value + offset, self.parameters.least, self.parameters.most)
+        return {n: float(v) for n, v, o in zip(self.parameters.names, moved, offset, strict=True) if o}
+
+
+def _with_contacts(parameters: UncertainParameters) -> UncertainParameters:
+    """Besides, the friction of contacts that is given as an interval; its value is the upper end."""
+    rows = [(k, low, high) for k, (low, high) in enumerate(parameters.robot.friction.tolist(), start=1) if low < high]
+    known = [
+        name for name in parameters.names if "friction_coefficient" in name or name.startswith("effects.friction.")
+    ]
+    if not rows or known:
+        return parameters
+    low, high = np.array([row[1] for row in rows]), np.array([row[2] for row in rows])
+    count, more = parameters.count, len(rows)
+    correlation = np.eye(count + more)
+    correlation[:count, :count] = parameters.correlation
+    columns = {"value": high, "low": low, "high": high, "least": low, "most": high, "si": np.ones(more)}
+    joined = {name: np.concatenate([getattr(parameters, name), column]) for name, column in columns.items()}
+    names = (*parameters.names, *(f"contact.{k}.friction_coefficient" for k, _, _ in rows))
+    return replace(parameters, names=names, correlation=correlation, **joined)
+
+
+def _sides(parameters: UncertainParameters) -> Array:
+    """(A, 2, Q) offsets at the lower and the upper end of each axis."""
+    below, above = parameters.low - parameters.value, parameters.high - parameters.value
+    alone = ~parameters.is_correlated
+    axes = [np.stack([below, above]) * row for row in np.eye(parameters.count)[alone]]
+    rows = np.flatnonzero(~alone)
+    if len(rows):
+        values, vectors = np.linalg.eigh(parameters.correlation[np.ix_(rows, rows)])
+        for value, vector in zip(values, vectors.T, strict=True):
+            offset = np.zeros(parameters.count)
+            offset[rows] = np.sqrt(max(value, 0.0)) * vector * np.minimum(above, -below)[rows]  # never beyond an end
+            axes.append(np.stack([-offset, offset]))
+    return np.array(axes).reshape(len(axes), 2, parameters.count)
+
+
+def _clock(robot: Robot) -> Iterator[tuple[str, str, float, float, float]]:
+    for name, table in robot.effects.items():
+        if effect_of(name, table, robot.n).overrides("drive_delays_s"):
+            for key, (low, high) in table.get("ci95", {}).items():
+                value = float(table.get(key, 0.0))
+                yield name, key, value, min(low, value), max(high, value)
+
+
+PROBED = 6  # points of a body for which the base is moved against them
+STEP_M = 1e-5  # of differences of a distance
+
+
+def nearest_base(
+    registration: Registration, anatomy: RawAnatomy, points_m: Array, rooms_m: Array, base_m: Array
+) -> BaseMove:
+    """The move within the balls that brings a body nearest: points (K, 3) with rooms (K,) where the base stands.
+
+    For some of the points that the base can bring nearest, the shift against their distance and the turn about the
+    axis across their lever and it.
+    """
+    shift, turn = CHI95 * registration.position_sigma_m, CHI95 * registration.rotation_sigma_rad
+    reach = shift + turn * np.linalg.norm(points_m - base_m, axis=1)
+    order = np.argsort(rooms_m - reach)
+    best, least = STANDING, np.inf
+    for k in order[:: max(1, min(len(order), 4 * PROBED) // PROBED)][:PROBED].tolist():
+        probes = points_m[k] + STEP_M * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]])
+        ends = anatomy.room(probes)
+        slope = ends[0::2] - ends[1::2]
+        if not np.all(np.isfinite(slope)) or not np.linalg.norm(slope):
+            continue
+        nearer = -slope / np.linalg.norm(slope)
+        about = np.cross(points_m[k] - base_m, nearer)
+        size = float(np.linalg.norm(about))
+        axis = about / size if size > 0 else np.zeros(3)
+        move = BaseMove(tuple((turn * axis).tolist()), tuple((shift * nearer).tolist()))
+        room = float(anatomy.room(move.of(points_m, base_m)).min())
+        if room < least:
+            best, least = move, room
+    return best

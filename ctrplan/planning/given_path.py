@@ -1,0 +1,171 @@
+"""Paths of anybody's planner: certified as they are, or improved first.
+
+`certify` takes a path as it is. `reorder` merges and reorders its legs so that least friction error is left, and then
+certifies what came out. Both want the path of the scenario: from its start past its targets, in their order, to its
+goal, within limits.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ctrplan.base.arguments import PROGRESS, Made, checked
+from ctrplan.base.arrays import MM_PER_M, Array, numbers
+from ctrplan.base.long_work import Progress, part_of
+from ctrplan.certificate.certificate import Certificate, joined_certificates
+from ctrplan.certificate.certify import certify as certified_legs
+from ctrplan.drive.legs import distance_from_polyline, merge_legs
+from ctrplan.drive.trajectory import PERIOD, Trajectory
+from ctrplan.errors import InputError, NoAnswerError
+from ctrplan.motion.checker import MotionChecker
+from ctrplan.pipeline.chain import Chain
+from ctrplan.planning.compensate import either_arrives
+from ctrplan.planning.goal_states import nearest_turn
+from ctrplan.planning.reordering import assemble, least_error_order
+from ctrplan.plans.plan import Plan
+from ctrplan.scenario.joint_space import JointSpace
+from ctrplan.scenario.scenario import Goal
+from ctrplan.scenario.tip_solver import angle_to
+
+if TYPE_CHECKING:
+    from ctrplan.scenario.scenario import Scenario
+
+SAME_JOINTS = 1e-6  # rad or m by which a path may begin, end, or pass beside the joint values asked for: rounding
+
+
+@checked(scenario=Made("Scenario"), progress=PROGRESS)
+def certify(
+    scenario: Scenario,
+    path: ArrayLike | Trajectory,
+    *,
+    timing: Trajectory | None = None,
+    progress: Progress | None = None,
+) -> Certificate:
+    """The certificate of a path as it is: waypoints (K, m) of actuated joints, straight in between, or a trajectory.
+
+    timing: the trajectory that drives the waypoints; nothing but its way is used. The certificate says in `valid` and
+    `problems` whether the motion holds, its arrival included. Raises InputError, one sentence, for what is not the
+    scenario's motion: another start, goal or direction, targets left out or out of order, limits, a trajectory beside
+    the waypoints; and for a robot whose drive follows late, which a path in joint space says nothing about.
+    """
+    given, timed = (path.position, path) if isinstance(path, Trajectory) else (path, timing)
+    corners = _corners(scenario, given)
+    if timed is not None:
+        _refuse_other_way(scenario, corners, timed)
+    refuse_late_drive(scenario)
+    space = JointSpace.of(scenario)
+    if not space.allowed(corners):
+        raise InputError(space.violation(corners), file=scenario.path, key="path")
+    return _certified(scenario, _stages(scenario, corners), progress)
+
+
+def _certified(scenario: Scenario, ways: list[Array], progress: Progress | None = None) -> Certificate:
+    """The certificate of ways from target to target."""
+    stages, start, starts = list[Certificate](), scenario.start, None
+    for k, (goal, way) in enumerate(zip(scenario.targets, ways, strict=True)):
+        stage = replace(scenario, start=start, goal=nearest_turn(scenario, start, goal), via=())
+        told = part_of(progress, k, len(ways))
+        stages.append(certified_legs(stage, way, goal_test=either_arrives, starts=starts, progress=told))
+        start, starts = way[-1], stages[-1].end_states or None
+    return joined_certificates(stages)
+
+
+@checked(scenario=Made("Scenario"), period_s=PERIOD)
+def reorder(path: ArrayLike, scenario: Scenario, *, period_s: float = 0.01) -> Plan:
+    """Plan that drives a path (K, m) of actuated joint values, from anyone's planner, at lower or equal cost.
+
+    Consecutive waypoints are joined by straight lines as given; unlimited rotations keep their winding. The improved
+    path is then certified as `certify` does. Raises InputError for a path of the wrong shape, or one that does not
+    lead from the scenario's start to its goal, NoAnswerError if the path itself is not valid in the scenario.
+    """
+    began = time.monotonic()
+    if scenario.via:
+        rule = "has several targets; give the path of one, with the goal alone, at a time"
+        raise InputError(rule, file=scenario.path, key="target")
+    corners = _corners(scenario, path)
+    refuse_late_drive(scenario)
+    space = JointSpace.of(scenario)
+    if not space.allowed(corners):
+        raise NoAnswerError(f"{scenario.path or scenario.name}: path: not valid: {space.violation(corners)}.")
+    (way,) = _stages(scenario, corners)
+    result = least_error_order(MotionChecker(scenario), way)
+    if not result.motion_before.valid:
+        raise NoAnswerError(f"{scenario.path or scenario.name}: path: not valid: {result.motion_before.reason}.")
+    certificate = _certified(scenario, [result.after])
+    elapsed = time.monotonic() - began
+    return assemble(scenario, [result], certificate, planner="given path", seed=0, time_s=elapsed, period_s=period_s)
+
+
+def _corners(scenario: Scenario, path: ArrayLike) -> Array:
+    """Waypoints (K, m) of a path from the scenario's start. Raises InputError."""
+    m = len(scenario.robot.drive.joints)
+    corners = numbers(path, "path").copy()
+    if corners.ndim != 2 or corners.shape[1] != m or len(corners) < 2 or not np.all(np.isfinite(corners)):
+        raise InputError(f"must be finite, of shape (K, {m}) with K >= 2, not {corners.shape}", key="path")
+    _refuse_joints(scenario, "begin at the scenario's start", corners[0] - scenario.start)
+    return corners
+
+
+def _refuse_joints(scenario: Scenario, where: str, off: Array) -> None:
+    """Raises InputError where joints are off (m,) by more than rounding."""
+    if np.abs(off).max() > SAME_JOINTS:
+        joint = scenario.robot.drive.joints[int(np.argmax(np.abs(off)))]
+        away = f"{np.abs(off).max() / joint.si_per_unit:.4g} {joint.unit}"
+        raise InputError(f"must {where}, but {joint.name} is {away} away", file=scenario.path, key="path")
+
+
+def _stages(scenario: Scenario, corners: Array) -> list[Array]:
+    """The path (K, m) from target to target. Raises InputError unless it passes all of them, and ends at the last."""
+    ways, begin = list[Array](), 0
+    for goal in scenario.via:
+        k = next((k for k in range(begin, len(corners)) if not _miss(scenario, goal, corners[k])), None)
+        if k is None:
+            rule = f"must pass the targets in their order, but no waypoint is at {goal.place} after those before it"
+            raise InputError(rule, file=scenario.path, key="path")
+        ways.append(merge_legs(corners[begin : k + 1]))
+        begin = k
+    last, goal = corners[-1], scenario.goal
+    if goal.joints is not None:
+        _refuse_joints(scenario, "end at the scenario's goal", JointSpace.of(scenario).difference(goal.joints, last))
+    elif (miss := _miss(scenario, goal, last)) and "direction" in miss:  # certificates judge the tip, friction included
+        raise InputError(f"must end in the goal's direction: {miss}", file=scenario.path, key="path")
+    return [*ways, merge_legs(corners[begin:])]
+
+
+def _miss(scenario: Scenario, goal: Goal, joints: Array) -> str:
+    """Why the frictionless robot at joints (m,) is not at a goal; empty where it is."""
+    robot = scenario.robot
+    if goal.joints is not None:
+        off = np.abs(JointSpace.of(scenario).difference(goal.joints, joints)).max()
+        return "" if off <= SAME_JOINTS else "other joint values"
+    tips = robot.mechanics.tips_with_friction(*robot.drive.collars(joints[None]), np.zeros((1, robot.n - 1)))
+    if goal.direction is not None and goal.direction_tolerance_rad is not None:
+        angle = float(angle_to(tips.tangent, scenario.base_R.T @ goal.direction)[0])
+        if not angle <= goal.direction_tolerance_rad:
+            most = f"{np.degrees(goal.direction_tolerance_rad):g}"
+            return f"the tip is {np.degrees(angle):.3g} deg off that direction, tolerance {most} deg"
+    off_m = float(np.linalg.norm(scenario.located(tips.position_m)[0] - goal.tip_m))
+    return "" if off_m <= goal.tolerance_m else f"the tip is {off_m * MM_PER_M:.3g} mm from it"
+
+
+def _refuse_other_way(scenario: Scenario, corners: Array, timing: Trajectory) -> None:
+    """Raises InputError for a trajectory of other joints, or one that leaves the path (K, m) or ends elsewhere."""
+    if timing.names != scenario.robot.drive.names:
+        raise InputError(f"must drive {', '.join(scenario.robot.drive.names)}", file=scenario.path, key="timing")
+    ends = np.abs(timing.position[[0, -1]] - corners[[0, -1]]).max()
+    off = max(float(distance_from_polyline(timing.position, merge_legs(corners)).max()), float(ends))
+    if off > SAME_JOINTS * 10:  # digits that somebody rounded
+        raise InputError(f"leaves the path by {off:.3g} rad or m", file=scenario.path, key="timing")
+
+
+def refuse_late_drive(scenario: Scenario) -> None:
+    """Raises InputError for a robot whose collars follow unequally late: they leave the path of the joints."""
+    late = Chain.of(scenario.robot).drive_delays_s(scenario.robot.n)
+    if np.ptp(late) > 0:
+        rule = f"collars follow up to {np.max(late):.3g} s late and not alike, so that they leave the path"
+        raise InputError(rule, file=scenario.robot.path, key="effects.drive_lag")

@@ -1,0 +1,224 @@
+"""Plans that state more clearance than the scenario leaves, each for another reason: counted work finds them.
+
+What walking the legs again says is left out, so that the hunt is judged whatever certificates say.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from stated_plans import in_si, moved_to, scene_of, sphere, stated, table_ii
+
+from ctrplan.anatomy.parts import AnatomyPart
+from ctrplan.anatomy.shapes.mesh import Mesh
+from ctrplan.audit.audited_plan import DrivenWay
+from ctrplan.audit.verify import Verification, verify
+from ctrplan.files.plan_file import WrittenPlan
+from ctrplan.files.robot_file import robot_from_dict
+from ctrplan.scenario.scenario import Registration
+
+WORK = 16_000  # units, two seconds or so
+
+
+@pytest.fixture
+def hunted(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """What the hunt alone finds."""
+    monkeypatch.setattr("ctrplan.audit.verify._recomputed", lambda *_: ((), ""))
+    return lambda plan, work=WORK: verify(plan, work=work)
+
+
+def hit(result: Verification) -> float:
+    """The clearance [mm] of the counter-example."""
+    worst = result.counterexample
+    assert worst is not None and worst.claim == "clearance" and not result.is_kept
+    return worst.value * 1e3
+
+
+def uncertain_curvature() -> WrittenPlan:
+    """The base passes one sphere, the tip another one: with a straighter third tube the tip reaches it."""
+    limits = [f"joint.{k}.{end}_deg={sign}180" for k in (2, 3) for end, sign in (("min", "-"), ("max", ""))]
+    interval = 'uncertainty.ci95={"tube.3.section.2.curvature_per_m" = [16.363636, 20.0]}'
+    spheres = sphere([3.62, 0, 8], 1), sphere([85.22403, 0, 169.735778], 1)
+    turned = [[side * 150.0] * 3 + [-30.0] for side in (-1, 1)]
+    return stated(scene_of(table_ii(*limits, interval), *turned, *spheres, start_friction="released"), 0.38)
+
+
+def turned_while_pushed() -> WrittenPlan:
+    """A built term of the drive turns the inner tube while it is pushed."""
+    term = 'effects.learned_theta_3={stage = "drive", acts_on = "the rotation of tube 3", bump_3_of_5_l_3_deg = 12.0, range = {l_3 = [-104, -65]}}'  # fmt: skip  # noqa: E501
+    robot = table_ii(term)
+    return stated(
+        scene_of(robot, [0, 0, 125, -69.5], [0, 0, 125, -31.5], sphere([41.05325, 16.45099, 176.4473], 0.5)), 0.12
+    )
+
+
+def play() -> WrittenPlan:
+    """Two degrees of play either way, which move the tip four times as far at one place as elsewhere."""
+    none = [f"contact.{k}.friction_coefficient=0.0" for k in (1, 2)]
+    robot = table_ii(*none, "effects.backlash.theta_3_deg=4.0")
+    turn = np.degrees(1.0)
+    ends = [-turn, -turn, 106.204220, -58.0], [turn, turn, 264.795780, -58.0]
+    return stated(scene_of(robot, *ends, sphere([32.397292, -16.312828, 172.741645], 0.5)), 0.06)
+
+
+def late() -> WrittenPlan:
+    """Rotations follow 0.4 s late, translations at once."""
+    turn = np.degrees(0.4)
+    ends = [-turn] * 3 + [-60.0], [turn] * 3 + [-30.0]
+    return stated(
+        scene_of(table_ii("effects.drive_lag.theta_s=0.4"), *ends, sphere([82.534977, 16.279535, 166.588137], 0.5)),
+        0.46,
+    )
+
+
+def maybe_late() -> WrittenPlan:
+    """The same where only the interval says that they may be late."""
+    robot = table_ii("effects.drive_lag.theta_s=0.0", "effects.drive_lag.ci95={theta_s = [0.0, 0.4]}")
+    plan = late()
+    return moved_to(plan, replace(plan.scenario, robot=robot))
+
+
+def wound() -> WrittenPlan:
+    """A published robot (RViM, gym-ctr-reach), whose inner tube may have been turned once before the start."""
+    tubes = [
+        (2.39, 1.83, 0.07883294853277428, [(173, 10.8)]),
+        (1.8, 1.4, 0.0245044226980004, [(161, 0.0), (114, 11.68)]),
+        (1.1, 0.7, 0.004506221962492861, [(164, 0.0), (145, 13.52)]),
+    ]
+    content: dict[str, Any] = {
+        "tube": [
+            {
+                "outer_diameter_mm": outer,
+                "inner_diameter_mm": inner,
+                "bending_stiffness_Nm2": stiffness,
+                "poisson_ratio": 0.5,
+                "section": [{"length_mm": mm, "curvature_x_per_m": u, "curvature_y_per_m": 0} for mm, u in sections],
+            }
+            for outer, inner, stiffness, sections in tubes
+        ],
+        "contact": [{"friction_coefficient": 0.2, "clearance_mm": gap} for gap in (0.015, 0.15)],
+        "joint": [
+            *({"name": f"r{k}", "moves": {"theta": row}, **SPEEDS["deg"]} for k, row in enumerate(np.eye(3).tolist())),
+            *(
+                {"name": f"t{k + 1}", "moves": {"l": row}, "min_mm": low, "max_mm": 0, **SPEEDS["mm"]}
+                for k, (row, low) in enumerate(zip(np.eye(3).tolist(), (-165, -260, -290), strict=True))
+            ),
+        ],
+    }  # fmt: skip
+    start = np.array([0, 68.2221, 45.0959, -129.4931, -174.9751, -203.5571])
+    end = start + [0, 0, 0, 0, 0, 3.0]
+    return stated(scene_of(robot_from_dict(content), start, end, sphere([4.37, -52.66, 84.99], 3)), 9.5)
+
+
+SPEEDS = {
+    unit: {f"max_velocity_{unit}_s": v, f"max_acceleration_{unit}_s2": a, f"max_jerk_{unit}_s3": j}
+    for unit, v, a, j in (("deg", 60, 240, 2400), ("mm", 10, 50, 500))
+}
+
+
+@pytest.mark.parametrize(
+    "plan, at_most_mm",
+    [
+        (uncertain_curvature, -1.75),
+        (turned_while_pushed, -1.2),
+        (play, -0.35),
+        (late, -1.1),
+        (maybe_late, -1.1),
+        (wound, -0.4),
+    ],
+)
+def test_a_clearance_that_the_scenario_does_not_leave_is_found(plan: Any, at_most_mm: float, hunted: Any) -> None:
+    assert hit(hunted(plan())) < at_most_mm
+
+
+def test_nothing_is_broken_from_a_start_that_the_scenario_excludes(hunted: Any) -> None:
+    """All tubes turn together, so that a robot without friction at its start has none on the way."""
+    plan = uncertain_curvature()
+    plan = moved_to(plan, replace(plan.scenario, anatomy=()))
+    plan.certificate["samples"]["predicted_m"] = [0.0, 0.0]
+    result = hunted(plan)
+    assert result.is_kept
+    (predicted,) = (found for found in result.worst if found.claim == "predicted")
+    assert predicted.value < 0.05e-3 and not any(predicted.phi)
+    unknown = moved_to(plan, replace(plan.scenario, start_friction="unknown"))
+    assert "predicted" in {found.claim for found in hunted(unknown).broken}
+
+
+@pytest.mark.parametrize("angle_deg", [-38.1, -13.7, 7.3, 31.9])
+def test_a_thin_plate_anywhere_on_the_way_is_found(angle_deg: float, hunted: Any) -> None:
+    """Two triangles' thickness, on edge across the way of the tip."""
+    scenario = scene_of(table_ii(), [-45, -45, -45, -30], [45, 45, 45, -30])
+    robot = scenario.robot
+    tip = robot.solve(*robot.drive.collars(in_si(robot, [angle_deg] * 3 + [-30.0]))).tip_m
+    along = np.array([0.0, 0.0, 1.0])
+    out = np.append(tip[:2] / np.linalg.norm(tip[:2]), 0.0)
+    across = 0.1e-3 * np.cross(along, out)
+    corners = [tip + 4e-3 * out + u * 2e-3 * along + v * 2e-3 * out + w * across
+               for w in (-1, 1) for v in (-1, 1) for u in (-1, 1)]  # fmt: skip
+    faces = [[0, 2, 1], [1, 2, 3], [4, 5, 6], [5, 7, 6], [0, 1, 4], [1, 5, 4], [2, 6, 3], [3, 6, 7], [0, 4, 2], [2, 4, 6], [1, 3, 5], [3, 7, 5]]  # fmt: skip  # noqa: E501
+    plate = AnatomyPart(Mesh(np.array(corners), np.array(faces)))
+    result = hunted(stated(replace(scenario, anatomy=(plate,)), 1.5))
+    assert hit(result) < 1.3
+    (least,) = (found for found in result.worst if found.claim == "clearance")
+    body = np.array([float(np.degrees(q)) for q in least.joints[:3]])
+    np.testing.assert_allclose(body, angle_deg, atol=4)
+
+
+def test_the_base_is_moved_to_the_ends_of_its_registration(hunted: Any) -> None:
+    """A shift brings a sphere beside the tip nearer by 2.795 standard deviations; a turn by that times the lever."""
+    scenario = scene_of(table_ii("contact.1.friction_coefficient=0", "contact.2.friction_coefficient=0"),
+                        [0, 0, 0, -60], [0, 0, 0, -58], sphere([60, 30, 150], 5))  # fmt: skip
+    least = {}
+    for name, registration in {
+        "known": Registration(),
+        "shift": Registration(position_sigma_m=0.4e-3),
+        "turn": Registration(rotation_sigma_rad=0.01),
+    }.items():
+        result = hunted(stated(replace(scenario, registration=registration), 0.0), 4_000)
+        (least[name],) = (found for found in result.worst if found.claim == "clearance")
+    assert least["known"].value - least["shift"].value == pytest.approx(2.795483 * 0.4e-3, abs=0.02e-3)
+    lever = float(np.linalg.norm(least["turn"].point_m))
+    turned = least["known"].value - least["turn"].value
+    assert 0.5 * 2.795483 * 0.01 * lever < turned <= 2.795483 * 0.01 * lever + 0.1e-3
+    assert "registration" in least["turn"].how and "registration" not in least["known"].how
+
+
+def test_friction_states_are_none_that_a_lower_friction_excludes(hunted: Any) -> None:
+    """A contact whose friction is an interval is judged at both ends, and nothing is broken by the lower one."""
+    scenario = scene_of(table_ii("contact.1.friction_coefficient=[0.1, 0.2]"), [0, 0, 0, -60], [0, 10, 0, -60],
+                        sphere([60, 30, 150], 5))  # fmt: skip
+    narrow = hunted(stated(scenario, 0.0)).worst
+    single = scene_of(
+        table_ii("contact.1.friction_coefficient=0.2"), [0, 0, 0, -60], [0, 10, 0, -60], sphere([60, 30, 150], 5)
+    )
+    wide = hunted(stated(single, 0.0)).worst
+    of = [next(f.value for f in found if f.claim == "clearance") for found in (narrow, wide)]
+    assert of[0] == pytest.approx(of[1], abs=0.02e-3)
+
+
+def test_histories_of_an_observed_start_are_left_to_where_its_state_is(hunted: Any) -> None:
+    """No file holds the state, so that no simulated history says anything against the plan."""
+    plan = moved_to(wound(), replace(wound().scenario, anatomy=()))
+    plan.certificate["start_friction"] = "observed"
+    plan.certificate["samples"]["predicted_m"] = [0.0, 0.0]
+    result = hunted(plan, 4_000)
+    assert result.is_kept and all(found.before is None for found in result.worst)
+
+
+def test_the_way_is_as_late_as_each_drive() -> None:
+    plan = late()
+    way = DrivenWay.of(plan)
+    drive, n = plan.scenario.robot.drive, 3
+    for time_s in np.linspace(0, plan.time_s[-1] + 0.4, 23).tolist():
+        told = way.commanded(np.array([time_s]), np.zeros(way.robots.count))[0]
+        behind, now = (
+            np.array([np.interp(t, plan.time_s, q) for q in plan.position.T]) for t in (time_s - 0.4, time_s)
+        )
+        np.testing.assert_allclose(told[:n], drive.commanded(behind)[0], atol=1e-9)
+        np.testing.assert_allclose(told[n:], drive.commanded(now)[1], atol=1e-9)
+    assert way.time_at(1.0) == pytest.approx(plan.time_s[-1] + 0.4)
+    np.testing.assert_allclose(np.hstack(way.commanded_at(1.0, np.zeros(way.robots.count))),
+                               np.hstack(drive.commanded(plan.waypoints[-1])), atol=1e-9)  # fmt: skip
