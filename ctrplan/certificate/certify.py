@@ -23,6 +23,7 @@ from ctrplan.mechanics.shapes import Accuracy, Shape
 from ctrplan.scenario.prediction import FrictionStart, PathPrediction, predict_end, start_states
 
 if TYPE_CHECKING:
+    from ctrplan.drive.trajectory import Trajectory
     from ctrplan.mechanics.history import HistoryState
     from ctrplan.scenario.scenario import Scenario
 
@@ -86,14 +87,16 @@ def certify(
     goal_test: GoalTest = frictionless_arrives,
     starts: Sequence[FrictionStart] | None = None,
     restart: bool = True,
+    timing: Trajectory | None = None,
     progress: Progress | None = None,
 ) -> Certificate:
     """Walks the polyline `corners` (K, m) of actuated joints so that no body point moves more than 0.5 mm a sample.
 
     Clearances are of every friction state, not of the corners alone (`friction_cube.py`): exact distances of body
-    points, less the outer radius, half the motion to the samples on both sides, the discretisation error, an allowance
-    for friction that differs along a contact, and what play of the drive may move the robot by. Nothing of the search's
-    field is used. Pieces that only the coarse mesh's allowance for its error would refuse are walked on the fine mesh.
+    points, less the outer radius, half the motion to the samples on both sides, the discretisation error, and an
+    allowance for friction that differs along a contact; of every robot within its intervals, its play and its
+    registration (`variants.py`). Late drives are followed in time, by the motion that ctrplan makes of the legs, or by
+    `timing`. Nothing of the search's field is used.
 
     What the motion's own simulation contradicts is refused: snaps, leaps of a shape, tips beyond the bound, shapes that
     depend on the way there.
@@ -103,7 +106,8 @@ def certify(
     before this one left the robot in these friction states. `goal_test` says what misses the goal. From where an
     interrupted run begins again is simulated too, unless it is not wanted.
     """
-    result = finished(walk_legs(scenario, corners, accuracy=accuracy, progress=progress), goal_test, starts)
+    walk = walk_legs(scenario, corners, accuracy=accuracy, timing=timing, progress=progress)
+    result = finished(walk, goal_test, starts)
     return with_restart(scenario, result, starts) if restart else result
 
 
@@ -116,7 +120,7 @@ def finished(
     """The certificate of walked legs, histories simulated; walked again where not all clearance was asked for."""
     scenario, begun = walk.scenario, start_states(walk.scenario) if starts is None else starts
     if np.isfinite(walk.spare_m):
-        walk = walk_legs(scenario, walk.corners, accuracy=walk.accuracy, progress=progress)
+        walk = walk_legs(scenario, walk.corners, accuracy=walk.accuracy, timing=walk.timing, progress=progress)
     bodies = SimulatedBodies.of(scenario)
     with ThreadPoolExecutor(1) as beside:  # of few histories one ends last
         places = beside.submit(closest_places, scenario, walk.pieces, walk.samples)
@@ -159,19 +163,18 @@ def finished(
         closest=closest.friction,
         narrowest=closest.certified,
         end_states=tuple(history.end_states),
-        walk_again=partial(_walked_again, scenario, walk.corners, walk.accuracy, goal_test),
+        walk_again=partial(_walked_again, walk, goal_test),
     )
 
 
 def _walked_again(
-    scenario: Scenario,
-    corners: Array,
-    first: Accuracy,
+    walk: WalkedLegs,
     goal_test: GoalTest,
     accuracy: Accuracy | None,
     starts: Sequence[FrictionStart] | None = None,
 ) -> Certificate:
-    return certify(scenario, corners, accuracy=accuracy or first, goal_test=goal_test, starts=starts)
+    mesh, timing = accuracy or walk.accuracy, walk.timing
+    return certify(walk.scenario, walk.corners, accuracy=mesh, goal_test=goal_test, starts=starts, timing=timing)
 
 
 def with_restart(

@@ -109,8 +109,8 @@ def _wound(robot: Robot, joints: Array, known: Equilibria, bound: Bound) -> str:
     own = min(known.stable, key=lambda one: float(np.linalg.norm(one.tip_m - tip)), default=None)
     if own is None:
         return ""
-    for other in known.stable:
-        away = float(np.linalg.norm(other.tip_m - tip)) - bound.position_m
+    for other in [one for one in known.stable if one is not own]:
+        away = float(np.linalg.norm(other.tip_m - own.tip_m)) - bound.position_m
         turns = np.round((other.twist_rad - own.twist_rad) / (2 * np.pi)).astype(int)
         if away <= BEYOND_BOUND_M or (pattern := _pattern(robot, joints, turns)) is None:
             continue

@@ -35,6 +35,7 @@ from ctrplan.scenario.prediction import start_load
 from ctrplan.scenario.scenario import path_cost_mm
 
 if TYPE_CHECKING:
+    from ctrplan.drive.trajectory import Trajectory
     from ctrplan.scenario.scenario import Scenario
 
 
@@ -53,6 +54,7 @@ class WalkedLegs:
     bounds: StatedBounds
     problems: list[str]  # but whether the goal is met
     spare_m: float = np.inf  # of clearance beyond what the scenario asks for: more than that is not looked for
+    timing: Trajectory | None = None  # that a late drive is followed by; None for the motion that ctrplan makes
     walked: Sequence[Piece] = ()  # with all shapes, as walked; kept where the legs failed, for the next that are tried
 
     @property
@@ -110,17 +112,19 @@ def walk_legs(
     spare_m: float = np.inf,
     progress: Progress | None = None,
     failed: WalkedLegs | None = None,
+    timing: Trajectory | None = None,
 ) -> WalkedLegs:
     """What decides whether the polyline `corners` (K, m) is valid, see `certify`.
 
     How much clearance is left is told where it is less than `spare_m` beyond what the scenario asks for; of more it is
     only known that it is more, which takes less time. What is refused already is not looked at more closely. Pieces of
-    legs that `failed` in the same scenario are not walked again. Raises InputError for too many tubes.
+    legs that `failed` in the same scenario are not walked again. `timing` is what a late drive is followed by, the motion
+    that ctrplan makes of the legs if None. Raises InputError for too many tubes.
     """
     refuse_many_tubes(scenario.robot)
     space = JointSpace.of(scenario)
     known = failed.walked if failed and failed.scenario is scenario else ()
-    walked = pieces = walk_pieces(scenario, space, corners, accuracy, progress, known)
+    walked = pieces = walk_pieces(scenario, space, corners, accuracy, progress, known, timing)
     samples = joined_samples(scenario, space, pieces)
     with ThreadPoolExecutor(1) as beside:  # a few bounds and a few narrow samples leave half of the machine idle each
         stated = beside.submit(_bounds, scenario, samples, pieces)
@@ -145,7 +149,7 @@ def walk_legs(
         pieces, samples, problems = looked(at_worst_ends, pieces)
     light = [piece.light() for piece in pieces]
     kept = walked if problems else ()
-    return WalkedLegs(scenario, corners, accuracy, light, samples, bounds, problems, spare_m, kept)
+    return WalkedLegs(scenario, corners, accuracy, light, samples, bounds, problems, spare_m, timing, kept)
 
 
 def _other_equilibria(scenario: Scenario, space: JointSpace, pieces: Sequence[Piece]) -> list[str]:

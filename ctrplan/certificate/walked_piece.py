@@ -46,6 +46,7 @@ from ctrplan.scenario.joint_space import JointSpace
 from ctrplan.scenario.prediction import start_load
 
 if TYPE_CHECKING:
+    from ctrplan.drive.trajectory import Trajectory
     from ctrplan.mechanics.shapes import Accuracy
     from ctrplan.scenario.scenario import Scenario
 
@@ -168,13 +169,14 @@ def walk_pieces(
     accuracy: Accuracy,
     progress: Progress | None,
     known: Sequence[Piece] = (),
+    timing: Trajectory | None = None,
 ) -> list[Piece]:
     """The legs in pieces, in parallel, each from scratch: of the frictionless and the corner shapes.
 
     Those that are among the `known` ones of the same scenario, as they were walked, are not walked again.
     """
     memory = {(piece.way.tobytes(), piece.variants.large, piece.accuracy): piece for piece in known}
-    ways = _cut(space, driven_ways(scenario.robot.drive, corners))
+    ways = _cut(space, driven_ways(scenario.robot.drive, corners, timing))
     variants = Variants.of(scenario, np.concatenate([way for _, way in ways]))
 
     def walk(leg_way: tuple[int, Array]) -> Piece:

@@ -17,6 +17,7 @@ from ctrplan.base.arrays import Array
 
 if TYPE_CHECKING:
     from ctrplan.drive.drive import Drive
+    from ctrplan.drive.trajectory import Trajectory
 
 STEP_RAD, STEP_M = np.radians(1.0), 0.25e-3  # of a joint, between rows of a way in time, where it is taken as straight
 
@@ -25,13 +26,16 @@ PASSED = 1e-9  # rad or m, or share of a leg, by which rounding may carry a samp
 LegWay = tuple[int, Array]  # leg, and joints (S, m) [rad, m] driven on it, straight in between
 
 
-def driven_ways(drive: Drive, corners: Array) -> list[LegWay]:
-    """The ways of the legs between waypoints (K, m), one after the other; of one waypoint a way of no length."""
+def driven_ways(drive: Drive, corners: Array, timing: Trajectory | None = None) -> list[LegWay]:
+    """The ways of the legs between waypoints (K, m), one after the other; of one waypoint a way of no length.
+
+    timing: of a motion along the legs; None for the one that `ctrplan.time_parameterise` makes.
+    """
     if len(corners) == 1:
         return [(0, np.vstack([corners, corners]))]
     if not drive.is_late:
         return [(leg, np.vstack(ends)) for leg, ends in enumerate(pairwise(corners))]
-    return _late_ways(drive, corners)
+    return _late_ways(drive, corners, timing)
 
 
 def late_rows(drive: Drive, time_s: Array, position: Array, at_s: Array) -> Array:
@@ -40,10 +44,10 @@ def late_rows(drive: Drive, time_s: Array, position: Array, at_s: Array) -> Arra
     return np.array([np.interp(at_s - late, time_s, column) for late, column in columns]).T
 
 
-def _late_ways(drive: Drive, corners: Array) -> list[LegWay]:
+def _late_ways(drive: Drive, corners: Array, timing: Trajectory | None) -> list[LegWay]:
     from ctrplan.drive.trajectory import time_parameterise  # ruckig takes long to import
 
-    made = time_parameterise(corners, drive, joinable=True)
+    made = timing or time_parameterise(corners, drive, joinable=True)
     tail_s = made.duration_s + np.linspace(0, float(drive.joint_late_s.max()), 50)
     instants = np.unique(np.concatenate([made.time_s, tail_s]))
     rows = late_rows(drive, made.time_s, made.position, instants)

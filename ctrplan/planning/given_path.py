@@ -20,10 +20,9 @@ from ctrplan.base.long_work import Progress, part_of
 from ctrplan.certificate.certificate import Certificate, joined_certificates
 from ctrplan.certificate.certify import certify as certified_legs
 from ctrplan.drive.legs import distance_from_polyline, merge_legs
-from ctrplan.drive.trajectory import PERIOD, Trajectory
+from ctrplan.drive.trajectory import PERIOD, PERIOD_S, Trajectory
 from ctrplan.errors import InputError, NoAnswerError
 from ctrplan.motion.checker import MotionChecker
-from ctrplan.pipeline.chain import Chain
 from ctrplan.planning.compensate import either_arrives
 from ctrplan.planning.goal_states import nearest_turn
 from ctrplan.planning.reordering import assemble, least_error_order
@@ -51,26 +50,31 @@ def certify(
     timing: the trajectory that drives the waypoints; nothing but its way is used. The certificate says in `valid` and
     `problems` whether the motion holds, its arrival included. Raises InputError, one sentence, for what is not the
     scenario's motion: another start, goal or direction, targets left out or out of order, limits, a trajectory beside
-    the waypoints; and for a robot whose drive follows late, which a path in joint space says nothing about.
+    the waypoints; and for waypoints alone, or several targets, of a robot whose joints follow unequally late: they leave
+    the path, by how much depends on its timing.
     """
     given, timed = (path.position, path) if isinstance(path, Trajectory) else (path, timing)
     corners = _corners(scenario, given)
     if timed is not None:
         _refuse_other_way(scenario, corners, timed)
-    refuse_late_drive(scenario)
+    if timed is None or scenario.via:
+        refuse_late_drive(scenario)
     space = JointSpace.of(scenario)
     if not space.allowed(corners):
         raise InputError(space.violation(corners), file=scenario.path, key="path")
-    return _certified(scenario, _stages(scenario, corners), progress)
+    return _certified(scenario, _stages(scenario, corners), progress, timed)
 
 
-def _certified(scenario: Scenario, ways: list[Array], progress: Progress | None = None) -> Certificate:
-    """The certificate of ways from target to target."""
+def _certified(
+    scenario: Scenario, ways: list[Array], progress: Progress | None = None, timing: Trajectory | None = None
+) -> Certificate:
+    """The certificate of ways from target to target; `timing` is that of a single one."""
     stages, start, starts = list[Certificate](), scenario.start, None
     for k, (goal, way) in enumerate(zip(scenario.targets, ways, strict=True)):
         stage = replace(scenario, start=start, goal=nearest_turn(scenario, start, goal), via=())
         told = part_of(progress, k, len(ways))
-        stages.append(certified_legs(stage, way, goal_test=either_arrives, starts=starts, progress=told))
+        given = timing if len(ways) == 1 else None
+        stages.append(certified_legs(stage, way, goal_test=either_arrives, starts=starts, timing=given, progress=told))
         start, starts = way[-1], stages[-1].end_states or None
     return joined_certificates(stages)
 
@@ -88,7 +92,9 @@ def reorder(path: ArrayLike, scenario: Scenario, *, period_s: float = 0.01) -> P
         rule = "has several targets; give the path of one, with the goal alone, at a time"
         raise InputError(rule, file=scenario.path, key="target")
     corners = _corners(scenario, path)
-    refuse_late_drive(scenario)
+    if scenario.robot.drive.is_late and period_s != PERIOD_S:
+        rule = f"must be {PERIOD_S:g} s: joints follow late, and the certificate follows that motion in time"
+        raise InputError(rule, key="period_s", value=period_s, unit="s")
     space = JointSpace.of(scenario)
     if not space.allowed(corners):
         raise NoAnswerError(f"{scenario.path or scenario.name}: path: not valid: {space.violation(corners)}.")
@@ -165,7 +171,7 @@ def _refuse_other_way(scenario: Scenario, corners: Array, timing: Trajectory) ->
 
 def refuse_late_drive(scenario: Scenario) -> None:
     """Raises InputError for a robot whose collars follow unequally late: they leave the path of the joints."""
-    late = Chain.of(scenario.robot).drive_delays_s(scenario.robot.n)
+    late = scenario.robot.drive.joint_late_s
     if np.ptp(late) > 0:
-        rule = f"collars follow up to {np.max(late):.3g} s late and not alike, so that they leave the path"
+        rule = f"joints follow up to {np.max(late):.3g} s late, not alike, and leave the path: give its timing"
         raise InputError(rule, file=scenario.robot.path, key="effects.drive_lag")

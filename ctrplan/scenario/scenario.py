@@ -180,7 +180,7 @@ class Scenario:
             **{f"fixture.{k}": _of_fixture(one) for k, one in enumerate(self.fixtures, start=1)},
             "goal": [_of_goal(goal) for goal in self.targets],
             "base": (self.base_position_m, self.base_R, self.registration),
-            "start": (self.start, self.start_friction if self.start_state is None else "unknown"),  # as in its file
+            "start": (self.start, self.start_friction if self.start_state is None else "unknown", self.start_turns),
             "margins": self.margins,
             "cost": self.cost,
         }

@@ -10,6 +10,7 @@ import pytest
 from stated_plans import in_si, scene_of, sphere, table_ii
 
 import ctrplan
+from ctrplan.drive.legs import distance_from_polyline
 from ctrplan.drive.trajectory import time_parameterise
 from ctrplan.errors import InputError
 from ctrplan.scenario.scenario import Goal, Scenario
@@ -98,7 +99,18 @@ def test_targets_are_passed_in_their_order(scenario: Scenario, way: Any) -> None
         ctrplan.certify(replace(scenario, via=(second, first)), way)
 
 
-def test_a_drive_that_follows_late_is_refused_by_name(scenario: Scenario, way: Any) -> None:
+def test_a_drive_that_follows_late_needs_a_timing_by_which_it_is_followed(scenario: Scenario, way: Any) -> None:
     late = replace(scenario, robot=table_ii("effects.drive_lag.theta_s=0.4"))
-    with pytest.raises(InputError, match=r"effects.drive_lag.*0.4 s late"):
+    with pytest.raises(InputError, match=r"effects.drive_lag.*0.4 s late.*give its timing"):
         ctrplan.certify(late, way)
+    straight = np.array([way[0], way[-1]])
+    fast = time_parameterise(straight, late.robot.drive)
+    slow = replace(fast, time_s=20 * fast.time_s, duration_s=20 * fast.duration_s, leg_end_s=20 * fast.leg_end_s)
+    apart = []
+    for timing in (fast, slow):
+        driven = ctrplan.certify(late, straight, timing=timing).samples.joints
+        np.testing.assert_allclose(driven[[0, -1]], straight[[0, -1]], atol=1e-9)
+        apart.append(distance_from_polyline(driven, straight).max())
+    assert apart[1] < apart[0] / 10  # a slow motion hardly leaves its leg
+    with pytest.raises(InputError, match="period_s"):
+        ctrplan.reorder(straight, late, period_s=0.02)
