@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ctrplan.audit.body import RawAnatomy
 from ctrplan.base.arrays import Array
@@ -55,7 +56,7 @@ class AllowedRobots:
 
     robot: Robot
     parameters: UncertainParameters
-    played: Array  # (B,) collars with play, of the 2 n: rotations, then translations
+    played: NDArray[np.intp]  # (B,) collars with play, of the 2 n: rotations, then translations
     sides: Array  # (A', 2, Q) offsets of Q parameters at either end of their axes
     clock: tuple[tuple[str, str, float, float, float], ...]  # effect, parameter, value, low and high [s]
     known: dict[bytes, Robot | None] = field(default_factory=dict)
@@ -185,7 +186,7 @@ def _with_contacts(parameters: UncertainParameters) -> UncertainParameters:
     columns = {"value": high, "low": low, "high": high, "least": low, "most": high, "si": np.ones(more)}
     joined = {name: np.concatenate([getattr(parameters, name), column]) for name, column in columns.items()}
     names = (*parameters.names, *(f"contact.{k}.friction_coefficient" for k, _, _ in rows))
-    return replace(parameters, names=names, correlation=correlation, **joined)
+    return replace(parameters, names=names, correlation=correlation, **joined)  # type: ignore[arg-type]
 
 
 def _sides(parameters: UncertainParameters) -> Array:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -269,7 +270,9 @@ class HistoryHunt:
             if worst is not None and worse(worst) > self.kept.get(aim, (-np.inf, before))[0]:
                 self.kept[aim] = worse(worst), before
                 if self.mesh != "search":
-                    near = np.clip(worst.place + np.linspace(-1, 1, LOOKS) / GRID, 0, 1) if before.elsewhere else []
+                    near: Any = (
+                        np.clip(worst.place + np.linspace(-1, 1, LOOKS) / GRID, 0, 1) if before.elsewhere else []
+                    )
                     looks = (worst.place, *map(float, near))
                     self._note(self._driven(before, max(looks), self.mesh, looks=looks))
                 yield

@@ -109,7 +109,9 @@ def _robot(robot: Robot, figure: WorstFigure) -> dict[str, Any]:
             table = table[int(step) - 1] if step.isdecimal() else table[step]
         if key == "curvature_per_m" and key not in table:
             given = {each: float(table.get(each) or 0.0) for each in ("curvature_x_per_m", "curvature_y_per_m")}
-            table |= {each: part * in_file / np.hypot(*given.values()) for each, part in given.items()}
+            table |= {
+                each: part * in_file / float(np.linalg.norm(list(given.values()))) for each, part in given.items()
+            }
         else:
             table[key] = in_file
     return content

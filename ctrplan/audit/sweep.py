@@ -128,7 +128,7 @@ class Sweep:
                 others.append((axis, side, other[0][0]))
         middle = self._rooms(points[:1], radius)[0]
         moved = np.linalg.norm(points - points[0], axis=2)
-        moved[~solved] = 0.0
+        moved[np.logical_not(solved)] = 0.0
         shifts = np.zeros((case.robots.count, points.shape[1]))
         for axis, _, body in others:
             shifts[axis] = np.maximum(shifts[axis], np.linalg.norm(body - points[0], axis=1))
@@ -136,7 +136,7 @@ class Sweep:
         near = middle - moved.max(axis=0) - shifts.sum(axis=0) - base.max(axis=0) <= (middle - base[0]).min()
         rooms = middle - moved
         rooms[:, near] = self._rooms(points[:, near], radius[near])
-        rooms[~solved] = np.inf
+        rooms[np.logical_not(solved)] = np.inf
         nearer, sides = shifts.copy(), np.zeros(shifts.shape)
         nearer[:, near] = 0.0
         for axis, side, body in others:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array, lengths
 from ctrplan.certificate.friction_states import POINT_SPACING_M, SPACING_M, corner_states
+from ctrplan.effects.learned.learned import effect_of
 from ctrplan.mechanics.shapes import Status
 from ctrplan.mechanics.walk import PathDensity, PathSamples
 from ctrplan.pipeline.tip_table import nested
@@ -58,6 +59,7 @@ class Variants:
         """Of a path along joints (K, m): axes are large where they move the tip by more than LARGE_M on it."""
         robot, parameters = scenario.robot, uncertain_parameters(scenario.robot)
         held = np.zeros(2 * robot.n) if robot.drive.play is None else np.concatenate(robot.drive.play)
+        held = held + _late_by(robot)
         play = tuple(row for row in np.diag(held) if row.any())
         box = OffsetBox.of(parameters) if parameters.count else OffsetBox(np.zeros(0), np.zeros((0, 0)))
         result = cls(scenario, parameters, box, play)
@@ -141,6 +143,21 @@ class Variants:
         robot = self.robot(point)
         tips = robot.mechanics.tips_with_friction(*self.collars(point, joints), np.zeros((len(joints), robot.n - 1)))
         return np.where((tips.status == Status.FAILED)[:, None], np.nan, tips.position_m)
+
+
+def _late_by(robot: Robot) -> Array:
+    """(2 n,) [rad], [m] how far collars may be behind or ahead where their delay is known by an interval only.
+
+    At their largest speed, everywhere: more than there is where they go slowly.
+    """
+    drive, result = robot.drive, np.zeros(2 * robot.n)
+    speed = np.abs(np.vstack([drive.matrix_theta, drive.matrix_l])) @ drive.max_velocity
+    for name, table in robot.effects.items():
+        effect = effect_of(name, table, robot.n)
+        for key, (low, high) in table.get("ci95", {}).items() if effect.stage == "clock" else ():
+            value = float(table.get(key, 0.0))
+            result += speed * effect.drive_delays_s({key: max(high - value, value - low)}, robot.n)
+    return result
 
 
 def shares_of_length(body_m: Array) -> Array:

@@ -118,8 +118,8 @@ def walk_legs(
 
     How much clearance is left is told where it is less than `spare_m` beyond what the scenario asks for; of more it is
     only known that it is more, which takes less time. What is refused already is not looked at more closely. Pieces of
-    legs that `failed` in the same scenario are not walked again. `timing` is what a late drive is followed by, the motion
-    that ctrplan makes of the legs if None. Raises InputError for too many tubes.
+    legs that `failed` in the same scenario are not walked again. `timing` is what a late drive is followed by, None the
+    motion that ctrplan makes of the legs. Raises InputError for too many tubes.
     """
     refuse_many_tubes(scenario.robot)
     space = JointSpace.of(scenario)

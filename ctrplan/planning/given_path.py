@@ -50,8 +50,8 @@ def certify(
     timing: the trajectory that drives the waypoints; nothing but its way is used. The certificate says in `valid` and
     `problems` whether the motion holds, its arrival included. Raises InputError, one sentence, for what is not the
     scenario's motion: another start, goal or direction, targets left out or out of order, limits, a trajectory beside
-    the waypoints; and for waypoints alone, or several targets, of a robot whose joints follow unequally late: they leave
-    the path, by how much depends on its timing.
+    the waypoints; and for waypoints alone, or several targets, of a robot whose joints follow unequally late: how far
+    they leave the path depends on its timing.
     """
     given, timed = (path.position, path) if isinstance(path, Trajectory) else (path, timing)
     corners = _corners(scenario, given)

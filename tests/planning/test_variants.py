@@ -118,6 +118,12 @@ def test_a_late_drive_leaves_its_legs_by_its_speed_times_the_delay() -> None:
     np.testing.assert_array_equal(straight, corners)  # all late alike: on the legs
 
 
+def test_a_delay_that_is_known_by_an_interval_is_play_by_speed() -> None:
+    lag = {"drive_lag": {"theta_s": 0.1, "ci95": {"theta_s": [0.05, 0.2]}}}
+    box = Variants.of(bare_scenario(robot(effects=lag)), joints(0, 30, 60, -40)[None])
+    np.testing.assert_allclose(np.sum(box.play, axis=0), [*[np.radians(60) * 0.1] * 3, 0, 0, 0])  # at 60 deg/s
+
+
 def test_a_late_drive_waits_where_it_rests_for_what_follows_late() -> None:
     """So that the way after a target begins where certificates begin it."""
     corners = np.array([joints(0, 0, 0, -60), joints(40, 0, 0, -60), joints(40, 0, 0, -30)])
