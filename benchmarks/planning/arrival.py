@@ -168,18 +168,18 @@ def task(robot: Robot, rng: np.random.Generator) -> Scenario:
 
 
 def way(robot: Robot, at: Array, rng: np.random.Generator) -> Array:
-    """(K, m) corners of a random way from joints (m,) and back to them: one in twenty turns a joint by whole turns."""
+    """(K, m) corners of a random way from joints (m,) and back: two in a hundred turn a joint by up to 720 deg."""
     space, drive = JointSpace.of_robot(robot), robot.drive
     points = [at]
     for _ in range(rng.integers(1, 3)):
-        q, kind = points[-1].copy(), rng.choice(4, p=[0.05, 0.35, 0.3, 0.3])
-        turn = rng.uniform(-1, 1, len(q)) * 10 ** rng.uniform(-1.5, 0.3)
+        q, kind = points[-1].copy(), rng.choice(4, p=[0.02, 0.38, 0.3, 0.3])
+        turn = rng.uniform(-1, 1, len(q)) * 10 ** rng.uniform(-2, -0.3)
         if kind == 0:
             q[rng.choice(np.flatnonzero(drive.is_rotation))] += rng.uniform(-4 * np.pi, 4 * np.pi)
         elif kind == 1:
             q += np.where(drive.is_rotation, turn, 0.0)
         elif kind == 2:
-            q += np.where(drive.is_rotation, 0.0, rng.uniform(-1, 1, len(q)) * 10 ** rng.uniform(-4, -2))
+            q += np.where(drive.is_rotation, 0.0, rng.uniform(-1, 1, len(q)) * 10 ** rng.uniform(-4, -2.3))
         else:  # an oscillation that fades
             turn = np.where(drive.is_rotation, turn, 0.0)
             points += [np.clip(q + (-0.7) ** k * turn, drive.lower, drive.upper) for k in range(6)]
