@@ -1,7 +1,7 @@
 """Where plans arrive: beside the bound, hunted by random pasts, and how much turning or sliding erases friction.
 
     python benchmarks/run.py --write arrival scenarios [NAME ...]
-    python benchmarks/run.py arrival queries [--count N]
+    python benchmarks/run.py --write arrival queries [SCENARIO ...]
     python benchmarks/run.py arrival hunt [--pasts N] [--sets N] [--seed N] [ROBOT ...]
     python benchmarks/run.py arrival erasure
 
@@ -103,10 +103,10 @@ def compared(cases: list[tuple[str, Scenario]]) -> list[Compared]:
 
 
 def by_scenario(results: list[Compared]) -> list[tuple[object, ...]]:
-    """A row for each scenario, whose name every query begins with, and one for all: medians, and worst in brackets."""
+    """A row for each scenario, whose name every query begins with: medians, and the worst in brackets."""
     names, rows = [result.name.split()[0] for result in results], []
-    for name in (*dict.fromkeys(names), "all"):
-        asked = [result for result, its in zip(results, names, strict=True) if name in (its, "all")]
+    for name in dict.fromkeys(names):
+        asked = [result for result, its in zip(results, names, strict=True) if its == name]
         planned = [result for result in asked if not result.why]
         counts = [f"{len(planned)} of {len(asked)}", str(sum(result.is_green for result in planned))]
         values = [[getattr(result, key) for result in planned] for key in ("bound", "before", "after", "longer")]
@@ -359,7 +359,6 @@ def main() -> None:
     parser = common.parser(__doc__)
     parser.add_argument("section", choices=["scenarios", "queries", "hunt", "erasure"])
     parser.add_argument("names", nargs="*")
-    parser.add_argument("--count", type=int, default=46)
     parser.add_argument("--pasts", type=int, default=10_000)
     parser.add_argument("--sets", type=int, default=50)
     parser.add_argument("--seed", type=int, default=0)
@@ -369,14 +368,15 @@ def main() -> None:
         results = compared([(path.stem, ctrplan.load_scenario(path)) for path in paths])
         table("scenarios", HEAD, [result.row() for result in results])
     elif given.section == "queries":
-        results = compared([(query.name, query.load([])) for query in queries()[: given.count]])
+        chosen = [query for query in queries() if not given.names or query.scenario in given.names]
+        results = compared([(query.name, query.load([])) for query in chosen])
         table("queries, each", HEAD, [result.row() for result in results])
         table("queries", OF_QUERIES, by_scenario(results))
     elif given.section == "hunt":
-        chosen = {name: content for name, content in robots().items() if not given.names or name in given.names}
+        robots_of = {name: content for name, content in robots().items() if not given.names or name in given.names}
         found = [
             row
-            for name, content in chosen.items()
+            for name, content in robots_of.items()
             for row in hunted(name, content, given.pasts, given.sets, given.seed)
         ]
         table("hunt", OF_HUNT, found)
