@@ -28,17 +28,19 @@ from common import ROBOTS, SCENARIOS, table
 from planning_queries import queries
 
 import ctrplan
+from ctrplan.base import long_work
 from ctrplan.base.arrays import Array
 from ctrplan.certificate.arrival import _end_of
 from ctrplan.errors import CtrplanError, NoAnswerError
 from ctrplan.files.robot_file import robot_from_dict
-from ctrplan.mechanics.history import HistoryState
+from ctrplan.mechanics.history import HistoryOptions, HistoryState
 from ctrplan.robot.robot import Robot
 from ctrplan.scenario.joint_space import JointSpace, bare_scenario
 from ctrplan.scenario.prediction import STEP_M, STEP_RAD, predict_end
 from ctrplan.scenario.scenario import Goal, Scenario
 from ctrplan.storage.toml_document import read_document
 
+long_work.REAL_PER_COUNTED = np.inf  # searches end by work counted, however busy the machine is
 MERGED_EVERY = 4  # steps of simulation after which states of the hunt are compared
 BOUND_M = 0.3e-3  # by which a past may leave the bound at the start and still be of its branch
 WOUND = 2.5  # times the precurvature of the pair, so that it has a second stable shape
@@ -303,12 +305,20 @@ def hunted(name: str, content: dict[str, Any], count: int, sets: int, seed: int)
     return rows
 
 
-def way_to(robot: Robot, theta: Array, l: Array, turn: Array, slide: Array, rows: int) -> tuple[float, list[float]]:  # noqa: E741
+def way_to(
+    robot: Robot,
+    theta: Array,
+    l: Array,  # noqa: E741
+    turn: Array,
+    slide: Array,
+    rows: int,
+    options: HistoryOptions | None = None,
+) -> tuple[float, list[float]]:
     """Largest distance [mm] of tips at first, and shares of the way after which 1 and 0.1 % of it are left."""
     starts = ["released", *itertools.product((1.0, -1.0), repeat=robot.n - 1)]
     share, tips = np.linspace(0, 1, rows + 1)[:, None], []
     for start in starts:
-        tips.append(robot.history(start).follow(theta + share * turn, l + share * slide).position_m)
+        tips.append(robot.history(start, options=options).follow(theta + share * turn, l + share * slide).position_m)
     apart = np.max([np.linalg.norm(a - b, axis=1) for a, b in itertools.combinations(tips, 2)], axis=0)
     last = [np.flatnonzero(apart > left * apart[0]) for left in (0.01, 0.001)]
     return 1e3 * apart[0], [(above[-1] + 1) / rows if above[-1] < rows else np.inf for above in last]
@@ -338,6 +348,15 @@ def erasure() -> None:
         if gap is None:
             first, left = way_to(robot, np.radians([0, angle]), place, np.radians([0, 180]), np.zeros(2), 360)
             rows.append((what, "turn", f"{first:.1f} mm", *(said(180 * x, "deg") for x in left)))
+    pair_robot, at = robot_from_dict(pair), (np.radians([0, 120]), np.array([0, -90e-3]))
+    for what, options in (
+        ("0.25 mm, 0.5 deg", HistoryOptions(translation_m=0.25e-3, rotation_rad=np.radians(0.5))),
+        ("0.05 mm, 0.1 deg", HistoryOptions(translation_m=0.05e-3, rotation_rad=np.radians(0.1))),
+    ):
+        for motion, turn, slide, scale, unit in (("slide", 0, 30e-3, 30, "mm"), ("turn", np.pi, 0, 180, "deg")):
+            first, left = way_to(pair_robot, *at, np.array([0, turn]), np.array([0, slide]), 300, options)
+            said_of = (f"{first:.1f} mm", *(said(scale * x, unit) for x in left))
+            rows.append((f"pair, 120 deg, friction 0.2, steps of {what}", motion, *said_of))
     robot, at = robot_from_dict(three), (np.radians([0, 60, 40]), np.array([0, -17e-3, -80e-3]))
     moves = {
         "inner slides": ([0, 0, 0], [0, 0, 40e-3]),         "inner turns": ([0, 0, np.pi], [0, 0, 0]),
