@@ -30,7 +30,6 @@ from planning_queries import queries
 import ctrplan
 from ctrplan.base import long_work
 from ctrplan.base.arrays import Array
-from ctrplan.certificate.arrival import _end_of
 from ctrplan.errors import CtrplanError, NoAnswerError
 from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.mechanics.history import HistoryOptions, HistoryState
@@ -261,6 +260,15 @@ def driven(robot: Robot, states: list[HistoryState], corners: Array) -> tuple[Ar
             return np.array([_end_of(robot, state, joints[begin:]) for state in states]), different
         tips, states = prediction.tip_m[:, -1], after
     return tips, different
+
+
+def _end_of(robot: Robot, state: HistoryState, joints: Array) -> Array:
+    history = robot.history()
+    history.restore(state)
+    try:
+        return np.asarray(history.follow(*robot.drive.collars(joints)).position_m[-1])
+    except CtrplanError:
+        return np.full(3, np.nan)
 
 
 def hunted(name: str, content: dict[str, Any], count: int, sets: int, seed: int) -> list[tuple[object, ...]]:

@@ -253,7 +253,7 @@ def _follow(
             for history, (result, slid) in zip(apart, pool.map(follow, apart), strict=True):
                 alike = [k for k, other in enumerate(histories) if other is history]
                 poses[alike, rows], snaps = result, snaps + slid * len(alike)
-                same = np.flatnonzero(_are_same(result[-1], seen[: len(different)]))
+                same = np.flatnonzero(are_same(result[-1], seen[: len(different)]))
                 if not len(same):
                     seen[len(different)] = result[-1]
                     different.append(history)
@@ -264,7 +264,7 @@ def _follow(
     return PathPrediction(poses[..., :3], poses[..., 3:6], poses[..., 6:], snaps, tuple(states))
 
 
-def _are_same(a: Array, others: Array) -> NDArray[np.bool_]:
+def are_same(a: Array, others: Array) -> NDArray[np.bool_]:
     """(O,) whether histories are one with another from there on: tips, tangents and friction of pairs, (6 + P,) and
     (O, 6 + P), are alike.
     """

@@ -16,6 +16,7 @@ import pytest
 from places import SCENARIOS
 
 import ctrplan
+from ctrplan.certificate import arrival as arrivals
 from ctrplan.certificate.arrival import Arrival, friction_variants
 from ctrplan.certificate.certificate import joined_certificates
 from ctrplan.certificate.certify import certify
@@ -403,3 +404,14 @@ def test_a_base_may_be_set_by_one_key() -> None:
     np.testing.assert_array_equal(there.base_position_m, pose.position_m)
     np.testing.assert_array_equal(there.base_R, pose.R)
     assert there.registration == case.registration
+
+
+def test_a_detour_counts_as_if_it_were_driven_to_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Inexact execution is simulated until it is forgotten: the rest of the motion adds nothing."""
+    turned_last = np.array([START, [*START[:2], GOAL[2]], GOAL])
+    for path in (PATH, turned_last):
+        short = arrival(pair(), path).by_cause.execution_m
+        with monkeypatch.context() as patched:
+            patched.setattr(arrivals, "COMPARED_EVERY", 10_000)
+            whole = arrival(pair(), path).by_cause.execution_m
+        assert short == pytest.approx(whole, abs=0.1 * TIP_TOLERANCE_M)
