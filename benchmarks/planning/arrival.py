@@ -2,7 +2,7 @@
 
     python benchmarks/run.py --write arrival scenarios [NAME ...]
     python benchmarks/run.py --write arrival queries [SCENARIO ...]
-    python benchmarks/run.py arrival hunt [--pasts N] [--sets N] [--seed N] [ROBOT ...]
+    python benchmarks/run.py arrival hunt [--pasts N] [--sets N] [--seed N] [--accuracy MESH] [ROBOT ...]
     python benchmarks/run.py arrival erasure
 
 scenarios, queries: each planned twice, as it is and without compensation and endings.
@@ -33,6 +33,7 @@ from ctrplan.base.arrays import Array
 from ctrplan.errors import CtrplanError, NoAnswerError
 from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.mechanics.history import HistoryOptions, HistoryState
+from ctrplan.mechanics.shapes import Accuracy
 from ctrplan.robot.robot import Robot
 from ctrplan.scenario.joint_space import JointSpace, bare_scenario
 from ctrplan.scenario.prediction import STEP_M, STEP_RAD, predict_end
@@ -111,7 +112,7 @@ def by_scenario(results: list[Compared]) -> list[tuple[object, ...]]:
         planned = [result for result in asked if not result.why]
         counts = [f"{len(planned)} of {len(asked)}", str(sum(result.is_green for result in planned))]
         values = [[getattr(result, key) for result in planned] for key in ("bound", "before", "after", "longer")]
-        lengths = [f"{np.median(of):.2f} ({max(of):.2f}) mm" for of in values if of]
+        lengths = [f"{np.median(of) + 0.0:.2f} ({max(of) + 0.0:.2f}) mm" for of in values if of]
         spent_s = [result.spent_s for result in planned]
         rows.append(
             (name, *counts, *lengths, *([f"{np.median(spent_s):.0f} ({max(spent_s):.0f}) s"] if planned else []))
@@ -214,14 +215,14 @@ def executed(robot: Robot, waypoints: Array, rng: np.random.Generator) -> Array:
 
 
 def pasts(
-    robot: Robot, at: Array, count: int, away_m: float, rng: np.random.Generator
+    robot: Robot, at: Array, count: int, away_m: float, rng: np.random.Generator, accuracy: Accuracy = "search"
 ) -> tuple[list[HistoryState], ...]:
     """States at joints (m,) after pasts, and those more than `away_m` from the frictionless tip: of another branch.
 
     Every return to the joints ends a past, the moves of which are all those before it. What finds no equilibrium, or
     ends on another branch, is gone back on.
     """
-    history, states, others = robot.history("released"), list[HistoryState](), list[HistoryState]()
+    history, states, others = robot.history("released", accuracy=accuracy), list[HistoryState](), list[HistoryState]()
     history.advance(*robot.drive.collars(at))
     frictionless = robot.solve(*robot.drive.collars(at)).tip_m
     for _ in range(count):
@@ -239,7 +240,9 @@ def pasts(
     return states, others
 
 
-def driven(robot: Robot, states: list[HistoryState], corners: Array) -> tuple[Array, int]:
+def driven(
+    robot: Robot, states: list[HistoryState], corners: Array, accuracy: Accuracy = "search"
+) -> tuple[Array, int]:
     """(S, 3) tips after a motion through corners (K, m), and how many states there are; NaN without an equilibrium.
 
     States that have become the same are driven once from there on.
@@ -251,19 +254,19 @@ def driven(robot: Robot, states: list[HistoryState], corners: Array) -> tuple[Ar
         for (a, b), n in zip(itertools.pairwise(corners), counts, strict=True)
     ]
     joints = np.vstack([corners[:1], *rows])
-    _, begun = predict_end(robot, joints[:1], states)
+    _, begun = predict_end(robot, joints[:1], states, accuracy)
     states, different = begun or states, len({id(state) for state in begun})
     tips = np.full((len(states), 3), np.nan)
     for begin in range(1, len(joints), MERGED_EVERY):
-        prediction, after = predict_end(robot, joints[begin : begin + MERGED_EVERY], states)
+        prediction, after = predict_end(robot, joints[begin : begin + MERGED_EVERY], states, accuracy)
         if not after:
-            return np.array([_end_of(robot, state, joints[begin:]) for state in states]), different
+            return np.array([_end_of(robot, state, joints[begin:], accuracy) for state in states]), different
         tips, states = prediction.tip_m[:, -1], after
     return tips, different
 
 
-def _end_of(robot: Robot, state: HistoryState, joints: Array) -> Array:
-    history = robot.history()
+def _end_of(robot: Robot, state: HistoryState, joints: Array, accuracy: Accuracy) -> Array:
+    history = robot.history(accuracy=accuracy)
     history.restore(state)
     try:
         return np.asarray(history.follow(*robot.drive.collars(joints)).position_m[-1])
@@ -271,7 +274,9 @@ def _end_of(robot: Robot, state: HistoryState, joints: Array) -> Array:
         return np.full(3, np.nan)
 
 
-def hunted(name: str, content: dict[str, Any], count: int, sets: int, seed: int) -> list[tuple[object, ...]]:
+def hunted(
+    name: str, content: dict[str, Any], count: int, sets: int, seed: int, accuracy: Accuracy
+) -> list[tuple[object, ...]]:
     robot, rng, rows = uncertain(content), np.random.default_rng([seed, len(name)]), []
     while len(rows) < 2:
         scenario = task(robot, rng)
@@ -294,12 +299,12 @@ def hunted(name: str, content: dict[str, Any], count: int, sets: int, seed: int)
             mu = [rng.uniform(*contact.friction_coefficient) for contact in robot.contacts]
             contacts = [replace(c, friction_coefficient=(m, m)) for c, m in zip(robot.contacts, mu, strict=True)]
             drawn, motion = replace(robot, contacts=tuple(contacts)), executed(robot, plan.waypoints, rng)
-            states, others = pasts(drawn, start, count // sets, away_m, rng)
-            tips, apart = driven(drawn, states, motion)
+            states, others = pasts(drawn, start, count // sets, away_m, rng, accuracy)
+            tips, apart = driven(drawn, states, motion, accuracy)
             failed, different = failed + count // sets - len(states) - len(others), different + apart
             seen += np.linalg.norm(tips - scenario.goal.tip_m, axis=1).tolist()
             if others:
-                tips, _ = driven(drawn, others, motion)
+                tips, _ = driven(drawn, others, motion, accuracy)
                 other += np.linalg.norm(tips - scenario.goal.tip_m, axis=1).tolist()
         largest, claimed = max(seen, default=np.nan), arrival.error_m
         outside, lost = (sum(not error <= claimed for error in errors) for errors in (seen, other))
@@ -387,6 +392,7 @@ def main() -> None:
     parser.add_argument("section", choices=["scenarios", "queries", "hunt", "erasure"])
     parser.add_argument("names", nargs="*")
     parser.add_argument("--pasts", type=int, default=10_000)
+    parser.add_argument("--accuracy", choices=["search", "certificate"], default="search", help="mesh of the hunt")
     parser.add_argument("--sets", type=int, default=50)
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args()
@@ -404,7 +410,7 @@ def main() -> None:
         found = [
             row
             for name, content in robots_of.items()
-            for row in hunted(name, content, given.pasts, given.sets, given.seed)
+            for row in hunted(name, content, given.pasts, given.sets, given.seed, given.accuracy)
         ]
         table("hunt", OF_HUNT, found)
     else:
