@@ -1,90 +1,134 @@
 """Where plans arrive: beside the bound, hunted by random pasts, and how much turning or sliding erases friction.
 
     python benchmarks/run.py --write arrival scenarios [NAME ...]
-    python benchmarks/run.py arrival queries [--count N]
-    python benchmarks/run.py arrival hunt [--pasts N] [--seed N]
+    python benchmarks/run.py --write arrival queries [SCENARIO ...]
+    python benchmarks/run.py arrival hunt [--pasts N] [--sets N] [--seed N] [--accuracy MESH] [ROBOT ...]
     python benchmarks/run.py arrival erasure
 
 scenarios, queries: each planned twice, as it is and without compensation and endings.
-hunt: two plans of each robot in free space, with friction coefficients known to 30 %. Each is driven after random pasts
-(turns of up to two turns, slides, oscillations) that end at its start, with coefficients anywhere in their intervals
-and joints late or too far by up to the drive's tolerance.
+hunt: two plans of each robot in free space, with friction coefficients known to 30 %. For each set, coefficients
+anywhere in their intervals are drawn, and how inexactly each leg is executed: joints late or too far by up to the
+drive's tolerance. A robot with them moves about its start (turns, up to whole ones, slides, oscillations) and comes
+back, again and again; every return is a past. The states that it has then are driven along the motion, those that have
+become the same once from there on.
 erasure: corners of friction and the released state at one configuration, driven one way until their tips agree.
 """
 
 import copy
 import itertools
+import sys
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import common
+import msgspec
 import numpy as np
 from common import ROBOTS, SCENARIOS, table
 from planning_queries import queries
 
 import ctrplan
+from ctrplan.base import long_work
 from ctrplan.base.arrays import Array
 from ctrplan.errors import CtrplanError, NoAnswerError
 from ctrplan.files.robot_file import robot_from_dict
+from ctrplan.mechanics.history import HistoryOptions, HistoryState
+from ctrplan.mechanics.shapes import Accuracy
 from ctrplan.robot.robot import Robot
 from ctrplan.scenario.joint_space import JointSpace, bare_scenario
+from ctrplan.scenario.prediction import STEP_M, STEP_RAD, predict_end
 from ctrplan.scenario.scenario import Goal, Scenario
 from ctrplan.storage.toml_document import read_document
 
+long_work.REAL_PER_COUNTED = np.inf  # searches end by work counted, however busy the machine is
+MERGED_EVERY = 4  # steps of simulation after which states of the hunt are compared
 BOUND_M = 0.3e-3  # by which a past may leave the bound at the start and still be of its branch
 WOUND = 2.5  # times the precurvature of the pair, so that it has a second stable shape
 SHARE = 0.3  # by which friction coefficients are uncertain in the hunt
 
 
-def compared(cases: list[tuple[str, Scenario]]) -> list[tuple[object, ...]]:
-    rows: list[tuple[object, ...]] = []
-    for name, scenario in cases:
-        settings = replace_settings(scenario)
-        try:
-            began = time.process_time()
-            plan = ctrplan.plan(scenario)
-            spent_s = time.process_time() - began
-            bare = ctrplan.plan(settings, compensated=False)
-        except NoAnswerError as error:
-            rows.append((name, str(error).rsplit(": ", 1)[-1]))
-            continue
-        for number, (goal, at, before) in enumerate(
-            zip(scenario.targets, plan.certificate.targets, bare.certificate.targets, strict=True), start=1
-        ):
-            if at.arrival is None or before.arrival is None or goal.tip_m is None:
-                continue
-            causes = [f"{1e3 * share:.2f} {words}" for words, share in at.arrival.by_cause.told[:2]]
-            longer = (plan.certificate.length_mm - bare.certificate.length_mm) if number == 1 else ""
-            rows.append(
-                (
-                    name if len(scenario.targets) == 1 else f"{name}, target {number}",
-                    f"{1e3 * goal.tolerance_m:.2f} mm", f"{1e3 * at.bound_m:.2f} mm",
-                    f"{1e3 * before.arrival.error_m:.2f} mm", f"{1e3 * at.arrival.error_m:.2f} mm",
-                    "yes" if at.arrival.error_m <= goal.tolerance_m else "no", ", ".join(causes),
-                    longer if longer == "" else f"{longer:+.0f} mm", f"{spent_s:.1f} s",
-                )
-            )  # fmt: skip
-            print(rows[-1], flush=True)
-    return rows
+@dataclass(frozen=True)
+class Compared:
+    """A target of a plan, with and without ending and compensation; lengths in mm. `why` says why there is no plan."""
 
+    name: str
+    why: str = ""
+    tolerance: float = np.nan
+    bound: float = np.nan
+    before: float = np.nan
+    after: float = np.nan
+    causes: str = ""
+    longer: float = np.nan
+    spent_s: float = np.nan
+    place: int = 0  # of several targets
 
-def replace_settings(scenario: Scenario) -> Scenario:
-    """The scenario without an ending."""
-    from msgspec.structs import replace as with_settings
+    def row(self) -> tuple[object, ...]:
+        if self.why:
+            return (self.name, *[""] * 5, self.why, "", "")
+        name = f"{self.name}, target {self.place}" if self.place else self.name
+        lengths = [f"{x:.2f} mm" for x in (self.tolerance, self.bound, self.before, self.after)]
+        longer = "" if self.place > 1 else f"{self.longer:+.0f} mm"
+        return (name, *lengths, "yes" if self.is_green else "no", self.causes, longer, f"{self.spent_s:.1f} s")
 
-    return replace(scenario, planner=with_settings(scenario.planner, settle="none"))
+    @property
+    def is_green(self) -> bool:
+        return self.after <= self.tolerance
 
 
 HEAD = ("scenario", "tolerance", "bound at the target", "arrival before", "arrival", "within", "largest causes")
 HEAD += ("longer by", "processor")
 
 
+def compared(cases: list[tuple[str, Scenario]]) -> list[Compared]:
+    results: list[Compared] = []
+    for name, scenario in cases:
+        bare_settings = replace(scenario, planner=msgspec.structs.replace(scenario.planner, settle="none"))
+        try:
+            began = time.process_time()
+            plan = ctrplan.plan(scenario)
+            spent_s = time.process_time() - began
+            bare = ctrplan.plan(bare_settings, compensated=False)
+        except NoAnswerError as error:
+            results.append(Compared(name, str(error).rsplit(": ", 1)[-1]))
+            continue
+        targets = zip(scenario.targets, plan.certificate.targets, bare.certificate.targets, strict=True)
+        for number, (goal, at, before) in enumerate(targets, start=1):
+            if at.arrival is None or before.arrival is None or goal.tip_m is None:
+                continue
+            causes = ", ".join(f"{1e3 * share:.2f} {words}" for words, share in at.arrival.by_cause.told[:2])
+            lengths = (goal.tolerance_m, at.bound_m, before.arrival.error_m, at.arrival.error_m)
+            longer = plan.certificate.length_mm - bare.certificate.length_mm
+            place = number if len(scenario.targets) > 1 else 0
+            results.append(Compared(name, "", *(1e3 * x for x in lengths), causes, longer, spent_s, place))
+            print(results[-1].row(), file=sys.stderr, flush=True)
+    return results
+
+
+def by_scenario(results: list[Compared]) -> list[tuple[object, ...]]:
+    """A row for each scenario, whose name every query begins with: medians, and the worst in brackets."""
+    names, rows = [result.name.split()[0] for result in results], []
+    for name in dict.fromkeys(names):
+        asked = [result for result, its in zip(results, names, strict=True) if its == name]
+        planned = [result for result in asked if not result.why]
+        counts = [f"{len(planned)} of {len(asked)}", str(sum(result.is_green for result in planned))]
+        values = [[getattr(result, key) for result in planned] for key in ("bound", "before", "after", "longer")]
+        lengths = [f"{np.median(of) + 0.0:.2f} ({max(of) + 0.0:.2f}) mm" for of in values if of]
+        spent_s = [result.spent_s for result in planned]
+        rows.append(
+            (name, *counts, *lengths, *([f"{np.median(spent_s):.0f} ({max(spent_s):.0f}) s"] if planned else []))
+        )
+    return rows
+
+
+OF_QUERIES = ("scenario", "planned", "within tolerance", "bound at the target", "arrival before", "arrival")
+OF_QUERIES += ("longer by", "processor")
+
+
 INNERMOST = {
     "outer_diameter_mm": 1.5, "inner_diameter_mm": 1.2, "bending_stiffness_Nm2": 0.007, "poisson_ratio": 0.3,
     "collar_length_mm": 17, "section": [
         {"length_mm": 240, "curvature_x_per_m": 0, "curvature_y_per_m": 0},
-        {"length_mm": 80, "curvature_x_per_m": 0, "curvature_y_per_m": 20.0},
+        {"length_mm": 80, "curvature_x_per_m": 0, "curvature_y_per_m": 6.0},
     ],
 }  # fmt: skip
 
@@ -125,20 +169,21 @@ def task(robot: Robot, rng: np.random.Generator) -> Scenario:
             return replace(bare, start=a, goal=Goal(None, shapes[1].frictionless.tip_m, 1e-3))
 
 
-def past(robot: Robot, at: Array, rng: np.random.Generator) -> Array:
-    """(K, m) corners of a random way that ends at joints (m,)."""
+def way(robot: Robot, at: Array, rng: np.random.Generator) -> Array:
+    """(K, m) corners of a random way from joints (m,) and back: two in a hundred turn a joint by up to 720 deg."""
     space, drive = JointSpace.of_robot(robot), robot.drive
     points = [at]
-    for _ in range(rng.integers(1, 4)):
-        q, kind = points[-1].copy(), rng.integers(4)
-        if kind == 0:  # turns of one joint
+    for _ in range(rng.integers(1, 3)):
+        q, kind = points[-1].copy(), rng.choice(4, p=[0.02, 0.38, 0.3, 0.3])
+        turn = rng.uniform(-1, 1, len(q)) * 10 ** rng.uniform(-2, -0.3)
+        if kind == 0:
             q[rng.choice(np.flatnonzero(drive.is_rotation))] += rng.uniform(-4 * np.pi, 4 * np.pi)
-        elif kind == 1:  # of all
-            q += np.where(drive.is_rotation, rng.uniform(-np.pi, np.pi, len(q)) * rng.choice([0.1, 0.3, 1]), 0.0)
+        elif kind == 1:
+            q += np.where(drive.is_rotation, turn, 0.0)
         elif kind == 2:
-            q += np.where(drive.is_rotation, 0.0, rng.uniform(-20e-3, 20e-3, len(q)))
+            q += np.where(drive.is_rotation, 0.0, rng.uniform(-1, 1, len(q)) * 10 ** rng.uniform(-4, -2.3))
         else:  # an oscillation that fades
-            turn = np.where(drive.is_rotation, rng.uniform(-1, 1, len(q)), 0.0)
+            turn = np.where(drive.is_rotation, turn, 0.0)
             points += [np.clip(q + (-0.7) ** k * turn, drive.lower, drive.upper) for k in range(6)]
         points.append(np.clip(q, drive.lower, drive.upper))
     ways = [q for q in (*points, *_one_by_one(points[-1], at, rng)) if space.allowed(q)]
@@ -169,48 +214,124 @@ def executed(robot: Robot, waypoints: Array, rng: np.random.Generator) -> Array:
     return np.array(rows)
 
 
-def hunted(name: str, content: dict[str, Any], pasts: int, seed: int) -> list[tuple[object, ...]]:
+def pasts(
+    robot: Robot, at: Array, count: int, away_m: float, rng: np.random.Generator, accuracy: Accuracy = "search"
+) -> tuple[list[HistoryState], ...]:
+    """States at joints (m,) after pasts, and those more than `away_m` from the frictionless tip: of another branch.
+
+    Every return to the joints ends a past, the moves of which are all those before it. What finds no equilibrium, or
+    ends on another branch, is gone back on.
+    """
+    history, states, others = robot.history("released", accuracy=accuracy), list[HistoryState](), list[HistoryState]()
+    history.advance(*robot.drive.collars(at))
+    frictionless = robot.solve(*robot.drive.collars(at)).tip_m
+    for _ in range(count):
+        before = history.save()
+        try:
+            tip = history.follow(*robot.drive.collars(way(robot, at, rng))).position_m[-1]
+        except CtrplanError:
+            tip = np.full(3, np.nan)
+        if np.linalg.norm(tip - frictionless) <= away_m:
+            states.append(history.save())
+            continue
+        if np.isfinite(tip).all():
+            others.append(history.save())
+        history.restore(before)
+    return states, others
+
+
+def driven(
+    robot: Robot, states: list[HistoryState], corners: Array, accuracy: Accuracy = "search"
+) -> tuple[Array, int]:
+    """(S, 3) tips after a motion through corners (K, m), and how many states there are; NaN without an equilibrium.
+
+    States that have become the same are driven once from there on.
+    """
+    steps = [np.abs(np.diff(rows, axis=0)).max(axis=1) for rows in robot.drive.collars(corners)]
+    counts = np.ceil(np.maximum(steps[0] / STEP_RAD, steps[1] / STEP_M)).astype(int)
+    rows = [
+        a + np.linspace(0, 1, n + 1)[1:, None] * (b - a)
+        for (a, b), n in zip(itertools.pairwise(corners), counts, strict=True)
+    ]
+    joints = np.vstack([corners[:1], *rows])
+    _, begun = predict_end(robot, joints[:1], states, accuracy)
+    states, different = begun or states, len({id(state) for state in begun})
+    tips = np.full((len(states), 3), np.nan)
+    for begin in range(1, len(joints), MERGED_EVERY):
+        prediction, after = predict_end(robot, joints[begin : begin + MERGED_EVERY], states, accuracy)
+        if not after:
+            return np.array([_end_of(robot, state, joints[begin:], accuracy) for state in states]), different
+        tips, states = prediction.tip_m[:, -1], after
+    return tips, different
+
+
+def _end_of(robot: Robot, state: HistoryState, joints: Array, accuracy: Accuracy) -> Array:
+    history = robot.history(accuracy=accuracy)
+    history.restore(state)
+    try:
+        return np.asarray(history.follow(*robot.drive.collars(joints)).position_m[-1])
+    except CtrplanError:
+        return np.full(3, np.nan)
+
+
+def hunted(
+    name: str, content: dict[str, Any], count: int, sets: int, seed: int, accuracy: Accuracy
+) -> list[tuple[object, ...]]:
     robot, rng, rows = uncertain(content), np.random.default_rng([seed, len(name)]), []
     while len(rows) < 2:
         scenario = task(robot, rng)
+        scenario = replace(scenario, planner=msgspec.structs.replace(scenario.planner, time_s=1.0))
         try:
-            plan = ctrplan.plan(scenario, time_s=1.0, seed=seed)
-        except NoAnswerError:
+            plan = ctrplan.plan(scenario, seed=seed)
+        except NoAnswerError as error:
+            print(f"{name}: {error}", file=sys.stderr)
             continue
-        arrival, start = plan.certificate.arrival, robot.drive.collars(scenario.start)
+        arrival, start = plan.certificate.arrival, scenario.start
         assert arrival is not None and scenario.goal.tip_m is not None
-        bound = robot.bound(*start)
-        seen, other, failed = [], 0, 0
-        for _ in range(pasts):
+        away_m, seen, other, failed, different = (
+            robot.bound(*robot.drive.collars(start)).position_m + BOUND_M,
+            [],
+            [],
+            0,
+            0,
+        )
+        for _ in range(sets):
             mu = [rng.uniform(*contact.friction_coefficient) for contact in robot.contacts]
             contacts = [replace(c, friction_coefficient=(m, m)) for c, m in zip(robot.contacts, mu, strict=True)]
-            driven = replace(robot, contacts=tuple(contacts)).history("released")
-            try:
-                before = driven.follow(*robot.drive.collars(past(robot, scenario.start, rng)))
-                away_m = np.linalg.norm(before.position_m[-1] - bound.frictionless.tip_m)
-                end = driven.follow(*robot.drive.collars(executed(robot, plan.waypoints, rng))).position_m[-1]
-            except CtrplanError:
-                failed += 1
-                continue
-            if not away_m <= bound.position_m + BOUND_M:
-                other += 1
-            else:
-                seen.append(float(np.linalg.norm(end - scenario.goal.tip_m)))
+            drawn, motion = replace(robot, contacts=tuple(contacts)), executed(robot, plan.waypoints, rng)
+            states, others = pasts(drawn, start, count // sets, away_m, rng, accuracy)
+            tips, apart = driven(drawn, states, motion, accuracy)
+            failed, different = failed + count // sets - len(states) - len(others), different + apart
+            seen += np.linalg.norm(tips - scenario.goal.tip_m, axis=1).tolist()
+            if others:
+                tips, _ = driven(drawn, others, motion, accuracy)
+                other += np.linalg.norm(tips - scenario.goal.tip_m, axis=1).tolist()
         largest, claimed = max(seen, default=np.nan), arrival.error_m
-        outside = sum(error > claimed for error in seen)
+        outside, lost = (sum(not error <= claimed for error in errors) for errors in (seen, other))
         lengths = [f"{1e3 * x:.3f} mm" for x in (largest, claimed)]
         bound_mm = f"{1e3 * plan.certificate.goal_bound_m:.2f} mm"
-        rows.append((name, len(seen), other, failed, outside, *lengths, f"{largest / claimed:.2f}", bound_mm))
-        print(rows[-1], flush=True)
+        others = f"{len(other)}, of them outside {lost}" if other else "0"
+        rows.append(
+            (name, len(seen), different, others, failed, outside, *lengths, f"{largest / claimed:.2f}", bound_mm)
+        )
+        print(rows[-1], f"{time.process_time():.0f} s", file=sys.stderr, flush=True)
     return rows
 
 
-def way_to(robot: Robot, theta: Array, l: Array, turn: Array, slide: Array, rows: int) -> tuple[float, list[float]]:  # noqa: E741
+def way_to(
+    robot: Robot,
+    theta: Array,
+    l: Array,  # noqa: E741
+    turn: Array,
+    slide: Array,
+    rows: int,
+    options: HistoryOptions | None = None,
+) -> tuple[float, list[float]]:
     """Largest distance [mm] of tips at first, and shares of the way after which 1 and 0.1 % of it are left."""
     starts = ["released", *itertools.product((1.0, -1.0), repeat=robot.n - 1)]
     share, tips = np.linspace(0, 1, rows + 1)[:, None], []
     for start in starts:
-        tips.append(robot.history(start).follow(theta + share * turn, l + share * slide).position_m)
+        tips.append(robot.history(start, options=options).follow(theta + share * turn, l + share * slide).position_m)
     apart = np.max([np.linalg.norm(a - b, axis=1) for a, b in itertools.combinations(tips, 2)], axis=0)
     last = [np.flatnonzero(apart > left * apart[0]) for left in (0.01, 0.001)]
     return 1e3 * apart[0], [(above[-1] + 1) / rows if above[-1] < rows else np.inf for above in last]
@@ -240,6 +361,15 @@ def erasure() -> None:
         if gap is None:
             first, left = way_to(robot, np.radians([0, angle]), place, np.radians([0, 180]), np.zeros(2), 360)
             rows.append((what, "turn", f"{first:.1f} mm", *(said(180 * x, "deg") for x in left)))
+    pair_robot, at = robot_from_dict(pair), (np.radians([0, 120]), np.array([0, -90e-3]))
+    for what, options in (
+        ("0.25 mm, 0.5 deg", HistoryOptions(translation_m=0.25e-3, rotation_rad=np.radians(0.5))),
+        ("0.05 mm, 0.1 deg", HistoryOptions(translation_m=0.05e-3, rotation_rad=np.radians(0.1))),
+    ):
+        for motion, turn, slide, scale, unit in (("slide", 0, 30e-3, 30, "mm"), ("turn", np.pi, 0, 180, "deg")):
+            first, left = way_to(pair_robot, *at, np.array([0, turn]), np.array([0, slide]), 300, options)
+            said_of = (f"{first:.1f} mm", *(said(scale * x, unit) for x in left))
+            rows.append((f"pair, 120 deg, friction 0.2, steps of {what}", motion, *said_of))
     robot, at = robot_from_dict(three), (np.radians([0, 60, 40]), np.array([0, -17e-3, -80e-3]))
     moves = {
         "inner slides": ([0, 0, 0], [0, 0, 40e-3]),         "inner turns": ([0, 0, np.pi], [0, 0, 0]),
@@ -253,32 +383,35 @@ def erasure() -> None:
     table("erasure", ("robot", "motion", "apart at first", "1 % is left after", "0.1 %"), rows)
 
 
+OF_HUNT = ("robot", "pasts", "states", "of another branch", "without equilibrium", "outside", "largest seen", "claimed")
+OF_HUNT += ("ratio", "bound")
+
+
 def main() -> None:
     parser = common.parser(__doc__)
     parser.add_argument("section", choices=["scenarios", "queries", "hunt", "erasure"])
     parser.add_argument("names", nargs="*")
-    parser.add_argument("--count", type=int, default=46)
     parser.add_argument("--pasts", type=int, default=10_000)
+    parser.add_argument("--accuracy", choices=["search", "certificate"], default="search", help="mesh of the hunt")
+    parser.add_argument("--sets", type=int, default=50)
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args()
     if given.section == "scenarios":
         paths = [p for p in sorted(SCENARIOS.glob("*.toml")) if not given.names or p.stem in given.names]
-        table("scenarios", HEAD, compared([(path.stem, ctrplan.load_scenario(path)) for path in paths]))
+        results = compared([(path.stem, ctrplan.load_scenario(path)) for path in paths])
+        table("scenarios", HEAD, [result.row() for result in results])
     elif given.section == "queries":
-        table("queries", HEAD, compared([(query.name, query.load([])) for query in queries()[: given.count]]))
+        chosen = [query for query in queries() if not given.names or query.scenario in given.names]
+        results = compared([(query.name, query.load([])) for query in chosen])
+        table("queries, each", HEAD, [result.row() for result in results])
+        table("queries", OF_QUERIES, by_scenario(results))
     elif given.section == "hunt":
-        chosen = {name: content for name, content in robots().items() if not given.names or name in given.names}
-        head = (
-            "robot",
-            "pasts",
-            "of another branch",
-            "without equilibrium",
-            "outside",
-            "largest seen",
-            "claimed",
-            "ratio",
-        )
-        found = [row for name, content in chosen.items() for row in hunted(name, content, given.pasts, given.seed)]
-        table("hunt", (*head, "bound"), found)
+        robots_of = {name: content for name, content in robots().items() if not given.names or name in given.names}
+        found = [
+            row
+            for name, content in robots_of.items()
+            for row in hunted(name, content, given.pasts, given.sets, given.seed, given.accuracy)
+        ]
+        table("hunt", OF_HUNT, found)
     else:
         erasure()

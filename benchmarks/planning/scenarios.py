@@ -12,6 +12,7 @@ from pathlib import Path
 
 import common
 import numpy as np
+from arrival import driven, pasts
 from common import SCENARIOS, table
 
 import ctrplan
@@ -23,7 +24,8 @@ from ctrplan.scenario.scenario import Cost, path_cost_mm
 
 BLIND = ["cost.error_along=0", "cost.error_goal=0"]
 COLUMNS = ("scenario", "bound in the cost", "first certified path", "cost", "joint length", "worst bound")
-COLUMNS += ("bound at the goal", "less what is released", "predicted", "stops")
+COLUMNS += ("bound at the goal", "less what is released", "predicted", "arrival", "driven after random pasts", "stops")
+PASTS = 20  # from which each plan is simulated
 
 
 def cost_mm(plan: Plan, weights: Cost) -> float:
@@ -41,8 +43,22 @@ def cost_mm(plan: Plan, weights: Cost) -> float:
 def cells(plan: Plan, weights: Cost) -> list[str]:
     c = plan.certificate
     errors = c.worst_bound_m, c.goal_bound_m, c.samples.released_m[-1], c.goal_predicted_m
+    errors += (c.arrival.error_m if c.arrival else np.nan,)
     lengths = [f"{cost_mm(plan, weights):.0f} mm", f"{c.length_mm:.0f} mm", *(f"{1e3 * x:.2f} mm" for x in errors)]
-    return [f"{plan.first_certified_s:.1f} s", *lengths, str(c.stops)]
+    return [f"{plan.first_certified_s:.1f} s", *lengths, driven_mm(plan), str(c.stops)]
+
+
+def driven_mm(plan: Plan) -> str:
+    """Median and largest distance from the target, or from the frictionless tip at joint values, after random pasts."""
+    scenario, rng = plan.scenario, np.random.default_rng(0)
+    robot, goal = scenario.robot, scenario.goal
+    states, _ = pasts(robot, plan.waypoints[0], PASTS, np.inf, rng)
+    tips, _ = driven(robot, states, plan.waypoints)
+    target = robot.solve(*robot.drive.collars(plan.waypoints[-1])).tip_m
+    if goal.tip_m is not None:
+        target = scenario.base_R.T @ (goal.tip_m - scenario.base_position_m)
+    off = 1e3 * np.linalg.norm(tips - target, axis=1)
+    return f"{np.median(off):.2f}, {off.max():.2f} mm"
 
 
 def plans(paths: list[Path], seed: int) -> None:

@@ -30,6 +30,7 @@ from ctrplan.scenario.prediction import (
     TIP_TOLERANCE_M,
     FrictionStart,
     PathPrediction,
+    are_same,
     ball_centre,
     predict,
     rows_to_simulate,
@@ -46,6 +47,7 @@ if TYPE_CHECKING:
 FORGOTTEN = 0.01  # share of all friction states below which a pair has forgotten its past
 ROUNDING = 1e-9  # rad or m by which joints at rest may differ
 MOST_RESTARTS = 3  # waypoints that are tried, a budget
+COMPARED_EVERY = 5  # rows after which a detour is compared with the prediction
 LAST_LEGS = 2  # whose inexact execution is simulated: those before leave next to nothing, a budget
 MATTERS = 0.05  # share of the largest cause below which another is not worth a word
 MOST_CORNERS = 16  # robots at ends of their friction intervals, a budget
@@ -331,41 +333,52 @@ def _execution(robot: Robot, joints: Array, leg: NDArray[np.int_], prediction: P
     """[m] by which inexact execution of the last legs may move the tip at the end: their effects added up.
 
     Joints go beyond the end of a leg by the drive's tolerance and come back; where several move, the first or the last
-    of them is late by it. What is left of that after the rest of the motion is simulated.
+    of them is late by it. What is left of that after the rest of the motion is simulated, as far as there is something.
     """
     drive, kept = robot.drive, dict(prediction.states)
     space = JointSpace.of_robot(robot)
     most = np.where(drive.is_rotation, drive.execution.rotation_rad, drive.execution.translation_m)
     last = np.flatnonzero(np.diff(leg, append=leg[-1] + 1) > 0)
-    runs: list[tuple[HistoryState, Array]] = []
+    runs: list[tuple[HistoryState, Array, int]] = []
     for row in last[-LAST_LEGS:].tolist():
         begin = max(int(np.argmax(leg == leg[row])) - 1, 0)
         moved = joints[row] - joints[begin]
         way = np.where(np.abs(moved) > ROUNDING, np.sign(moved) * most, 0.0)
-        after, moving = joints[last[last > row]], np.flatnonzero(way)
+        moving = np.flatnonzero(way)
         beyond = np.clip(joints[row] + way, drive.lower, drive.upper)
         if row in kept and way.any() and space.allowed(beyond):  # else the drive is exact, or at a stop
-            runs.append((kept[row], np.vstack([beyond, joints[row], after])))
+            runs.append((kept[row], np.array([beyond, joints[row]]), row))
         for joint in {int(moving[0]), int(moving[-1])} if len(moving) > 1 and row - 1 in kept else ():
             late = joints[row] - np.where(np.arange(len(way)) == joint, way, 0.0)
             if space.allowed(late):
-                runs.append((kept[row - 1], np.vstack([late, joints[row], after])))
+                runs.append((kept[row - 1], np.array([late, joints[row]]), row))
     with ThreadPoolExecutor(cores()) as pool:
-        tips = list(pool.map(lambda run: _end_of(robot, *run), runs))
+        tips = list(pool.map(lambda run: _end_of(robot, joints, prediction, *run), runs))
     away = np.linalg.norm(np.array(tips).reshape(-1, 3) - prediction.tip_m[0, -1], axis=1)
     return float(np.nan_to_num(away, nan=np.inf).sum())
 
 
-def _end_of(robot: Robot, state: HistoryState, joints: Array) -> Array:
-    """(3,) tip after moving on from a state through joints (K, m); NaN where no equilibrium is found."""
-    theta_b, l_b = robot.drive.collars(joints)
+def _end_of(
+    robot: Robot, joints: Array, prediction: PathPrediction, state: HistoryState, detour: Array, row: int
+) -> Array:
+    """(3,) tip after a detour (D, m) from a state to a row of joints (K, m), and the rest of them.
+
+    That of the prediction as soon as the detour is forgotten; NaN where no equilibrium is found.
+    """
     history = robot.history()
     try:
         history.restore(state)
-        tip: Array = history.follow(theta_b, l_b).position_m[-1]
+        path, begin = history.follow(*robot.drive.collars(detour)), row + 1
+        while begin < len(joints):
+            path = history.follow(*robot.drive.collars(joints[begin : begin + COMPARED_EVERY]))
+            begin += len(path.position_m)
+            pose = np.concatenate([path.position_m[-1], path.tangent[-1], path.phi[-1]])
+            known = (part[0, begin - 1] for part in (prediction.tip_m, prediction.tangent, prediction.phi))
+            if are_same(pose, np.concatenate([*known])[None])[0]:
+                return np.asarray(prediction.tip_m[0, -1])
     except CtrplanError:
         return np.full(3, np.nan)
-    return tip
+    return np.asarray(path.position_m[-1])
 
 
 def _parameters(robot: Robot, joints: Array) -> float:

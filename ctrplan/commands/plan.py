@@ -10,9 +10,8 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ctrplan.base.arguments import SEARCH_TIME, SEED
 from ctrplan.base.long_work import INTERRUPTED, interrupt_event
@@ -32,7 +31,6 @@ if TYPE_CHECKING:
     from ctrplan.files.trajectory_file import TrajectoryFormat
     from ctrplan.plans.plan import Plan
     from ctrplan.reports.plan_words import TargetArrival
-    from ctrplan.robot.robot import Robot
 
 MAY_MISS = 3  # exit code: a safe plan was written, which may miss its target or is short of a requirement
 FORMATS = ("csv", "ros2")  # of the trajectory, where --formats says nothing
@@ -120,9 +118,37 @@ def run(arguments: argparse.Namespace) -> int:
         return MAY_MISS
 
 
-LEVERS_S = 10.0  # after which no other lever is looked for, a budget
-LEVER_SEARCH_S = 2.0  # of another search, a budget
-FINISH_S = 3.0  # that a plan takes after its search: later none is begun
+LEVERS_S = 10.0  # after which no lever is waited for, a budget
+LEVER_SEARCH_S = 2.0  # of work counted in another search, a budget
+POLL_S = 0.1  # between two looks at what is computed
+
+
+@dataclass(frozen=True)
+class Command:
+    """What the command was given, or what is to be typed in its place."""
+
+    scenario: str
+    overrides: tuple[str, ...]
+    seed: int
+    is_compensated: bool
+    allow_outside: bool
+
+    def with_keys(self, *overrides: str) -> Command:
+        """The command with keys of the scenario set anew."""
+        keys = [text.split("=")[0].strip() for text in overrides]
+        kept = [text for text in self.overrides if text.split("=")[0].strip() not in keys]
+        return replace(self, overrides=(*kept, *overrides))
+
+    def line(self, arguments: argparse.Namespace) -> str:
+        """To be typed into a shell; output and time of the search as they were given, the latter unless it is a key."""
+        words = ["ctrplan", "plan", self.scenario, "-o", str(arguments.output)]
+        words += [word for text in self.overrides for word in ("--set", text)]
+        words += ["--seed", str(self.seed)] if self.seed else []
+        if arguments.time is not None and not any(text.startswith("planner.time_s") for text in self.overrides):
+            words += ["--time", f"{arguments.time:g}"]
+        words += [] if self.is_compensated else ["--no-compensation"]
+        words += ["--allow-outside"] if self.allow_outside else []
+        return shlex.join(words)
 
 
 @dataclass(frozen=True)
@@ -130,143 +156,186 @@ class Lever:
     """Something that would bring the arrival nearer to its target: a plan, or an arrival, that was computed."""
 
     what: str
-    error_m: float  # of the worst target's arrival with it
-    options: tuple[str, ...]  # to add to the command, or another command
+    off: float  # how far the worst target may be missed with it: m, or rad where only the direction is off
+    command: Command | str  # to be typed; a string where it needs what only the user has
 
 
-def levers(plan: Plan, seed: int, until_s: float, interrupted: threading.Event) -> Iterator[Lever]:
+@dataclass
+class Levers:
+    """What was computed in time, and the names of what was not."""
+
+    computed: list[Lever]
+    missing: list[str]
+
+
+def levers(
+    plan: Plan, command: Command, until_s: float, interrupted: threading.Event, told: Callable[[], object]
+) -> Levers:
     """What would help a plan that may miss its target, each computed, until a time of `time.monotonic`.
 
-    First what follows from the arrival's causes, then other endings, other plans and other bases, as long as there is
-    time. Setting `interrupted` ends a search.
+    What follows from the arrival's causes is known at once. Other plans are made in processes of their own, which are
+    ended when the time is over or `interrupted` is set: planning cannot be told to end in the middle of a simulation.
     """
+    from concurrent.futures import FIRST_COMPLETED, wait
+
     from ctrplan.reports.plan_words import worst_arrival
+    from ctrplan.studies.child_process import ChildEnded, ChildExecutor
 
     worst = worst_arrival(plan)
     if worst is None or worst.arrival is None:
-        return
-    yield from _known_better(plan, worst.arrival)
-    timer = threading.Timer(max(until_s - time.monotonic() - FINISH_S, 0.1), interrupted.set)
-    timer.daemon = True
-    timer.start()
-    try:
-        for what, options, made in _replanned(plan, seed, interrupted):
-            if time.monotonic() > until_s - FINISH_S or interrupted.is_set():
-                return
-            with suppress(CtrplanError, KeyboardInterrupt):
-                other = worst_arrival(made())
-                if other is not None:
-                    yield Lever(what, other.error_m, options)
-    finally:
-        timer.cancel()
+        return Levers([], [])
+    is_turned = worst.error_m <= worst.tolerance_m
+    computed = [] if is_turned else [*_known_better(plan, worst.arrival, command)]
+    with ChildExecutor() as children:
+        tries = {children.submit(function, *given): what for what, function, given in _tries(plan, worst, command)}
+        pending = set(tries)
+        while pending and time.monotonic() < until_s and not interrupted.is_set():
+            done, pending = wait(pending, timeout=POLL_S, return_when=FIRST_COMPLETED)
+            for future in done:
+                with suppress(ChildEnded):
+                    error_m, error_rad, improved = future.result()
+                    computed.append(Lever(tries[future], error_rad if is_turned else error_m, improved))
+            told()
+        return Levers(computed, [what for future, what in tries.items() if future in pending])
 
 
 def _print_levers(arguments: argparse.Namespace, plan: Plan, interrupted: threading.Event) -> None:
     """What would help, ranked, each with the line to type; the plan is written already."""
     from ctrplan.reports.plan_words import worst_arrival
 
-    worst, results = worst_arrival(plan), list[Lever]()
+    worst = worst_arrival(plan)
     if worst is None:
         return
+    overrides, is_compensated = tuple(arguments.overrides), not arguments.no_compensation
+    command = Command(arguments.scenario, overrides, arguments.seed, is_compensated, arguments.allow_outside)
     began = time.monotonic()
     with ProgressBar(quiet=arguments.quiet, patience_s=0.0) as bar:
-        bar.show("what would help", 0.0)
-        for lever in levers(plan, arguments.seed, began + LEVERS_S, interrupted):
-            results.append(lever)
+
+        def told() -> None:
             bar.show("what would help", min(1.0, (time.monotonic() - began) / LEVERS_S))
-    was_cut = interrupted.is_set() and time.monotonic() - began < LEVERS_S - FINISH_S
-    given = ["ctrplan", "plan", arguments.scenario, "-o", arguments.output]
-    given += [word for override in arguments.overrides for word in ("--set", override)]
-    helpful = sorted((lever for lever in results if lever.error_m < worst.error_m), key=lambda lever: lever.error_m)
-    table = worst_table(plan, worst)
-    enough_mm = math.ceil(worst.error_m * 1e5) / 100 if math.isfinite(worst.error_m) else math.inf
-    tolerance = [Lever("another tolerance", worst.error_m, _set([f"{table}={enough_mm:g}"]))]
-    print(f"  what would bring it below {worst.error_m * 1e3:.2f} mm, computed:")
-    for lever in (*helpful, *(tolerance if math.isfinite(worst.error_m) else ())):
-        is_command = lever.options[0].startswith("ctrplan ")
-        line = f"{lever.options[0]} ..." if is_command else shlex.join([*given, *lever.options])
-        print(f"    {lever.error_m * 1e3:8.2f} mm  {lever.what}: {line}")
-    if was_cut:
-        print("    interrupted: other levers were not computed")
+
+        told()
+        result = levers(plan, command, began + LEVERS_S, interrupted, told)
+    is_turned = worst.error_m <= worst.tolerance_m
+    off, most = (worst.error_rad, worst.direction_tolerance_rad) if is_turned else (worst.error_m, worst.tolerance_m)
+    unit, scale = ("deg", math.degrees(1.0)) if is_turned else ("mm", 1e3)
+    helpful = sorted((lever for lever in result.computed if lever.off < off), key=lambda lever: lever.off)
+    print(
+        f"  what would bring it below {off * scale:.2f} {unit}, computed:" if helpful else "  nothing computed helps:"
+    )
+    for lever in helpful:
+        enough = " (enough)" if most is not None and lever.off <= most else ""
+        line = lever.command if isinstance(lever.command, str) else lever.command.line(arguments)
+        print(f"    {lever.off * scale:8.2f} {unit}{enough}  {lever.what}: {line}")
+    if math.isfinite(off):
+        key = f"{worst_table(plan, worst)}.{'direction_tolerance_deg' if is_turned else 'tolerance_mm'}"
+        allowed = command.with_keys(f"{key}={math.ceil(off * scale * 100) / 100:g}")
+        print(f"    as it is, with another tolerance: {allowed.line(arguments)}")
+    if result.missing:
+        why = "interrupted" if interrupted.is_set() else f"not within {LEVERS_S:g} s"
+        print(f"    not computed ({why}): {', '.join(dict.fromkeys(result.missing))}")
 
 
 def worst_table(plan: Plan, worst: TargetArrival) -> str:
-    """The key of the scenario's file with the tolerance of a target."""
+    """The table of the scenario's file with the tolerances of a target."""
     names = {"the target": plan.scenario.goal.table}
     names |= {f"target {k}": goal.table for k, goal in enumerate(plan.scenario.via, start=1)}
-    return f"{names[worst.target.split(' (')[0]]}.tolerance_mm"
+    return names[worst.target.split(" (")[0]]
 
 
-def _known_better(plan: Plan, arrival: Arrival) -> Iterator[Lever]:
-    """Uncertainties known to half, which the arrival's own shares tell; contacts' friction is simulated again."""
-    scenario, cause = plan.scenario, arrival.by_cause
-    stated = scenario.registration
+def _known_better(plan: Plan, arrival: Arrival, command: Command) -> Iterator[Lever]:
+    """Uncertainties known to half, which the arrival's own shares tell."""
+    cause, stated = arrival.by_cause, plan.scenario.registration
     if cause.registration_m > 0:
         position, rotation = stated.position_sigma_m * 1e3 / 2, math.degrees(stated.rotation_sigma_rad) / 2
         better = [f"base.position_sigma_mm={position:.3g}"] if position else []
         better += [f"base.rotation_sigma_deg={rotation:.3g}"] if rotation else []
-        yield Lever("a registration twice as good", arrival.error_m - cause.registration_m / 2, _set(better))
-    halved = {
-        k: (float(3 * low + high) / 4, float(low + 3 * high) / 4)
-        for k, (low, high) in enumerate(scenario.robot.friction.tolist())
+        located = command.with_keys(*better)
+        yield Lever("a registration twice as good", arrival.error_m - cause.registration_m / 2, located)
+    if cause.parameters_m > 0:
+        what, by_measuring = "parameters known to half their intervals", "ctrplan calibrate ROBOT MEASUREMENTS"
+        yield Lever(what, arrival.error_m - cause.parameters_m / 2, by_measuring)
+
+
+Answer = tuple[float, float, Command]  # [m] and [rad] that the worst target may be missed by, with a command
+
+
+def _tries(
+    plan: Plan, worst: TargetArrival, command: Command
+) -> Iterator[tuple[str, Callable[..., Answer], tuple[Any, ...]]]:
+    """What may help, the likeliest first: its name, a function that computes it, and its arguments."""
+    scenario, arrival = plan.scenario, worst.arrival
+    short = command
+    if scenario.planner.time_s > LEVER_SEARCH_S:
+        short = command.with_keys(f"planner.time_s={LEVER_SEARCH_S:g}")
+    if not command.is_compensated:
+        yield "compensation", _replanned, (replace(short, is_compensated=True),)
+    friction = scenario.robot.friction.tolist()
+    halves = {
+        f"robot.contact.{k}.friction_coefficient=[{(3 * low + high) / 4:.4g}, {(low + 3 * high) / 4:.4g}]"
+        for k, (low, high) in enumerate(friction, start=1)
         if low < high
     }
-    if halved and cause.coefficients_m > 0:
-        known = list(scenario.robot.contacts)
-        for k, interval in halved.items():
-            known[k] = replace(known[k], friction_coefficient=interval)
-        left_m = _arrival_of(plan, replace(scenario.robot, contacts=tuple(known))).by_cause.coefficients_m
-        error_m = arrival.error_m - (cause.coefficients_m - left_m)
-        intervals = [f"robot.contact.{k + 1}.friction_coefficient=[{a:.4g}, {b:.4g}]" for k, (a, b) in halved.items()]
-        yield Lever("friction coefficients known to half their intervals", error_m, _set(intervals))
-    if cause.parameters_m > 0:
-        what = "parameters calibrated to half their intervals"
-        yield Lever(what, arrival.error_m - cause.parameters_m / 2, ("ctrplan calibrate",))
-
-
-def _set(keys: Sequence[str]) -> tuple[str, ...]:
-    """Options that set keys."""
-    return tuple(word for key in keys for word in ("--set", key))
-
-
-def _arrival_of(plan: Plan, robot: Robot) -> Arrival:
-    """The arrival of the plan's motion at its goal with another robot."""
-    from ctrplan.certificate.arrival import arrival, simulated_rows
-    from ctrplan.scenario.prediction import predict_end, start_states
-
-    samples, scenario = plan.certificate.samples, replace(plan.scenario, robot=robot, via=())
-    rows, keep = simulated_rows(scenario, samples.joints, samples.leg)
-    path, starts = (samples.joints[rows], samples.leg[rows]), start_states(scenario)
-    prediction, _ = predict_end(robot, path[0], starts, keep=keep)
-    bound_m, play_m = plan.certificate.goal_bound_m, plan.certificate.goal_play_m
-    return arrival(scenario, *path, prediction, starts, goal_bound_m=bound_m, play_m=play_m)
-
-
-def _replanned(
-    plan: Plan, seed: int, interrupted: threading.Event
-) -> Iterator[tuple[str, tuple[str, ...], Callable[[], Plan]]]:
-    """Other plans that may arrive better, the likeliest first: what is changed, options, and how to make it."""
-    from msgspec.structs import replace as with_settings
-
-    from ctrplan.planning.place import place
-    from ctrplan.planning.planner import plan as planned
-
-    scenario, arrival = plan.scenario, plan.certificate.arrival
-    make = partial(planned, time_s=LEVER_SEARCH_S, interrupted=interrupted)
+    if halves and arrival and arrival.by_cause.coefficients_m > 0:
+        samples, certificate = plan.certificate.samples, plan.certificate
+        motion = (samples.joints, samples.leg, certificate.goal_bound_m, certificate.goal_play_m)
+        rest_m = arrival.error_m - arrival.by_cause.coefficients_m
+        known = command.with_keys(*sorted(halves))
+        yield "friction coefficients known to half their intervals", _better_known, (known, motion, rest_m)
+    yield "another path and goal state", _replanned, (replace(short, seed=command.seed + 1),)
     past_m = arrival.by_cause.past_m if arrival else 0.0
     for kind, what in (("auto", "an ending by which every pair slips"), ("oscillate", "an oscillation at the end")):
         if past_m > 0.1 * scenario.goal.tolerance_m and scenario.planner.settle != kind:
-            other = replace(scenario, planner=with_settings(scenario.planner, settle=kind))
-            yield what, _set([f'planner.settle="{kind}"']), partial(make, other, seed=seed)
-    for number in (seed + 1, seed + 2):
-        yield "another path and goal state", ("--seed", str(number)), partial(make, scenario, seed=number)
+            yield what, _replanned, (short.with_keys(f'planner.settle="{kind}"'),)
+    yield "another path and goal state", _replanned, (replace(short, seed=command.seed + 2),)
     if scenario.goal.joints is None:
+        yield "another base", _placed, (short,)
 
-        def moved() -> Plan:
-            pose = place(scenario, candidates=64, confirmed=2, interrupted=interrupted).poses[0]
-            return make(pose.scenario, seed=seed)
 
-        yield "another base", ("ctrplan place",), moved
+def _replanned(command: Command) -> Answer:
+    """The plan of a command; inf where there is none."""
+    from ctrplan.files.scenario_file import load_scenario
+    from ctrplan.planning import plan
+    from ctrplan.reports.plan_words import worst_arrival
+
+    try:
+        scenario = load_scenario(command.scenario, command.overrides, allow_outside=command.allow_outside)
+        worst = worst_arrival(plan(scenario, seed=command.seed, compensated=command.is_compensated))
+    except CtrplanError:
+        return math.inf, math.inf, command
+    return (worst.error_m, worst.error_rad, command) if worst else (math.inf, math.inf, command)
+
+
+def _placed(command: Command) -> Answer:
+    """The plan of a command with the base where `ctrplan place` would put it."""
+    from ctrplan.files.scenario_file import base_key, load_scenario
+    from ctrplan.planning.place import place
+
+    scenario = load_scenario(command.scenario, command.overrides, allow_outside=command.allow_outside)
+    try:
+        pose = place(scenario, candidates=64, confirmed=2).poses[0]
+    except CtrplanError:
+        return math.inf, math.inf, command
+    kept = tuple(text for text in command.overrides if not text.lstrip().startswith("base"))
+    return _replanned(replace(command, overrides=(*kept, base_key(scenario, pose))))
+
+
+def _better_known(command: Command, motion: tuple[Any, Any, float, float], rest_m: float) -> Answer:
+    """The arrival of a motion, joints (K, m) on legs (K,), with other intervals of friction: that of the rest of causes
+    and of these coefficients, simulated.
+    """
+    from ctrplan.certificate.arrival import arrival, simulated_rows
+    from ctrplan.files.scenario_file import load_scenario
+    from ctrplan.scenario.prediction import predict_end, start_states
+
+    joints, leg, bound_m, play_m = motion
+    scenario = load_scenario(command.scenario, command.overrides, allow_outside=command.allow_outside)
+    scenario = replace(scenario, via=())
+    rows, keep = simulated_rows(scenario, joints, leg)
+    path, starts = (joints[rows], leg[rows]), start_states(scenario)
+    prediction, _ = predict_end(scenario.robot, path[0], starts, keep=keep)
+    known = arrival(scenario, *path, prediction, starts, goal_bound_m=bound_m, play_m=play_m)
+    return rest_m + known.by_cause.coefficients_m, known.error_rad, command
 
 
 def _summary(folder: Path, plan: Plan, formats: Sequence[TrajectoryFormat]) -> str:

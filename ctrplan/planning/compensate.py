@@ -39,6 +39,7 @@ CLOSE_M = 0.02e-3  # of the predicted tip to the target; better than histories a
 REFINED = 2  # times that the middle over all coefficients of friction is looked at again, a budget
 DAMPING = 1e-4  # of the least-squares step, in units of (mm per mm) squared
 LONGEST_STEP_MM = 10.0  # of joint length
+AT_LIMIT = 1e-9  # rad or m from a joint's limit; rounding
 SHARES = (0.5, 0.25)  # of a correction, tried where no whole one is certified
 MOST_WAYS = 3 + len(SHARES)
 
@@ -84,6 +85,7 @@ def compensate(
     is_beyond_limits = False
     for k, way in enumerate(_corrected_ways(checker, corners, certificate, begun)):
         moved, delta = way.corners, way.delta
+        is_beyond_limits |= _is_at_limit(checker, moved[-1], delta)
         if not way.is_whole and best.certificate is not certificate:
             break
         if not checker.space.allowed(moved):
@@ -98,11 +100,20 @@ def compensate(
             best = Compensated(moved, checked, Compensation(delta, without, error, ""))
             if is_on_target(checked):
                 break
-    if best.certificate is certificate:
-        within = "the joints' limits" if is_beyond_limits else "limits, margins and the worst-case envelope"
-        why = f"no correction within {within} brings the predicted tip nearer"
-        return replace(best, compensation=replace(best.compensation, note=why))
-    return best
+    if is_on_target(best.certificate):
+        return best
+    within = "the joints' limits" if is_beyond_limits else "limits, margins and the worst-case envelope"
+    why = f"no correction within {within} brings the predicted tip nearer"
+    if best.certificate.arrival:
+        why = f"{best.certificate.arrival.by_cause.offset_m * MM_PER_M:.2f} mm of the known offset: {why}"
+    return replace(best, compensation=replace(best.compensation, note=why))
+
+
+def _is_at_limit(checker: MotionChecker, joints: Array, delta: Array) -> bool:
+    """Whether a joint that a correction moved stands at its limit."""
+    drive = checker.space.drive
+    stands = np.isclose(joints, drive.lower, atol=AT_LIMIT) | np.isclose(joints, drive.upper, atol=AT_LIMIT)
+    return bool(np.any(stands & (delta != 0)))
 
 
 def arrival_error(certificate: Certificate) -> float:

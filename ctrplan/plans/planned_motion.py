@@ -47,7 +47,7 @@ class Compensation:
     correction: Array  # (m,) rad or m, added to the last legs; zero where nothing could be gained
     error_without_m: float  # largest distance of a predicted tip from the goal's, over the start states
     error_with_m: float
-    note: str  # why there is no correction; empty if there is
+    note: str  # what is left of the known offset, and why; empty if nothing is
 
 
 @dataclass(frozen=True)

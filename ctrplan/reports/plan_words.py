@@ -50,6 +50,11 @@ class TargetArrival:
         return self.arrival.error_m if self.arrival else math.inf
 
     @property
+    def error_rad(self) -> float:
+        """Worst angle from the target's direction; inf where nothing is known."""
+        return self.arrival.error_rad if self.arrival else math.inf
+
+    @property
     def is_turned(self) -> bool:
         """Whether the tip's direction may be off by more than its tolerance."""
         most = self.direction_tolerance_rad

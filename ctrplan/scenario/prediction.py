@@ -249,24 +249,28 @@ def _follow(
         for begin, end in itertools.pairwise([0, *ends]):
             rows, apart = slice(begin, end), list(dict.fromkeys(histories))
             follow = partial(_block, theta_b[rows], l_b[rows], look, size)
-            different: list[tuple[History, Array]] = []
+            different, seen = list[History](), np.full((len(apart), size), np.nan)
             for history, (result, slid) in zip(apart, pool.map(follow, apart), strict=True):
                 alike = [k for k, other in enumerate(histories) if other is history]
                 poses[alike, rows], snaps = result, snaps + slid * len(alike)
-                same = [other for other, pose in different if _is_same(result[-1], pose)]
-                if not same:
-                    different.append((history, result[-1]))
-                for k in alike if same else ():
-                    histories[k] = same[0]
+                same = np.flatnonzero(are_same(result[-1], seen[: len(different)]))
+                if not len(same):
+                    seen[len(different)] = result[-1]
+                    different.append(history)
+                for k in alike if len(same) else ():
+                    histories[k] = different[same[0]]
             if end - 1 in keep and np.isfinite(poses[0, end - 1, 0]):
                 states.append((end - 1, histories[0].save()))
     return PathPrediction(poses[..., :3], poses[..., 3:6], poses[..., 6:], snaps, tuple(states))
 
 
-def _is_same(a: Array, b: Array) -> bool:
-    """Whether two histories are one from there on: tip, tangent and friction of pairs (6 + P,) are alike."""
+def are_same(a: Array, others: Array) -> NDArray[np.bool_]:
+    """(O,) whether histories are one with another from there on: tips, tangents and friction of pairs, (6 + P,) and
+    (O, 6 + P), are alike.
+    """
     most = np.concatenate([[SAME_M] * 3, [SAME_RAD] * 3, np.full(len(a) - 6, SAME_FRICTION)])
-    return bool(np.all(np.abs(a - b) < most))
+    same: NDArray[np.bool_] = np.all(np.abs(others - a) < most, axis=1)
+    return same
 
 
 def _block(theta_b: Array, l_b: Array, look: Look | None, size: int, history: History) -> tuple[Array, int]:

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import argparse
+import json
+import os
+import shlex
+import signal
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,13 +16,17 @@ import pytest
 from places import SCENARIOS
 
 import ctrplan
+from ctrplan.certificate import arrival as arrivals
 from ctrplan.certificate.arrival import Arrival, friction_variants
 from ctrplan.certificate.certificate import joined_certificates
 from ctrplan.certificate.certify import certify
 from ctrplan.certificate.other_equilibria import _windings, other_start
 from ctrplan.cli import main
+from ctrplan.commands import plan as plan_command
+from ctrplan.commands.plan import Command, _replanned
+from ctrplan.commands.terminal import ProgressBar
 from ctrplan.drive.drive import ExecutionTolerance
-from ctrplan.files.scenario_file import load_scenario
+from ctrplan.files.scenario_file import base_key, load_scenario
 from ctrplan.mechanics.friction import FrictionLaw
 from ctrplan.motion.checker import MotionChecker
 from ctrplan.planning.compensate import _Place, compensate
@@ -284,3 +293,125 @@ def test_a_correction_keeps_clear_of_what_stands_beside_the_way() -> None:
     plan = ctrplan.plan(scenario)
     found = plan.certificate.arrival
     assert found is not None and found.by_cause.offset_m < TIP_TOLERANCE_M and plan.certificate.min_clearance_m >= 0
+
+
+def test_what_joints_limits_leave_of_the_offset_is_said() -> None:
+    """The tube that must move on stands at its stop: the rest, and what stops it, are told."""
+    case = pair()
+    joints = [
+        replace(j, lower=min(a, b) - 1e-6, upper=max(a, b) + 1e-6)
+        for j, a, b in zip(case.robot.drive.joints, START, GOAL, strict=True)
+    ]
+    stopped = replace(case, robot=replace(case.robot, drive=replace(case.robot.drive, joints=tuple(joints))))
+    turned_last = np.array([START, [*START[:2], GOAL[2]], GOAL])
+    result = compensate(MotionChecker(stopped), turned_last, certify(stopped, turned_last))
+    found = result.certificate.arrival
+    assert found is not None and found.by_cause.offset_m > TIP_TOLERANCE_M
+    assert result.compensation.note.startswith(f"{found.by_cause.offset_m * 1e3:.2f} mm of the known offset: ")
+    assert "within the joints' limits" in result.compensation.note
+    free = compensate(MotionChecker(case), turned_last, certify(case, turned_last))
+    assert not free.compensation.note
+
+
+INTERVALS = ("[0.3, 0.1]", "[0.2]", "[0.1, 0.2, 0.3]", "[-0.1, 0.2]", "[nan, 0.2]", "[]", "['a', 0.2]")
+
+
+@pytest.mark.parametrize("interval", INTERVALS)
+def test_an_interval_of_friction_that_is_none_is_refused(interval: str) -> None:
+    with pytest.raises(ctrplan.InputError, match=r"contact\.1\.friction_coefficient.* must be a .*number"):
+        load_scenario(SCENARIOS / "pair_free.toml", [f"robot.contact.1.friction_coefficient={interval}"])
+
+
+@pytest.mark.parametrize(
+    ("override", "words"),
+    [
+        ('planner.settle="sometimes"', "planner.settle = 'sometimes': must be one of auto, none, oscillate"),
+        ("planner.settle=true", "must be one of auto, none, oscillate"),
+        ("robot.friction_memory=1.5", "friction_memory = 1.5: must be from 0 to 1"),
+        ("robot.execution.rotation_deg=-1", "execution.rotation_deg = -1 deg: must be from 0 to"),
+        ("robot.execution.rotation=0.2", r"unknown key, expected rotation_deg \(in deg\)"),
+    ],
+)
+def test_a_wrong_value_is_named_with_what_is_allowed(override: str, words: str) -> None:
+    with pytest.raises(ctrplan.InputError, match=words):
+        load_scenario(SCENARIOS / "pair_free.toml", [override])
+
+
+def amber(folder: Path, *more: str) -> list[str]:
+    """A command whose plan may miss its target."""
+    tip = (pair().goal.tip_m * 1e3).round(3).tolist()
+    given = ["plan", str(SCENARIOS / "pair_free.toml"), "-o", str(folder), "--quiet", *more]
+    keys = (f"goal={{tip_mm={tip}, tolerance_mm=0.06}}", "base.position_sigma_mm=0.5", "planner.time_s=0.5")
+    return given + [word for key in keys for word in ("--set", key)]
+
+
+def line_of(text: str, what: str) -> tuple[float, list[str]]:
+    """The number and the words to type of a lever."""
+    (line,) = [line for line in text.splitlines() if f"{what}: ctrplan" in line]
+    return float(line.split()[0]), shlex.split(line.split(f"{what}: ")[1])[1:]
+
+
+def test_a_line_to_type_is_what_its_number_was_computed_from(tmp_path: Path) -> None:
+    keys = tuple(word for word in amber(tmp_path) if "=" in word)
+    command = Command(str(SCENARIOS / "pair_free.toml"), keys, 3, is_compensated=False, allow_outside=False)
+    better = command.with_keys("goal.tolerance_mm=0.07", "planner.time_s=0.3")
+    assert sum(text.startswith("planner.time_s") for text in better.overrides) == 1
+    error_m, _, same = _replanned(better)
+    given = argparse.Namespace(output=tmp_path / "a b", time=5.0)  # the search is counted: its time is a key
+    assert same is better and main([*shlex.split(better.line(given))[1:], "--quiet"]) == 3
+    content = json.loads((tmp_path / "a b" / "plan.json").read_text())
+    assert content["certificate"]["arrival"]["error_m"] == pytest.approx(error_m, rel=1e-9)
+    assert content["seed"] == 3 and content["compensation"] is None
+
+
+def test_levers_end_in_time_and_say_what_is_missing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(plan_command, "LEVERS_S", 0.01)
+    assert main(amber(tmp_path)) == 3
+    text = capsys.readouterr().out
+    assert "not computed (not within 0.01 s): another path and goal state, another base" in text
+    assert line_of(text, "a registration twice as good")[0] > 0
+    capsys.readouterr()
+    assert main([*shlex.split(text.split("another tolerance: ")[1].splitlines()[0])[1:], "--quiet"]) == 0
+
+
+def test_ctrl_c_during_the_levers_keeps_the_plan(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    show = ProgressBar.show
+
+    def pressing(bar: ProgressBar, stage: str, fraction: float, note: str = "") -> None:
+        show(bar, stage, fraction, note)
+        if stage == "what would help" and fraction < 0.5:
+            assert (tmp_path / "plan.json").exists()
+            os.kill(os.getpid(), signal.SIGINT)
+
+    monkeypatch.setattr(ProgressBar, "show", pressing)
+    previous = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        assert main(amber(tmp_path)) == 3
+    finally:
+        signal.signal(signal.SIGINT, previous)
+    assert "not computed (interrupted): another path and goal state, another base" in capsys.readouterr().out
+    assert json.loads((tmp_path / "plan.json").read_text())["certificate"]["valid"] is True
+
+
+def test_a_base_may_be_set_by_one_key() -> None:
+    case = load_scenario(SCENARIOS / "vessel.toml", ["base.position_sigma_mm=0.5"])
+    pose = ctrplan.place(case, candidates=8, confirmed=1).poses[0]
+    there = load_scenario(SCENARIOS / "vessel.toml", [base_key(case, pose)])
+    np.testing.assert_array_equal(there.base_position_m, pose.position_m)
+    np.testing.assert_array_equal(there.base_R, pose.R)
+    assert there.registration == case.registration
+
+
+def test_a_detour_counts_as_if_it_were_driven_to_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Inexact execution is simulated until it is forgotten: the rest of the motion adds nothing."""
+    turned_last = np.array([START, [*START[:2], GOAL[2]], GOAL])
+    for path in (PATH, turned_last):
+        short = arrival(pair(), path).by_cause.execution_m
+        with monkeypatch.context() as patched:
+            patched.setattr(arrivals, "COMPARED_EVERY", 10_000)
+            whole = arrival(pair(), path).by_cause.execution_m
+        assert short == pytest.approx(whole, abs=0.1 * TIP_TOLERANCE_M)

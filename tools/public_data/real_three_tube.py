@@ -1,13 +1,15 @@
 """The public three-tube robot of github.com/hjhdog1/ConcentricTubes as files that ctrplan reads, and how far it is off.
 
-    python tools/public_data/real_three_tube.py FOLDER OUTPUT [--calibrate]
+    python tools/public_data/real_three_tube.py FOLDER OUTPUT [--calibrate] [--erasure]
 
 FOLDER holds jointTipTrajectory_measured_short.txt of that repository: at 10 Hz time, three rotations [rad, wrapped] and
 translations [mm], outermost tube first, tip [mm] and the axes of a sensor whose x axis points back along the tangent.
 OUTPUT gets robot.toml, measurements.toml (a mapping file) and a copy of the data, which have no licence: keep them out
 of any repository. Lengths, curvatures and ratios of stiffness are those of CTRFactory.cpp; diameters are not given
 there, those of Table II (Ha et al. 2019) stand in. With --calibrate: rms before and after ordinary calibration with the
-base free.
+base free. With --erasure: what slip leaves of friction. The run goes a way and back, so that most joint values are
+reached from both sides; half the difference of the tips there is what the past may do. Printed is its share of the
+bound, as measured and in a simulation of the run, by how the last millimetre of slip came about.
 """
 
 from __future__ import annotations
@@ -88,12 +90,70 @@ def calibrated(output: Path) -> None:
     print(f"{found.held_out.rms_m * 1e3:.2f} mm on poses kept aside" if found.held_out else "")
 
 
+FRICTION, LAG_S = (0.32, 0.136), 0.076  # as `ctrplan diagnose` finds them on this run
+SLIP_M = 1e-3  # that is looked back on
+SAME_M = 0.2e-3  # by which joints of two rows may differ; turns count as the way of the middle tube's surface
+
+
+def erasure(output: Path) -> None:
+    """Prints, for rows that both passes reach, medians of the half difference over the bound."""
+    from dataclasses import replace
+
+    import numpy as np
+
+    import ctrplan
+
+    believed = ctrplan.load_robot(output / "robot.toml")
+    data = ctrplan.load_measurements(output / "measurements.toml", believed)
+    fitted = ctrplan.calibrate(
+        believed, data.subset(np.arange(0, data.count, 10)), ["calibration", "effects.base_misalignment"]
+    ).robot
+    contacts = [replace(c, friction_coefficient=(mu, mu)) for c, mu in zip(fitted.contacts, FRICTION, strict=True)]
+    robot = replace(fitted, contacts=tuple(contacts))
+    table = np.loadtxt(output / DATA)
+    theta, l = np.unwrap(table[:, 1:4], axis=0), table[:, 4:7] * 1e-3  # noqa: E741
+    time_s = table[:, 0]
+    tip = np.stack([np.interp(time_s + LAG_S, time_s, x) for x in table[:, 7:10].T * 1e-3], axis=1)
+    without = robot.mechanics.tips_with_friction(theta, l, np.zeros((len(theta), robot.n - 1))).position_m
+    simulated = robot.history("released").follow(theta, l).position_m
+    slip = [np.array([DIAMETERS_MM[1][0], DIAMETERS_MM[2][0]]) / 2e3 * np.diff(theta, axis=1), np.diff(l, axis=1)]
+    turned, slid = (np.abs(np.diff(part, axis=0)).sum(axis=1) for part in slip)
+    way = np.concatenate([[0.0], np.cumsum(turned + slid)])
+    by_turning = np.concatenate([[0.0], np.cumsum(turned)])
+
+    def share(row: int) -> float:
+        """Of turning in the last millimetre of slip before a row."""
+        begin = int(np.searchsorted(way, way[row] - SLIP_M))
+        return float((by_turning[row] - by_turning[begin]) / max(way[row] - way[begin], 1e-9))
+
+    places, middle = np.hstack([DIAMETERS_MM[1][0] / 2e3 * theta, l]), len(theta) // 2
+    rows = []
+    for there in range(middle):
+        away = np.linalg.norm(places[middle:] - places[there], axis=1)
+        back = middle + int(np.argmin(away))
+        if min(way[there], abs(way[back] - way[there])) < 2 * SLIP_M or away.min() > SAME_M:
+            continue
+        halves = [np.linalg.norm((x[there] - without[there]) - (x[back] - without[back])) / 2 for x in (tip, simulated)]
+        bound_m = robot.bound(theta[there], l[there]).position_m
+        rows.append(((share(there) + share(back)) / 2, *(half / bound_m for half in halves), bound_m))
+    found = np.array(rows)
+    print("| last millimetre of slip | rows | measured, of the bound | simulated | bound |")
+    for name, low, high in (("by turning", 2 / 3, 1.01), ("by both", 1 / 3, 2 / 3), ("by sliding", -0.01, 1 / 3)):
+        those = found[(found[:, 0] > low) & (found[:, 0] <= high)]
+        if len(those):
+            measured, simulation, bound_m = np.median(those[:, 1:], axis=0)
+            print(f"| {name} | {len(those)} | {measured:.2f} | {simulation:.2f} | {1e3 * bound_m:.2f} mm |")
+
+
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     parser.add_argument("output", type=Path)
     parser.add_argument("--calibrate", action="store_true")
+    parser.add_argument("--erasure", action="store_true")
     arguments = parser.parse_args()
     convert(arguments.folder, arguments.output)
     if arguments.calibrate:
         calibrated(arguments.output)
+    if arguments.erasure:
+        erasure(arguments.output)
