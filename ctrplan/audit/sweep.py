@@ -243,9 +243,9 @@ class Sweep:
                 if np.any((phi := np.clip(at.phi + side * size * row, -1, 1)) != at.phi):
                     yield replace(at, phi=phi)
         if np.any(at.axes):
-            for axis, side in self.case.robots.ends:
-                if at.axes[axis] != side:
-                    yield replace(at, axes=np.where(np.arange(len(at.axes)) == axis, side, at.axes))
+            for axis, end in self.case.robots.ends:
+                if at.axes[axis] != end:
+                    yield replace(at, axes=np.where(np.arange(len(at.axes)) == axis, end, at.axes))
 
     def _confirmed(self, at: Suspect, step: float) -> Iterator[None]:
         """The state on the judge's mesh; from what is nearly broken it goes downhill by what that mesh says."""
