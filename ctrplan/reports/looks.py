@@ -34,7 +34,8 @@ CLEARANCES = (LIMIT, "#E69F00", CLEARANCE)  # from none to much
 INK = "#1F2933"
 MUTED = "#5F6B76"
 GRID = "#E3E7EB"
-ANATOMY = {"avoid": "#D98880", "inside": "#9FB4C4"}
+ANATOMY = {"avoid": "#D98880", "inside": "#CFA08F"}
+ANATOMY_OPACITY = {"avoid": 0.6, "inside": 0.3}
 LEG_KINDS = {"rotation": "#E4EDF7", "translation": "#FBF0DC", "simultaneous": "#EDE6F6"}
 
 
@@ -71,7 +72,7 @@ CORNERS = Look("corner shapes", looks.CORNER)
 START_LOOK = Look("robot at the start", looks.START)
 AT_GOAL = Look("robot at the goal", looks.START)
 PLATE_LOOK = Look("front plate", looks.PLATE)
-TIP_PATH = Look("path of the tip", looks.BOUND)
+TIP_PATH = Look("way of the tip so far", looks.BOUND)
 GOAL_LOOK = Look("goal", looks.GOAL)
 NARROWEST = Look("closest to the anatomy", looks.LIMIT)
 NARROW_BODY = Look("closest pose by clearance", looks.CLEARANCE)

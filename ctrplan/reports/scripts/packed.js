@@ -1,6 +1,8 @@
 // Unpacks what a page carries compressed: the library first, then every figure. Nothing is loaded from anywhere.
 "use strict";
 
+const NARROW = 500;  // pixels
+
 function unpacked(text) {
   const bytes = Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
   return new Response(new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"))).text();
@@ -21,5 +23,13 @@ async function drawn(name, text, config) {
     return new Promise(() => {});
   }
   await plotly;
-  return Plotly.newPlot(place, {...JSON.parse(await unpacked(text)), config});
+  const figure = JSON.parse(await unpacked(text));
+  if (place.clientWidth < NARROW) fitPhone(figure.layout);
+  return Plotly.newPlot(place, {...figure, config});
+}
+
+// Smaller letters and margins: headings of curves are as long as a phone is wide.
+function fitPhone(layout) {
+  layout.font = {...layout.font, size: 10.5};
+  if (layout.margin && layout.margin.l) layout.margin = {...layout.margin, l: 46, r: 12};
 }
