@@ -115,7 +115,7 @@ class Errors:
     rms_m: float
     p95_m: float
     max_m: float
-    rms_ci95_m: tuple[float, float]
+    rms_ci95_m: tuple[float, float] | None  # None of one configuration, which says nothing of others
     poses: int
 
 
@@ -139,7 +139,6 @@ def summary(error: Array, group: NDArray[np.int_]) -> Errors:
     picks = np.random.default_rng(SEED).integers(0, len(numbers), (RESAMPLES, len(numbers)))
     resampled = np.sqrt(squares[picks].sum(axis=1) / counts[picks].sum(axis=1))
     low, high = np.percentile(resampled, SPAN_PERCENT).tolist()
+    interval = (low, high) if high > low else None
     rms = float(np.sqrt(np.mean(error**2)))
-    return Errors(
-        float(error.mean()), rms, float(np.percentile(error, 95)), float(error.max()), (low, high), len(error)
-    )
+    return Errors(float(error.mean()), rms, float(np.percentile(error, 95)), float(error.max()), interval, len(error))

@@ -212,7 +212,7 @@ def _errors(errors: Errors) -> dict[str, Any]:
     return {
         "mean_mm": _millimetres(errors.mean_m),
         "rms_mm": _millimetres(errors.rms_m),
-        "rms_ci95_mm": [_millimetres(x) for x in errors.rms_ci95_m],
+        "rms_ci95_mm": errors.rms_ci95_m and [_millimetres(x) for x in errors.rms_ci95_m],
         "p95_mm": _millimetres(errors.p95_m),
         "max_mm": _millimetres(errors.max_m),
         "poses": errors.poses,

@@ -59,7 +59,8 @@ code {{ font-size: 0.85rem; }}
   background: radial-gradient(ellipse at 40% 35%, #ffffff 0%, #eef3f6 55%, #d9e2e8 100%); }}
 .scene > div {{ height: 100%; }}
 section.motion {{ padding: 0 0 14px; overflow: hidden; }}
-section.motion > :not(.scene), section.motion > #key {{ margin-left: 22px; margin-right: 22px; }}
+section.motion > :not(.scene), section.motion > #key, section.motion > .scene-key {{ margin-left: 22px;
+  margin-right: 22px; }}
 section.motion .scene {{ border-radius: 8px 8px 0 0; }}
 .player {{ display: flex; gap: 14px; align-items: center; margin: 12px 0 10px; }} .player input {{ flex: 1; }}
 .looking {{ display: flex; flex-wrap: wrap; gap: 6px; align-items: center; margin: 0 0 10px; font-size: 0.9rem; }}
@@ -72,7 +73,7 @@ output {{ min-width: 3.5em; text-align: right; }} output, .moment b {{ font-vari
 .moment b {{ display: block; font-size: 1.5rem; line-height: 1.2; }}
 .moment span {{ color: {looks.MUTED}; font-size: 0.9rem; }} .moment b.bound {{ color: {looks.BOUND}; }}
 .small {{ font-size: 0.85rem; }} .hint {{ margin-bottom: 0; max-width: none; }}
-.wide, .twin {{ overflow-x: auto; }} .wide th, .wide td {{ overflow-wrap: break-word; }}
+.whole {{ white-space: nowrap; }} .wide {{ overflow-x: auto; }} .wide th, .wide td {{ overflow-wrap: break-word; }}
 {KEY_STYLE}
 abbr {{ text-decoration: underline dotted {looks.MUTED} 1px; text-underline-offset: 3px; cursor: help; }}
 details {{ margin: 10px 0 0; }} summary {{ cursor: pointer; color: {looks.MUTED}; }}
@@ -82,15 +83,18 @@ dt {{ font-weight: 600; }} dd {{ margin: 0 0 8px; color: {looks.MUTED}; max-widt
   .verdict {{ font-size: 1rem; padding: 10px 14px; }} .tile {{ padding: 8px 12px; }} .tile b {{ font-size: 1.25rem; }}
   .tiles {{ gap: 8px; }} .tile {{ flex-basis: 140px; }}
   section.motion {{ padding: 0 0 10px; }}
-  section.motion > :not(.scene), section.motion > #key {{ margin-left: 14px; margin-right: 14px; }}
-  .scene {{ height: 46vh; min-height: 300px; }} .twin > div {{ min-width: 560px; }}
+  section.motion > :not(.scene), section.motion > #key, section.motion > .scene-key {{ margin-left: 14px;
+    margin-right: 14px; }}
+  .scene {{ height: 46vh; min-height: 300px; }}
   .wide th, .wide td {{ min-width: 4.2em; }}
   .moment {{ gap: 12px; }} .moment > div {{ flex: 1; }} .moment b {{ font-size: 1.15rem; }}
   .moment span {{ font-size: 0.8rem; }} table {{ font-size: 0.85rem; }} th, td {{ padding-right: 8px; }}
   .cut {{ margin-left: 0; }} #key button, .scene-key button {{ font-size: 0.78rem; }}
-  .stack thead {{ display: none; }} .stack tr {{ display: flex; flex-wrap: wrap; gap: 0 18px; padding: 7px 0;
-    border-bottom: 1px solid {looks.GRID}; }} .stack td {{ border: 0; padding: 0; min-width: 0; }}
-  .stack td:first-child {{ flex-basis: 100%; color: {looks.MUTED}; }} .stack td:empty {{ display: none; }}
+  .stack thead, .named thead {{ display: none; }} .stack tr, .named tr {{ display: flex; flex-wrap: wrap;
+    gap: 0 18px; padding: 7px 0; border-bottom: 1px solid {looks.GRID}; }}
+  .wide.stack td, .wide .named td {{ border: 0; padding: 0; min-width: 0; }} .stack td:empty {{ display: none; }}
+  .stack td:first-child, .named td:first-child {{ flex-basis: 100%; color: {looks.MUTED}; }}
+  .named td:not(:first-child):not(:empty)::before {{ content: attr(data-name) " "; color: {looks.MUTED}; }}
 }}
 @media print {{ body {{ background: #fff; font-size: 11pt; }} section, .tile {{ padding: 8px 0; }}
   section, tr {{ break-inside: avoid; }} }}

@@ -138,8 +138,9 @@ def clearance_section(plan: Plan) -> Markup:
 
 
 SWEPT_OPACITY, SWEPT_TRIANGLES = 0.10, 15_000
-BOUND_SCALE = [[0.0, "#2F6FB0"], [0.5, "#B07AA1"], [1.0, looks.TIP_PATH.colour]]
-SWATCH = f"linear-gradient(90deg, {', '.join(colour for _, colour in BOUND_SCALE)})"
+BOUND_COLOURS = ("#2F6FB0", "#B07AA1", looks.TIP_PATH.colour)  # of the least, half of and the largest worst case
+BOUND_SCALE = [[share, colour] for share, colour in zip((0.0, 0.5, 1.0), BOUND_COLOURS, strict=True)]
+SWATCH = f"linear-gradient(90deg, {', '.join(BOUND_COLOURS)})"
 
 
 def scene_figure(scene: PlanScene) -> go.Figure:

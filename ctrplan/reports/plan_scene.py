@@ -130,7 +130,8 @@ def lay_out(
     camera = {"eye": dict(zip("xyz", eye.tolist(), strict=True)), "center": {"x": 0, "y": 0, "z": 0.0}}
     figure.update_traces(lightposition=light, selector={"type": "mesh3d"})
     if not axes:
-        figure.add_traces(_cross(lower_m, upper_m, frame))
+        figure.add_traces(cross := _cross(points_m, frame))
+        points_m = np.concatenate([points_m, *(_ends_m(trace) for trace in cross)])
     figure.update_layout(
         autosize=True,
         margin={"l": 0, "r": 0, "t": 0, "b": 0},
@@ -177,11 +178,15 @@ def _outermost_mm(points_m: Array) -> list[list[float]]:
 ROUND_MM = (1, 2, 5, 10, 20, 50, 100)
 
 
-def _cross(lower_m: Array, upper_m: Array, frame: Frame | None) -> list[Any]:
-    """Three lines of one stated length in the lower corner of a box, with the letters of the axes."""
-    extent = float((upper_m - lower_m).max()) * 1e3
-    length = max((mm for mm in ROUND_MM if mm <= 0.16 * extent), default=1)
-    corner, traces = lower_m + 0.04 * (upper_m - lower_m), []
+def _ends_m(trace: Any) -> Array:
+    return np.column_stack([trace[axis] for axis in "xyz"]).astype(float) * 1e-3
+
+
+def _cross(points_m: Array, frame: Frame | None) -> list[Any]:
+    """Three lines of one stated length in the lower corner around points (K, 3), with the letters of the axes."""
+    corner, upper_m = points_m.min(axis=0), points_m.max(axis=0)
+    extent, traces = float((upper_m - corner).max()) * 1e3, list[Any]()
+    length = max((mm for mm in ROUND_MM if mm <= 0.12 * extent), default=1)
     for k in range(3):
         end = corner + np.eye(3)[k] * length * 1e-3
         letter = "xyz"[k] if frame is None else ENDS[frame][k][1]

@@ -3,7 +3,7 @@
 "use strict";
 
 const HALF_VIEW = Math.tan(Math.PI / 8);
-const LABELS = 48, RIM = 20;  // pixels around what is seen: labels of axes need more
+const LABELS = 48, RIM = 26;  // pixels around what is seen: labels of axes need more
 
 // `home`: from where the scene is first seen; else from where it is looked at now.
 function fitCamera(plot, home) {

@@ -24,12 +24,20 @@ async function drawn(name, text, config) {
   }
   await plotly;
   const figure = JSON.parse(await unpacked(text));
-  if (place.clientWidth < NARROW) fitPhone(figure.layout);
+  if (place.clientWidth < NARROW) fitPhone(figure.layout, place);
   return Plotly.newPlot(place, {...figure, config});
 }
 
-// Smaller letters and margins: headings of curves are as long as a phone is wide.
-function fitPhone(layout) {
+// Smaller letters and margins: headings of curves are as long as a phone is wide. Two panels side by side become two rows.
+function fitPhone(layout, place) {
   layout.font = {...layout.font, size: 10.5};
   if (layout.margin && layout.margin.l) layout.margin = {...layout.margin, l: 46, r: 12};
+  const {xaxis, yaxis, xaxis2, yaxis2} = layout;
+  const beside = xaxis2 && yaxis2 && xaxis2.domain && xaxis2.domain[0] > xaxis.domain[1] && yaxis2.domain[1] === yaxis.domain[1];
+  if (!beside || layout.xaxis3) return;
+  layout.height = 1.8 * (layout.height || 340);
+  place.style.height = `${layout.height}px`;
+  Object.assign(xaxis, {domain: [0, 1]}); Object.assign(xaxis2, {domain: [0, 1]});
+  Object.assign(yaxis, {domain: [0.58, 1]}); Object.assign(yaxis2, {domain: [0, 0.42], showticklabels: true});
+  if (!(yaxis2.title || {}).text) yaxis2.title = yaxis.title;
 }
