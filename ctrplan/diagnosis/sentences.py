@@ -41,7 +41,7 @@ def verdict_sentence(diagnosis: Diagnosis) -> str:
     if diagnosis.built:
         return f"Unexplained: nothing in the catalogue explains the measurements. {_built(diagnosis)}"
     if names:
-        return f"Unexplained: {names}, and something else, {rest}."
+        return f"Unexplained: {names}; at work, but not alone, {rest}."
     return f"Unexplained: nothing in the catalogue explains the measurements, {rest}."
 
 
