@@ -9,10 +9,10 @@ import zipfile
 from pathlib import Path
 
 import numpy as np
+import packed_page
 import pytest
 import tomli_w
 import trimesh
-from packed_page import unpacked
 from places import ROBOTS
 
 import ctrplan
@@ -164,9 +164,9 @@ def test_two_plans_side_by_side(saved: Path, tmp_path: Path, capsys: pytest.Capt
     assert differences and set(differences) <= {"+0"}
     assert (tmp_path / "c" / "compare.png").stat().st_size > 20_000
     page = (tmp_path / "c" / "compare.html").read_text(encoding="utf-8")
-    scene = json.loads(unpacked(re.findall(r'drawn\("scene", "([^"]+)"', page)[0]))
+    scene = json.loads(packed_page.unpacked(re.findall(r'drawn\("scene", "([^"]+)"', page)[0]))
     names = {trace.get("name") for trace in scene["data"]}
-    assert {"plan A", "plan B", "envelope of friction of A", "envelope of friction of B", "goal of both"} <= names
+    assert {"plan A", "plan B", "envelope of friction of A", "envelope of friction of B"} <= names
     assert len(scene["frames"]) == 40 and "now_A" in page and "now_B" in page and "Duration of the motion" in page
     assert main([*said, "--json"]) == 0
     rows = json.loads(capsys.readouterr().out)
