@@ -73,12 +73,16 @@ class Entry:
     title: str = ""
 
 
+class NotMadeError(Exception):
+    """A command that ended without an answer; its last line says why."""
+
+
 def program(*arguments: str, cwd: Path = ROOT) -> None:
-    """Runs ctrplan of this environment; a failure ends the gallery with what it printed."""
+    """Runs ctrplan of this environment. Raises NotMadeError with what it printed last."""
     command = [sys.executable, "-m", "ctrplan.cli", *arguments]
     done = subprocess.run(command, cwd=cwd, capture_output=True, text=True, env={**os.environ, "PYTHONPATH": str(ROOT)})
     if done.returncode not in (0, 3):
-        raise SystemExit(f"{' '.join(command)}\n{done.stderr}")
+        raise NotMadeError(done.stderr.strip().splitlines()[-1] if done.stderr.strip() else f"exit {done.returncode}")
 
 
 def kept(folder: Path, sources: list[Path], make: Callable[[], None]) -> None:
@@ -88,7 +92,11 @@ def kept(folder: Path, sources: list[Path], make: Callable[[], None]) -> None:
     if mark.is_file() and mark.read_text() == said:
         return
     print(f"{folder.name} ...", flush=True)
-    make()
+    try:
+        make()
+    except NotMadeError as error:
+        print(f"{folder.name}: {error}", file=sys.stderr)
+        return
     mark.write_text(said)
 
 
@@ -349,11 +357,10 @@ def main() -> None:
     parser.add_argument("--pictures", action="store_true", help="renew docs/images as well")
     arguments = parser.parse_args()
     out = arguments.output.resolve()
-    entries = [
-        entry for section in SECTIONS for entry in section(out, lambda n: not arguments.only or n in arguments.only)
-    ]
+    sections = (section(out, lambda name: not arguments.only or name in arguments.only) for section in SECTIONS)
+    entries = [entry for section in sections for entry in section if entry.page.is_file()]
     if missing := set(arguments.only) - {entry.name for entry in entries}:
-        raise SystemExit(f"gallery: nothing is called {', '.join(sorted(missing))}")
+        raise SystemExit(f"gallery: nothing is called {', '.join(sorted(missing))}, or it was not made")
     pictures = photographed(entries, out)
     (out / "index.html").write_text(page_of(entries, pictures, out), encoding="utf-8")
     if arguments.pictures:
