@@ -271,6 +271,7 @@ def photograph(browser: Any, page: Path, picture: Path, share: float, size: tupl
     browser.open(page.resolve().as_uri())
     browser.wait_for(STANDS)
     browser.run(MIDDLE.replace("SHARE", str(share)))
+    browser.run("document.querySelectorAll('.modebar-container').forEach((bar) => bar.remove())")
     browser.run("new Promise((done) => setTimeout(() => done(true), 900))")
     box = json.loads(
         browser.run(
