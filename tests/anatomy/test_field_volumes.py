@@ -251,6 +251,13 @@ def test_a_meta_image_is_what_its_header_says(keys: Any, tmp_path: Path) -> None
     check(read_image(mha(tmp_path / "a.mha", **keys)), TURNED)
 
 
+def test_a_size_of_voxels_beside_their_distance_is_said(tmp_path: Path) -> None:
+    image = read_image(mha(tmp_path / "a.mha", ElementSize="1 1 1"))
+    check(image, TURNED)
+    assert len(image.notes) == 1 and "ElementSize" in image.notes[0]
+    assert read_image(mha(tmp_path / "b.mha", ElementSize="0.8 0.9 1.1")).notes == ()
+
+
 def dicom(folder: Path, k: int, **changes: Any) -> pydicom.Dataset:
     """Slice k as an object of X-ray angiography, whose pixels GDCM would place by ImagerPixelSpacing."""
     lps = TURNED[:, None] * AFFINE
