@@ -30,6 +30,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from PIL import Image
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "tests" / "support"))
@@ -341,6 +342,7 @@ def pictures_of_documents(out: Path) -> None:
         if (out / folder / "plan.json").is_file():
             plan = str(out / folder / "plan.json")
             program("render", plan, "-o", str(IMAGES / name), "--quiet", "--allow-outside", *camera)
+            in_few_colours(IMAGES / name)
     report = out / "plans" / "ribs" / "report.html"
     if chromium() is not None and report.is_file():
         with tempfile.TemporaryDirectory() as profile, Browser(Path(profile)) as browser:
@@ -348,6 +350,13 @@ def pictures_of_documents(out: Path) -> None:
                 "Emulation.setDeviceMetricsOverride", width=1100, height=900, deviceScaleFactor=1, mobile=False
             )
             photograph(browser, report, IMAGES / "report.png", 0.8, (960, 540))
+        in_few_colours(IMAGES / "report.png")
+
+
+def in_few_colours(file: Path) -> None:
+    """Makes a picture small enough for a repository."""
+    with Image.open(file) as picture:
+        picture.convert("RGB").quantize(96).save(file, optimize=True)
 
 
 def main() -> None:
