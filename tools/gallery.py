@@ -38,6 +38,7 @@ sys.path.insert(0, str(ROOT / "tests" / "support"))
 from browser import Browser, chromium  # noqa: E402
 
 from ctrplan.reports.html_page import POLICY, STYLE  # noqa: E402
+from ctrplan.reports.words import millimetres  # noqa: E402
 
 SCENARIOS = ROOT / "scenarios"
 GUIDE = ROOT / "docs" / "guides" / "plan_for_your_robot.md"  # whose robot is diagnosed
@@ -122,10 +123,10 @@ def of_plan(folder: Path) -> list[tuple[str, str]]:
     plan = json.loads((folder / "plan.json").read_text())
     certificate = plan["certificate"]
     arrival = certificate.get("arrival")
-    rows = [("arrival", f"{arrival['error_m'] * 1e3:.2g} mm from the target")] if arrival else []
-    rows.append(("worst case at the goal", f"{certificate['goal_bound_m'] * 1e3:.3g} mm"))
+    rows = [("arrival", f"{millimetres(arrival['error_m'])} from the target")] if arrival else []
+    rows.append(("worst case at the goal", millimetres(certificate["goal_bound_m"])))
     if certificate["min_clearance_m"] is not None and math.isfinite(certificate["min_clearance_m"]):
-        rows.append(("certified clearance", f"{certificate['min_clearance_m'] * 1e3:.2g} mm beyond the margins"))
+        rows.append(("certified clearance", f"{millimetres(certificate['min_clearance_m'])} beyond the margins"))
     return [*rows, ("duration", f"{plan['trajectory']['duration_s']:.3g} s in {len(plan['legs'])} legs")]
 
 
@@ -288,7 +289,8 @@ def photograph(browser: Any, page: Path, picture: Path, share: float, size: tupl
 
 CARDS = """.cards { display: grid; grid-template-columns: repeat(auto-fill, minmax(min(340px, 100%), 1fr)); gap: 18px; }
 .card { background: #fff; border-radius: 8px; overflow: hidden; display: flex; flex-direction: column; }
-.card img { width: 100%; aspect-ratio: 16 / 9; object-fit: cover; background: #eef3f6; display: block; }
+.card img { width: 100%; aspect-ratio: 16 / 9; object-fit: cover; background: #fff; display: block; }
+.card img.whole { object-fit: contain; }
 .card > div { padding: 12px 16px 14px; } .card h3 { margin: 0 0 4px; }
 .card pre { white-space: pre-wrap; margin: 10px 0 0;
   background: #f4f6f8; border-radius: 6px; padding: 8px 10px; font-size: 0.78rem; overflow-wrap: anywhere; }
@@ -318,7 +320,8 @@ def card(entry: Entry, picture: Path | None, out: Path) -> str:
         f'<tr><td class="key">{html.escape(a)}</td><td>{html.escape(b)}</td></tr>' for a, b in entry.numbers()
     )
     name = html.escape(entry.name.replace("_", " "))
-    image = f'<img src="{picture.relative_to(out).as_posix()}" alt="{name}" loading="lazy">' if picture else ""
+    whole = ' class="whole"' if entry.kind == "Diagnoses" or entry.name.startswith("friction") else ""
+    image = f'<img src="{picture.relative_to(out).as_posix()}" alt="{name}" loading="lazy"{whole}>' if picture else ""
     title = f'<p class="quiet small">{html.escape(entry.title)}</p>' if entry.title else ""
     commands = html.escape("\n".join(entry.commands))
     return (
