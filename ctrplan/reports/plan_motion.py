@@ -200,7 +200,7 @@ def _tip_path(plan: Plan, time_s: float) -> Any:
         **xyz(passed),
         mode="lines",
         line={"color": bound_mm, "width": 6, "colorscale": BOUND_SCALE, "cmin": 0, "cmax": largest, "showscale": False},
-        name=html.escape(f"{looks.TIP_PATH.name}, red where friction may err most"),
+        name=html.escape(f"{looks.TIP_PATH.name} so far, red where friction may err most"),
         meta={"swatch": SWATCH},
         customdata=bound_mm,
         hovertemplate="worst-case friction error %{customdata:.3g} mm<extra></extra>",
