@@ -1,6 +1,7 @@
 # make demo: plan a motion on a shipped scenario.  make test: lint, types, tests.  Both need Python and a C++ compiler only.
 # make fuzz: 10,000 made-up files per reader, 100 interruptions per command.
 # make wheel: a wheel from the source distribution, run where no compiler is.  make api: guides and interface as a site.
+# make gallery: a page of all shipped scenarios, studies and diagnoses.  make pictures: those of the documents anew.
 # make sanitize: the core under sanitizers.  make bank: 20,000 random robots, and 216 measured data sets diagnosed.
 # make mutants: 22 lines made wrong, one at a time, each of which tests have to notice.
 PYTHON ?= python3
@@ -10,7 +11,7 @@ SOURCES := $(shell find ctrplan model scenarios -type f -not -name '*.pyc' -not 
 SCENARIO ?= scenarios/vessel.toml
 OUTPUT ?= demo-output
 
-.PHONY: demo test lint install clean fuzz mutants wheel api sanitize bank bank-core bank-diagnosis
+.PHONY: demo test lint install clean fuzz mutants wheel api gallery pictures sanitize bank bank-core bank-diagnosis
 
 # What takes a while says so before it starts, builds included.
 FIRST_BUILD = $(if $(wildcard $(VENV)/.installed),, The first time the environment is built: two minutes more.)
@@ -65,6 +66,16 @@ api: install
 	$(BIN)/pip install --quiet --disable-pip-version-check "mkdocs-material>=9.7,<10" "mkdocstrings-python>=2,<3" "latex2mathml>=3.77,<4"
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 	@echo "Open build/site/index.html."
+
+# A quarter of an hour the first time; what is there and of the same files is not made again.
+gallery: install
+	$(BIN)/python tools/gallery.py
+
+# Reports and films from the gallery's plans, figures from the benchmarks that a document shows; an hour or so.
+pictures: install
+	$(BIN)/python tools/gallery.py --pictures
+	for name in corner_shapes validation history friction_sensitivity tube_design; do $(BIN)/python benchmarks/run.py --write $$name || exit 1; done
+	$(BIN)/python tools/draw_architecture.py
 
 # The core's random solves and the laws of its parts under the address and undefined-behaviour sanitizers.
 sanitize: $(VENV)/.deps

@@ -3,6 +3,8 @@
 Tags are read by pydicom, which gives them as they stand. GDCM, with which SimpleITK reads, chooses by the kind of
 object which spacing it believes and whether it scales values; here PixelSpacing, the places of the slices and the
 scaling of each slice are applied as stated, whatever the object calls itself. GDCM unpacks compressed pixels.
+
+Files of several frames (enhanced CT and MR, segmentations) state these things frame by frame, in functional groups.
 """
 
 from __future__ import annotations
@@ -12,14 +14,14 @@ import importlib
 import math
 import tempfile
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrplan.anatomy.image import Header, Image, ImageRefusal
+from ctrplan.anatomy.image import Header, Image, ImageRefusal, Segment
 from ctrplan.anatomy.image_file import check_bytes, kept_locale, placed, quiet, reason, simpleitk
 from ctrplan.base.arrays import Array
 
@@ -28,6 +30,7 @@ SAME_SPACING = 1e-2  # by which SpacingBetweenSlices may differ from the places 
 TURNED = 1e-4  # of direction cosines: the same orientation
 SHOWN = 6
 CT_IMAGE = "1.2.840.10008.5.1.4.1.1.2"  # what an image is called while its pixels are unpacked
+GROUPS = ("PlanePosition", "PlaneOrientation", "PixelMeasures", "PixelValueTransformation", "SegmentIdentification")
 SCALING = ("RescaleSlope", "RescaleIntercept", "ModalityLUTSequence", "VOILUTSequence")
 
 
@@ -40,6 +43,9 @@ class Slice:
     position: Array
     axes: Array  # (2, 3)
     spacing: tuple[float, float]  # along a row, along a column
+    frame: int | None = None  # of a file of several, from 0
+    scaling: tuple[float, float] = (1.0, 0.0)  # slope and intercept of that frame
+    segment: int = 0  # that it belongs to, in a segmentation
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -73,9 +79,13 @@ def read_series(folder: Path, series: str | None) -> Image:
         )
     if series is not None and series not in result:
         raise ImageRefusal(f"has no series of that series UID, but {_listed(result)}")
-    slices, notes = _one_stack(result[series or next(iter(result))])
+    files = result[series or next(iter(result))]
+    if len(files) == 1 and "SegmentSequence" in files[0][1]:
+        return _segmentation(*files[0])
+    slices, notes = _one_stack(files)
     order = _in_order(slices)
-    pixels = [_values(part) for part in order]
+    kept: dict[Path, tuple[Any, Any]] = {}
+    pixels = [_values(part, kept) for part in order]
     kind = np.result_type(*(values.dtype for values in pixels))
     voxels = np.stack([values.astype(kind, copy=False) for values in pixels])
     first, last = order[0].position, order[-1].position
@@ -124,13 +134,14 @@ def _one_stack(files: Sequence[tuple[Path, Any]]) -> tuple[list[Slice], tuple[st
     first = files[0][1]
     if int(first.get("SamplesPerPixel", 1)) > 1:
         raise ImageRefusal("holds colour images: must have one value a pixel")
-    if frames := next((tags for _, tags in files if int(tags.get("NumberOfFrames", 1) or 1) > 1), None):
-        what = "a segmentation object" if frames.get("Modality") == "SEG" else "images of several frames a file"
-        raise ImageRefusal(f"holds {what} (enhanced DICOM): save it as NRRD or NIfTI, in 3D Slicer for example")
-    if len(files) < 2:
+    segmented = [path.name for path, tags in files if "SegmentSequence" in tags]
+    if segmented:
+        raise ImageRefusal(f"holds segmentations beside other files in one series ({', '.join(segmented[:SHOWN])})")
+    count = sum(_count(tags) for _, tags in files)
+    if count < 2:
         raise ImageRefusal("holds one image of that series: a volume needs several slices")
-    check_bytes((len(files), int(first.Rows), int(first.Columns)), 2)
-    slices = [part for path, tags in files if (part := _slice(path, tags)) is not None]
+    check_bytes((count, int(first.Rows), int(first.Columns)), 2)
+    slices = [part for path, tags in files for part in _parts(path, tags)]
     stacks = _stacks(slices)
     main = max(stacks, key=len)
     others = [part for stack in stacks if stack is not main for part in stack]
@@ -143,6 +154,79 @@ def _one_stack(files: Sequence[tuple[Path, Any]]) -> tuple[list[Slice], tuple[st
     names = ", ".join(left[:SHOWN]) + (f" and {len(left) - SHOWN} more" if len(left) > SHOWN else "")
     rule = f"is read without {names}, which lies across the other {len(main)} slices or differs in size (a scout)"
     return main, (rule,) if left else ()
+
+
+def _count(tags: Any) -> int:
+    return int(tags.get("NumberOfFrames", 1) or 1)
+
+
+def _parts(path: Path, tags: Any) -> list[Slice]:
+    """The slices of a file; none of a scout without a place. Raises ImageRefusal."""
+    if _count(tags) > 1 or "PerFrameFunctionalGroupsSequence" in tags:
+        return _frames(path, tags)
+    part = _slice(path, tags)
+    return [] if part is None else [part]
+
+
+def _frames(path: Path, tags: Any) -> list[Slice]:
+    """The frames of a file of several, each where its functional groups or those of all frames say."""
+    each, shared = tags.get("PerFrameFunctionalGroupsSequence"), tags.get("SharedFunctionalGroupsSequence")
+    if not each or len(each) != _count(tags):
+        what = "segments" if "SegmentSequence" in tags else "frames"
+        raise ImageRefusal(f"holds {path.name}, {_count(tags)} {what} that do not say where each lies (a film?)")
+    result = []
+    for k, own in enumerate(each):
+        said = pydicom().Dataset()
+        for groups in ([shared[0]] if shared else [], [own]):  # what a frame says of its own comes last
+            for name in GROUPS:
+                if group := groups[0].get(f"{name}Sequence") if groups else None:
+                    said.update(group[0])
+        said.ImageType, said.Rows, said.Columns = ["DERIVED"], tags.Rows, tags.Columns
+        part = _slice(path, said)
+        assert part is not None
+        scaling = float(said.get("RescaleSlope", 1.0)), float(said.get("RescaleIntercept", 0.0))
+        segment = int(said.get("ReferencedSegmentNumber", 0) or 0)
+        result.append(replace(part, tags=tags, frame=k, scaling=scaling, segment=segment))
+    return result
+
+
+def _segmentation(path: Path, tags: Any) -> Image:
+    """A segmentation object: a layer for all segments, or one each where they overlap. Raises ImageRefusal.
+
+    Frames without a voxel of a segment may be left out, so that places may be several slices apart.
+    """
+    parts = _frames(path, tags)
+    stacks = _stacks(parts)
+    if len(stacks) > 1 or any(not part.segment for part in parts):
+        raise ImageRefusal(f"holds {path.name}, whose segments are not of one orientation, size and place each")
+    first, normal = parts[0], np.cross(*parts[0].axes)
+    height = np.array([float(part.position @ normal) for part in parts])
+    levels = np.unique(height.round(3))
+    groups = tags.get("SharedFunctionalGroupsSequence") or [tags]
+    measures = groups[0].get("PixelMeasuresSequence") or [tags]
+    thick = float(measures[0].get("SpacingBetweenSlices", measures[0].get("SliceThickness", 0.0)) or 0.0)
+    gap = min(np.diff(levels), default=thick) if len(levels) > 1 else thick
+    index = np.rint((height - levels[0]) / gap).astype(int) if gap > 0 else np.zeros(len(parts), int)
+    gap = float(np.ptp(height) / index.max()) if index.max() else gap
+    if gap <= 0 or np.abs(height - height.min() - index * gap).max() > UNEVEN_MM:
+        raise ImageRefusal(f"holds {path.name}, whose slices are not evenly apart")
+    values = np.asarray(_stored(pydicom().dcmread(path), path)).reshape(len(parts), *first.shape)
+    most = float(tags.get("MaximumFractionalValue", 1) or 1)
+    inside = values > most / 2 if str(tags.get("SegmentationType", "")) == "FRACTIONAL" else values > 0
+    numbers = [int(segment.SegmentNumber) for segment in tags.SegmentSequence]
+    check_bytes((index.max() + 1, *first.shape), len(numbers))
+    layers = np.zeros((index.max() + 1, *first.shape, len(numbers)), np.uint8)
+    for part, k, mask in zip(parts, index.tolist(), inside, strict=True):
+        layers[k, :, :, numbers.index(part.segment)] |= mask
+    names = [str(segment.get("SegmentLabel", segment.SegmentNumber)) for segment in tags.SegmentSequence]
+    if (layers.sum(axis=-1) > 1).any():
+        voxels, segments = layers, tuple(Segment(name, 1, k) for k, name in enumerate(names))
+    else:
+        voxels = (layers * np.array(numbers, np.uint8)).sum(axis=-1, dtype=np.uint8)
+        segments = tuple(Segment(name, number) for name, number in zip(names, numbers, strict=True))
+    origin = first.position + (height.min() - height[0]) * normal
+    spacing = np.array([*first.spacing, gap]) * 1e-3
+    return placed(voxels, spacing, origin * 1e-3, np.column_stack([*first.axes, normal]), Header("LPS"), segments)
 
 
 def _stacks(slices: Sequence[Slice]) -> list[list[Slice]]:
@@ -216,13 +300,22 @@ def _gap_notes(order: Sequence[Slice], gap_mm: float) -> Iterator[str]:
         yield f"says slices are {float(said):.3g} mm apart, their places {gap_mm:.3g} mm: the places are taken"
 
 
-def _values(part: Slice) -> NDArray[Any]:
-    """(rows, columns) of a slice in the unit that it says, whole numbers where they are. Raises ImageRefusal."""
+def _values(part: Slice, kept: dict[Path, tuple[Any, Any]]) -> NDArray[Any]:
+    """(rows, columns) of a slice in the unit that it says, whole numbers where they are; keeps the last file read.
+
+    Raises ImageRefusal.
+    """
     package = pydicom()
     try:
-        whole = package.dcmread(part.file, force=True)
-        stored = _stored(whole, part.file)
-        result = package.pixels.apply_modality_lut(stored, whole)
+        if part.file not in kept:
+            kept.clear()
+            whole = package.dcmread(part.file, force=True)
+            kept[part.file] = whole, _stored(whole, part.file)
+        whole, stored = kept[part.file]
+        if part.frame is None:
+            result = package.pixels.apply_modality_lut(stored, whole)
+        else:
+            result = np.asarray(stored).reshape(-1, *part.shape)[part.frame] * part.scaling[0] + part.scaling[1]
     except ImageRefusal:
         raise
     except Exception as error:  # whatever the damage leads it to
@@ -241,7 +334,7 @@ def _whole(values: NDArray[Any]) -> NDArray[Any]:
 def _stored(whole: Any, file: Path) -> NDArray[Any]:
     """The pixels as they are stored, before any scaling."""
     syntax = whole.file_meta.get("TransferSyntaxUID") if hasattr(whole, "file_meta") else None
-    if syntax is None or not syntax.is_compressed or syntax.is_deflated:
+    if syntax is None or not syntax.is_compressed or syntax.is_deflated or _count(whole) > 1:
         if syntax is None:
             whole.file_meta.TransferSyntaxUID = pydicom().uid.ImplicitVRLittleEndian
         return _without_other_bits(np.asarray(whole.pixel_array), whole)

@@ -352,13 +352,21 @@ def _meta(fields: dict[str, str]) -> Header:
         place = next(fields[name] for name in ("offset", "position", "origin") if name in fields)
         origin = np.array(place.split(), dtype=float)
         sizes = np.array(fields["dimsize"].split(), dtype=float)
-        spacing = np.array((fields.get("elementspacing") or fields["elementsize"]).split(), dtype=float)
+        spacing, size = (
+            np.array((fields.get(name) or fields[other]).split(), dtype=float)
+            for name, other in (("elementspacing", "elementsize"), ("elementsize", "elementspacing"))
+        )
         corners = np.stack([origin, origin + ((sizes - 1) * spacing) @ axes]) * unit
     except (KeyError, ValueError):
         return Header(None, unit_mm=unit)
     said = len(letters) == 3 and not set(letters) - set("RLAPIS")
     frame: Frame | None = "LPS" if said and _runs_from(axes) == letters else None
-    return Header(frame, corners, unit, slope or 1.0, intercept)
+    notes = (
+        ("says voxels of one size (ElementSize) and of another distance (ElementSpacing): the distance is taken",)
+        if not np.allclose(np.abs(spacing), np.abs(size), rtol=1e-3)
+        else ()
+    )
+    return Header(frame, corners, unit, slope or 1.0, intercept, notes)
 
 
 def _runs_from(axes: Array) -> str:

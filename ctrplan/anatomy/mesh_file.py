@@ -1,5 +1,7 @@
 """Reading triangle meshes from files of several formats: checked, repaired, or refused in one sentence."""
 
+import codecs
+import io
 import json
 import logging
 import re
@@ -153,7 +155,8 @@ def _parsed(path: Path, group: str | None) -> tuple[Array, Indices]:
             _check_gltf(path)
         with warnings.catch_warnings(), path.open("rb") as stream:
             warnings.simplefilter("ignore")
-            return _by_trimesh(stream, kind, group)
+            text = io.BytesIO(stream.read().removeprefix(codecs.BOM_UTF8)) if kind == "stl" else stream
+            return _by_trimesh(text, kind, group)
     except (MemoryError, MeshRefusal):
         raise
     except ImportError as error:  # trimesh would call on a package that guesses encodings

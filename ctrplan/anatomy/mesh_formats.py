@@ -11,6 +11,7 @@ import base64
 import re
 import zlib
 from array import array
+from codecs import BOM_UTF8
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -32,6 +33,8 @@ NUMBERS = {
     **{"int64": "i8", "uint64": "u8", "double": "f8", "float64": "f8", "long": "i8", "unsigned_long": "u8"},
     **{"unsigned_char": "u1", "unsigned_short": "u2", "unsigned_int": "u4", "vtkidtype": "i4", "vtktypeint64": "i8"},
 }
+STL_HEAD = 1024  # bytes by which text and decimal commas are told
+STL_REST = 134 / 50  # triangles' worth of bytes, in which no further solid would have room
 STL_TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 BYTE_ORDER_MARK = "\xef\xbb\xbf"  # of UTF-8, read byte by byte
 LARGEST_INDEX = 2**62
@@ -63,15 +66,21 @@ def _damaged(what: str) -> NoReturn:
 
 
 def read_binary_stl(path: Path) -> tuple[Array, Indices] | None:
-    """The three vertices of each triangle on their own; None for text. trimesh needs three times the memory."""
+    """The three vertices of each triangle on their own; None for text. trimesh needs three times the memory.
+
+    Binary ones may begin with "solid". A few bytes behind the last triangle are nobody's. Raises MeshRefusal.
+    """
     with path.open("rb") as stream:
-        head = stream.read(84)
-        promised, room = int.from_bytes(head[80:], "little"), (path.stat().st_size - 84) / 50
+        head = stream.read(STL_HEAD)
+        promised, room = int.from_bytes(head[80:84], "little"), (path.stat().st_size - 84) / 50
         if promised != room:
-            if head[:5].lower() == b"solid" or len(head) < 84:
+            if len(head) < 84 or (b"\0" not in head and head.removeprefix(BOM_UTF8)[:5].lower() == b"solid"):
+                if re.search(rb"vertex\s+[-+\d]+,\d", head, re.I):
+                    raise MeshRefusal("can't be read as STL: its numbers have decimal commas, must have points")
                 return None
-            _damaged(f"its header promises {promised} triangles, its size is that of {room:.10g}")
-        records = np.fromfile(stream, STL_TRIANGLE, promised)
+            if not 0 < promised < room < promised + STL_REST:
+                _damaged(f"its header promises {promised} triangles, its size is that of {room:.10g}")
+        records = np.fromfile(path, STL_TRIANGLE, promised, offset=84)
     vertices = records["corners"].astype(np.float64).reshape(-1, 3)
     return vertices, np.arange(len(vertices), dtype=np.int64).reshape(-1, 3)
 

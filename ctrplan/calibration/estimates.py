@@ -33,8 +33,14 @@ class Estimate:
 
     @property
     def shown_ci95(self) -> str:
-        """The interval for a reader, its half width to two digits."""
+        """The interval for a reader, its half width to two digits; words where it has no width."""
+        if not self.ci95[1] > self.ci95[0]:
+            return "at the end of its range" if self.at_bound else "no interval"
         return f"{self._in_digits(self.ci95[0])} to {self._in_digits(self.ci95[1])}"
+
+    def differs_from(self, value: float) -> bool:
+        """Whether the interval leaves a value out."""
+        return not self.ci95[0] <= value <= self.ci95[1]
 
     def _in_digits(self, number: float) -> str:
         half = (self.ci95[1] - self.ci95[0]) / 2
@@ -53,14 +59,18 @@ def estimates(fit: Fit, term: Term) -> dict[str, Estimate]:
         for j, parameter in zip(range(place.start, place.stop), t.parameters, strict=True):
             value, wide = fit.p[j] / parameter.si, spread[j] / parameter.si
             low, high = max(value - wide, parameter.lower), min(value + wide, parameter.upper)
-            numbers = (min(max(_rounded(x), parameter.lower), parameter.upper) for x in (value, low, high))
+            rounded = (_rounded(x, high - low) for x in (value, low, high))
+            numbers = (min(max(x, parameter.lower), parameter.upper) for x in rounded)
             shown, *ends = numbers  # rounding must not leave the range: robot files are checked
             results[parameter.name] = Estimate(shown, (ends[0], ends[1]), bool(fit.at_bound[j]))
     return results
 
 
-def _rounded(value: float) -> float:
-    return float(f"{value:.{DIGITS}g}")
+def _rounded(value: float, width: float) -> float:
+    """A number to so many decimals that an interval of this width has DIGITS digits, and its ends stay apart."""
+    if not 0 < width < math.inf:
+        return float(f"{value:.{DIGITS}g}")
+    return round(float(value), DIGITS - 1 - math.floor(math.log10(width)))
 
 
 UNKNOWN = 0.7  # of the prior's standard deviation that data leave: they say little about this combination
@@ -105,7 +115,7 @@ class Errors:
     rms_m: float
     p95_m: float
     max_m: float
-    rms_ci95_m: tuple[float, float]
+    rms_ci95_m: tuple[float, float] | None  # None of one configuration, which says nothing of others
     poses: int
 
 
@@ -129,7 +139,6 @@ def summary(error: Array, group: NDArray[np.int_]) -> Errors:
     picks = np.random.default_rng(SEED).integers(0, len(numbers), (RESAMPLES, len(numbers)))
     resampled = np.sqrt(squares[picks].sum(axis=1) / counts[picks].sum(axis=1))
     low, high = np.percentile(resampled, SPAN_PERCENT).tolist()
+    interval = (low, high) if high > low else None
     rms = float(np.sqrt(np.mean(error**2)))
-    return Errors(
-        float(error.mean()), rms, float(np.percentile(error, 95)), float(error.max()), (low, high), len(error)
-    )
+    return Errors(float(error.mean()), rms, float(np.percentile(error, 95)), float(error.max()), interval, len(error))

@@ -103,7 +103,7 @@ def _summary(folder: Path, calibration: Calibration) -> str:
     if calibration.held_out is not None:
         lines.append(f"  {_errors(calibration.held_out)} on {calibration.held_out.poses} poses kept aside")
     for name, e in calibration.estimates.items():
-        lines.append(f"  {name:40} {e.value:.6g}  ({e.ci95[0]:.6g} to {e.ci95[1]:.6g})")
+        lines.append(f"  {name:40} {e.shown}  ({e.shown_ci95})")
     lines.append(f"  written to {folder}/{', '.join(OUTPUTS)}")
     lines.append(_next(folder, calibration))
     return "\n".join(lines)

@@ -80,7 +80,7 @@ def run(arguments: argparse.Namespace) -> int:
                 **{name: getattr(arguments, name) for name in OPTIONS},
             )
         print(_summary(result))
-        tell_next(f"open {arguments.output}/scene.mrml in 3D Slicer, or change {arguments.output}/scenario.toml")
+        tell_next(f"open {arguments.output}/slicer/scene.mrml in 3D Slicer, or change {arguments.output}/scenario.toml")
         return INTERRUPTED if result.interrupted else 0
 
 

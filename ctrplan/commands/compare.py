@@ -1,4 +1,4 @@
-"""`ctrplan compare`: two plans side by side, their figures in a table and their course as curves."""
+"""`ctrplan compare`: two plans side by side: their figures in a table, both robots in one scene, their curves."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import sys
 from typing import TYPE_CHECKING, Any
 
 from ctrplan.commands.options import add_allow_outside_option
-from ctrplan.commands.terminal import aligned, finite
+from ctrplan.commands.terminal import aligned, finite, tell_next
 from ctrplan.storage.output_folder import output_folder, write_results
 
 if TYPE_CHECKING:
@@ -18,16 +18,17 @@ if TYPE_CHECKING:
 
     from ctrplan.base.arrays import Array
     from ctrplan.files.plan_file import WrittenPlan
+    from ctrplan.reports.robot_surface import RobotPose
 
 DESCRIPTION = (
-    "Put two plans side by side: the figures of their certificates with their differences, and with -o a picture of "
-    "bound, clearance and the tip's way along both."
+    "Put two plans side by side: the figures of their certificates with their differences, and with -o a page that "
+    "plays both in one scene, and a picture of bound, clearance and the tip's way along both."
 )
 EXAMPLES = """examples:
   ctrplan compare out/plan.json other/plan.json
   ctrplan compare monday.ctrplan tuesday.ctrplan -o compared
 """
-OUTPUTS = ("compare.png",)
+OUTPUTS = ("compare.html", "compare.png")
 SHOWN = {"m": (1e3, "mm"), "rad": (180 / math.pi, "deg"), "mm": (1.0, "mm"), "number": (1.0, ""), "count": (1.0, "")}
 COLUMNS = (("bound_m", "bound (mm)"), ("clearance_m", "clearance (mm)"))  # of the certificate's samples
 
@@ -36,7 +37,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     """Adds the command's arguments."""
     parser.add_argument("first", metavar="A", help="a plan.json, its folder or a .ctrplan file")
     parser.add_argument("second", metavar="B", help="another one")
-    parser.add_argument("-o", "--output", metavar="DIR", help=f"folder for {OUTPUTS[0]}")
+    parser.add_argument("-o", "--output", metavar="DIR", help=f"folder for {' and '.join(OUTPUTS)}")
     parser.add_argument("--json", action="store_true", help="machine-readable output")
     add_allow_outside_option(parser)
 
@@ -56,8 +57,10 @@ def run(arguments: argparse.Namespace) -> int:
     if folder is not None:
         stream = io.BytesIO()
         compared_figure(first, second, names).savefig(stream, format="png", dpi=110)
-        write_results(folder, {OUTPUTS[0]: stream.getvalue()})
-        print(f"ctrplan: written to {folder / OUTPUTS[0]}", file=sys.stderr)
+        page = compared_html(first, second, names)
+        write_results(folder, {OUTPUTS[0]: page, OUTPUTS[1]: stream.getvalue()})
+        print(f"ctrplan: written to {folder}/{', '.join(OUTPUTS)}", file=sys.stderr)
+        tell_next(f"open {folder / OUTPUTS[0]}, both plans in one scene")
     return 0
 
 
@@ -135,3 +138,135 @@ def _column(plan: WrittenPlan, name: str) -> Array:
 
     samples = plan.content["certificate"]["samples"]
     return plan.column(name) if name in samples else np.full(len(plan.certified_places), np.nan)
+
+
+FRAMES = 40  # of the scene
+LETTERS = "AB"
+
+
+def compared_html(first: WrittenPlan, second: WrittenPlan, names: tuple[str, str]) -> str:
+    """A page that plays both plans at once in one scene; solves the model FRAMES times for each.
+
+    Raises SolverError where a plan has no pose with a solution.
+    """
+    import numpy as np
+
+    from ctrplan.reports.html_page import plot, rendered, script
+    from ctrplan.reports.looks import SERIES
+    from ctrplan.reports.plan_scene import poses_along
+    from ctrplan.reports.words import millimetres
+
+    plans = first, second
+    ends = [float(plan.time_s[-1]) for plan in plans]
+    times = np.linspace(0.0, max(ends), FRAMES)
+    courses = [poses_along(plan.scenario, plan, FRAMES) for plan in plans]
+    paths = [
+        [course[min(round(t / max(end, 1e-9) * (len(course) - 1)), len(course) - 1)] for t in times.tolist()]
+        for course, end in zip(courses, ends, strict=True)
+    ]
+    said = {
+        f"now_{letter}": [millimetres(pose.bound_m) for pose in path]
+        for letter, path in zip(LETTERS, paths, strict=True)
+    }
+    steps = [f"{t:.3f}" for t in times.tolist()]
+    motion = {
+        "frames": steps,
+        "time_s": times.tolist(),
+        "figures": said,
+        "curves": ["curves"],
+        "cursor": 0,
+        "step_ms": 100,
+    }
+    code = "".join(map(script, ("fit_camera.js", "scene_key.js", "player.js"))) + START.replace(
+        "MOTION", json.dumps(motion)
+    )
+    return rendered(
+        "compare.html",
+        title="Two plans - ctrplan",
+        names=[plan.scenario.name for plan in plans],
+        scene=plot(_scene(plans, paths, steps), "scene", with_library=True, script=code, kind="plot scene"),
+        last=FRAMES - 1,
+        now=[(letter, SERIES[k], said[f"now_{letter}"][0]) for k, letter in enumerate(LETTERS)],
+        heads=_heads(first, second, names),
+        rows=[row for row in _table(compared(first, second))[1:]],
+        curves=plot(_curves(plans), "curves"),
+    )
+
+
+START = """
+const begin = () => {
+  const plot = document.getElementById('scene');
+  addKey(plot, document.getElementById('key'));
+  addPlayer(plot, MOTION);
+  keepFitted(plot);
+};
+if (document.readyState === 'loading') document.addEventListener('DOMContentLoaded', begin); else begin();
+"""
+
+
+def _scene(plans: tuple[WrittenPlan, WrittenPlan], paths: list[list[RobotPose]], steps: list[str]) -> Any:
+    """Both robots, each in its colour, with their envelopes, goals and anatomies; a frame for each of `steps`."""
+    import numpy as np
+    import plotly.graph_objects as go
+
+    from ctrplan.reports.looks import GOAL, PLATE, SERIES, view_box
+    from ctrplan.reports.plan_scene import anatomy_traces, lay_out, mesh_trace, moved_traces, robot_traces, xyz
+    from ctrplan.reports.robot_surface import anatomy_surface, stand
+
+    moving, still, counts = list[Any](), list[Any](), list[int]()
+    scenarios = [plan.scenario for plan in plans]
+    for letter, colour, path, scenario in zip(LETTERS, SERIES, paths, scenarios, strict=False):
+        *tubes, envelope, _ = robot_traces(path[0])
+        for k, trace in enumerate((*tubes, envelope)):
+            name = f"plan {letter}" if trace is not envelope else f"envelope of friction of {letter}"
+            trace.update(color=colour, name=name, showlegend=k in (0, len(tubes)))
+        moving += [*tubes, envelope]
+        counts.append(len(tubes) + 1)
+        still.append(mesh_trace(stand(scenario), PLATE, 1.0, "front plate", shown=False))
+    goals = [scenario.goal.tip_m for scenario in scenarios]
+    alike = all(goal is not None for goal in goals) and np.allclose(np.array(goals[0]), np.array(goals[1]))
+    named = (
+        [("goal of both", GOAL, goals[0])]
+        if alike
+        else list(zip(("goal of A", "goal of B"), SERIES, goals, strict=False))
+    )
+    for name, colour, goal in named:
+        if goal is not None:
+            marker = {"symbol": "diamond", "size": 6, "color": colour}
+            still.append(go.Scatter3d(**xyz(goal[None]), mode="markers", marker=marker, name=name))
+    surfaces = [anatomy_surface(part) for part in scenarios[0].anatomy]
+    still += anatomy_traces(scenarios[0], surfaces)
+    figure = go.Figure([*moving, *still])
+    figure.frames = [
+        go.Frame(
+            data=[trace for path, count in zip(paths, counts, strict=True) for trace in moved_traces(path[k])[:count]],
+            traces=list(range(len(moving))),
+            name=step,
+        )
+        for k, step in enumerate(steps)
+    ]
+    points = np.concatenate([pose.envelope.surface(4).vertices_m for path in paths for pose in path])
+    solid = np.concatenate([np.empty((0, 3)), *(surface.vertices_m for surface in surfaces)])
+    base_m = scenarios[0].base_position_m
+    lay_out(figure, *view_box(points, solid), points, scenarios[0].frame, base_m=base_m)
+    return figure
+
+
+def _curves(plans: tuple[WrittenPlan, WrittenPlan]) -> Any:
+    """Bound and clearance of both over their times."""
+    import numpy as np
+
+    from ctrplan.reports.curves import Panel, Series, Timeline, stacked_figure
+    from ctrplan.reports.looks import SERIES
+
+    panels = []
+    for column, title in (("bound_m", "Worst-case friction error"), ("clearance_m", "Clearance beyond the margins")):
+        series = []
+        for letter, colour, plan in zip(LETTERS, SERIES, plans, strict=False):
+            values = _column(plan, column) * 1e3
+            if np.isfinite(values).any():
+                time_s = np.interp(plan.certified_places, plan.places, plan.time_s)
+                series.append(Series(f"plan {letter}", time_s, values, colour))
+        if series:
+            panels.append(Panel(title, "length", "mm", tuple(series)))
+    return stacked_figure(panels, Timeline(max(float(plan.time_s[-1]) for plan in plans), ()))

@@ -15,6 +15,8 @@ from ctrplan.storage.output_folder import output_folder, written_together
 
 if TYPE_CHECKING:
     from ctrplan.diagnosis import Diagnosis
+    from ctrplan.diagnosis.reading import MisreadError
+    from ctrplan.robot.robot import Robot
 
 OUTPUTS = ("diagnosis.json", "robot.toml", "report.html")
 
@@ -63,7 +65,7 @@ def run(arguments: argparse.Namespace) -> int:
     with interrupt_event() as interrupted:
         from ctrplan.diagnosis import CATALOGUE, diagnose
         from ctrplan.diagnosis.confirmation import confirm
-        from ctrplan.diagnosis.reading import refuse_misread
+        from ctrplan.diagnosis.reading import MisreadError
         from ctrplan.diagnosis.workbench import reduced
         from ctrplan.files.measurement_file import load_measurements
         from ctrplan.files.robot_file import load_robot
@@ -71,13 +73,22 @@ def run(arguments: argparse.Namespace) -> int:
         reduced(CATALOGUE, arguments.without, key="--without")
         robot = load_robot(arguments.robot, arguments.overrides)
         data = load_measurements(arguments.measurements, robot)
-        if not arguments.as_read:
-            refuse_misread(robot, data)
         others = [load_measurements(path, robot) for path in arguments.confirm]
         folder = output_folder(arguments.output, OUTPUTS)
         warn([*robot.warnings, *data.warnings])
         with ProgressBar(quiet=arguments.quiet) as bar:
-            result = diagnose(robot, data, bar.show, without=arguments.without, interrupted=interrupted)
+            try:
+                result = diagnose(
+                    robot,
+                    data,
+                    bar.show,
+                    without=arguments.without,
+                    interrupted=interrupted,
+                    as_read=arguments.as_read,
+                )
+            except MisreadError as error:
+                _write_misread(folder, error, robot)
+                raise
             confirmed = tuple(confirm(result, other) for other in others if not result.interrupted)
             result = replace(result, confirmations=confirmed)
         _write(folder, result)
@@ -100,12 +111,23 @@ def _write(folder: Path, diagnosis: Diagnosis) -> None:
         write_diagnosis_report(made / "report.html", diagnosis, errors)
 
 
+def _write_misread(folder: Path, error: MisreadError, robot: Robot) -> None:
+    """What the file seems to mean, in the place of all that an earlier run wrote."""
+    from ctrplan.diagnosis.result import misread_json
+    from ctrplan.storage.output_folder import write_results
+
+    write_results(folder, {OUTPUTS[0]: json.dumps(misread_json(error, robot), indent=1, allow_nan=False) + "\n"})
+    for name in OUTPUTS[1:]:
+        (folder / name).unlink(missing_ok=True)
+
+
 def summary(folder: Path, diagnosis: Diagnosis) -> str:
     """What a person wants to know first."""
     from ctrplan.diagnosis.sentences import effect_lines, verdict_sentence
 
     gap = diagnosis.gap
-    lines = [verdict_sentence(diagnosis), *(f"  {line}" for line in effect_lines(diagnosis))]
+    read = [reading.sentence for reading in diagnosis.reading]
+    lines = [*read, verdict_sentence(diagnosis), *(f"  {line}" for line in effect_lines(diagnosis))]
     lines.append(
         f"  on {gap.after.poses} poses kept aside: {gap.before.rms_m * 1e3:.2f} mm rms calibrated, "
         f"{gap.after.rms_m * 1e3:.2f} mm with the effects, noise {gap.floor_m * 1e3:.2f} mm"

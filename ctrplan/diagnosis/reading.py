@@ -134,12 +134,20 @@ def read_again(robot: Robot, data: Measurements) -> tuple[Reading, ...]:
 
 
 def refuse_misread(robot: Robot, data: Measurements) -> None:
-    """Raises NoAnswerError, with what the columns seem to mean, where another reading explains the file."""
+    """Raises MisreadError, with what the columns seem to mean, where another reading explains the file."""
     if readings := read_again(robot, data):
+        raise MisreadError(data, readings)
+
+
+class MisreadError(NoAnswerError):
+    """A file that does not mean what it says: nothing was fitted to it."""
+
+    def __init__(self, data: Measurements, readings: tuple[Reading, ...]) -> None:
+        """readings: that explain the file together, the plainest first."""
+        self.data, self.readings = data, readings
         said = " ".join(reading.sentence for reading in readings)
-        raise NoAnswerError(
-            f"{data.file or 'measurements'}: {said} Nothing was fitted; --as-read fits it as it stands."
-        )
+        rule = "Nothing was fitted; --as-read fits it as it stands."
+        super().__init__(f"{data.file or 'measurements'}: {said} {rule}")
 
 
 def _best(file: _File, before: float) -> tuple[_Again, float] | None:

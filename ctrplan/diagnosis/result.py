@@ -19,6 +19,7 @@ from ctrplan.diagnosis.gap import Gap
 from ctrplan.diagnosis.localise import Place
 from ctrplan.diagnosis.next_experiment import Proposal
 from ctrplan.diagnosis.partial_diagnosis import PartialDiagnosis
+from ctrplan.diagnosis.reading import MisreadError, Reading
 from ctrplan.diagnosis.remainder import Remainder
 from ctrplan.diagnosis.selection import SelectionStep
 from ctrplan.diagnosis.verdict import Judgement, Verdict
@@ -72,6 +73,7 @@ class Diagnosis:
     memory: float | None = None  # of what remains, s or rows of a continuous motion, whatever the verdict
     framed_gap: Gap | None = None  # the gap with free frames alone, where something remains
     confirmations: tuple[ConfirmationResult, ...] = ()  # on other runs, asked once
+    reading: tuple[Reading, ...] = ()  # how the columns should be read, where the file does not mean what it says
 
     def headline(self) -> str:
         """The verdict and its effects, as it shows itself."""
@@ -113,6 +115,7 @@ class Diagnosis:
     def to_json(self) -> dict[str, Any]:
         """The content of diagnosis.json."""
         return {
+            "reading": [reading.to_json() for reading in self.reading],
             "verdict": self.verdict,
             "effects": [self._effect(k) for k in range(len(self.judgement.findings))],
             "gap": _gap(self.gap) | self._partial_gaps(),
@@ -169,6 +172,20 @@ class Diagnosis:
         }
 
 
+def misread_json(error: MisreadError, robot: Robot) -> dict[str, Any]:
+    """The content of diagnosis.json where nothing was fitted, because the file does not mean what it says."""
+    return {
+        "reading": [reading.to_json() for reading in error.readings],
+        "verdict": "misread",
+        "effects": [],
+        "notes": list(error.data.warnings),
+        "robot_sha256": robot.sha256,
+        "measurements_sha256": error.data.sha256,
+        "ctrplan_version": __version__,
+        "schema_version": SCHEMA_VERSION,
+    }
+
+
 def _millimetres(value: float) -> float:
     return round(value * 1e3, 4)
 
@@ -195,7 +212,7 @@ def _errors(errors: Errors) -> dict[str, Any]:
     return {
         "mean_mm": _millimetres(errors.mean_m),
         "rms_mm": _millimetres(errors.rms_m),
-        "rms_ci95_mm": [_millimetres(x) for x in errors.rms_ci95_m],
+        "rms_ci95_mm": errors.rms_ci95_m and [_millimetres(x) for x in errors.rms_ci95_m],
         "p95_mm": _millimetres(errors.p95_m),
         "max_mm": _millimetres(errors.max_m),
         "poses": errors.poses,

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from ctrplan.calibration.estimates import estimates
+from ctrplan.calibration.least_squares import Fit
 from ctrplan.diagnosis.correlated_bench import FRAME
 from ctrplan.diagnosis.gap import LARGEST_REST, times_noise
 from ctrplan.diagnosis.result import Diagnosis
@@ -40,7 +41,7 @@ def verdict_sentence(diagnosis: Diagnosis) -> str:
     if diagnosis.built:
         return f"Unexplained: nothing in the catalogue explains the measurements. {_built(diagnosis)}"
     if names:
-        return f"Unexplained: {names} is at work, but not alone, {rest}."
+        return f"Unexplained: {names}; at work, but not alone, {rest}."
     return f"Unexplained: nothing in the catalogue explains the measurements, {rest}."
 
 
@@ -134,13 +135,28 @@ def _but(diagnosis: Diagnosis) -> str:
 
 def _with_alternatives(diagnosis: Diagnosis, k: int) -> str:
     finding = diagnosis.judgement.findings[k]
-    return " or ".join(_in_words(t) for t in (finding.term, *(a.term for a in finding.alternatives)))
+    others = (in_figures(diagnosis, alternative.term, alternative.scored.fit) for alternative in finding.alternatives)
+    return " or ".join([in_figures(diagnosis, finding.term, diagnosis.chosen.fit), *others])
 
 
-def _in_words(t: Term) -> str:
-    """With the name that files and tables have."""
-    title = t.effect.title
-    return title if title == t.name else f"{title} ({t.name})"
+MOST_NUMBERS = 3  # of an effect that stand in a sentence
+
+
+def in_figures(diagnosis: Diagnosis, t: Term, fit: Fit) -> str:
+    """What an effect does with the values of a fit, and how files say it.
+
+    "tube 2 turns 5 % too far (joint_scale theta_2 = 0.0498)". Values whose intervals hold the neutral one are left out,
+    if there are others. In a fit without the term it is its title and name.
+    """
+    every = estimates(fit, t)
+    if not every:
+        return f"{t.effect.title} ({t.name})"
+    neutral = {parameter.name: parameter.neutral for parameter in t.parameters}
+    sure = {name: e for name, e in every.items() if e.differs_from(neutral[name])} or every
+    clause = t.effect.in_figures({name: e.value for name, e in sure.items()}, diagnosis.robot)
+    numbers = [f"{name} = {e.shown}" for name, e in sure.items()]
+    more = f" and {len(numbers) - MOST_NUMBERS} more" if len(numbers) > MOST_NUMBERS else ""
+    return f"{clause or t.effect.title} ({t.name} {', '.join(numbers[:MOST_NUMBERS])}{more})"
 
 
 def headline(diagnosis: Diagnosis) -> str:

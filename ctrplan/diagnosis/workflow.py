@@ -10,12 +10,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrplan.base.arguments import EVENT, PROGRESS, Made, Texts, checked
+from ctrplan.base.arguments import EVENT, PROGRESS, Flag, Made, Texts, checked
 from ctrplan.base.long_work import StageProgress
 from ctrplan.calibration.fit_warnings import excused, outlier_sentences, unsolved_sentence
 from ctrplan.diagnosis.adequacy import ignored, noise_floor
 from ctrplan.diagnosis.conclusion import HELD_OUT_SHARE, Conclusion, Teller, conclude
 from ctrplan.diagnosis.next_experiment import next_experiment
+from ctrplan.diagnosis.reading import MisreadError, read_again
 from ctrplan.diagnosis.result import Diagnosis
 from ctrplan.diagnosis.test_set import Opened, opened
 from ctrplan.diagnosis.usable_poses import checked_split, usable_poses
@@ -25,7 +26,14 @@ from ctrplan.measurement.measurements import Measurements
 from ctrplan.robot.robot import Robot
 
 
-@checked(robot=Made("Robot"), data=Made("Measurements"), progress=PROGRESS, without=Texts(), interrupted=EVENT)
+@checked(
+    robot=Made("Robot"),
+    data=Made("Measurements"),
+    progress=PROGRESS,
+    without=Texts(),
+    interrupted=EVENT,
+    as_read=Flag(),
+)
 def diagnose(
     robot: Robot,
     data: Measurements,
@@ -34,15 +42,21 @@ def diagnose(
     catalogue: Mapping[str, Effect] = CATALOGUE,
     without: Sequence[str] = (),
     interrupted: threading.Event | None = None,
+    as_read: bool = True,
 ) -> Diagnosis:
     """Compares the whole chain with measurements and says which stage lacks what, if anything.
 
     `progress` is told the step and the share done. When `interrupted` is set, what was found so far is returned.
-    `without` names effects to be left out of the catalogue. Raises InputError where it names another, where the data
-    are too few, or neither the robot file states the noise nor the data have repeats.
+    `without` names effects to be left out of the catalogue. Whether the file means what it says is asked first, and
+    said in `reading`; unless `as_read` nothing is fitted to one that does not, and MisreadError is raised. Raises
+    InputError where `without` names another effect, where the data are too few, or neither the robot file states the
+    noise nor the data have repeats.
     """
     began = time.monotonic()
     allowed = reduced(catalogue, without)
+    reading = read_again(robot, data)
+    if reading and not as_read:
+        raise MisreadError(data, reading)
     teller = Teller(progress, interrupted)
     noise, about_noise = noise_floor(robot, data)
     usable = usable_poses(robot, data)
@@ -96,6 +110,7 @@ def diagnose(
         named_gap=asked.named_gap,
         memory=_memory(result),
         framed_gap=asked.framed_gap,
+        reading=reading,
     )
 
 

@@ -6,6 +6,7 @@ A new effect is one new file in the folder of its stage, here or in that of an e
 
 from __future__ import annotations
 
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -66,6 +67,13 @@ class Effect(ABC):
     def title(self) -> str:
         """For people: in words, or the name without its underscores."""
         return self.in_words or self.name.replace("_", " ")
+
+    def in_figures(self, values: Values, robot: Robot) -> str:
+        """What the real robot does at these values, in the units of their names: "tube 2 turns 5 % too far".
+
+        Here the title with the values; an effect of the catalogue says it in words that need no equation.
+        """
+        return f"{self.title}: {', '.join(f'{name} {two_digits(value)}' for name, value in values.items())}"
 
     @abstractmethod
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
@@ -187,6 +195,64 @@ def register(effect: E_) -> E_:
         raise InputError(rule, value=effect.stage)
     CATALOGUE.add(effect.name, effect(), effect.__module__)
     return effect
+
+
+def two_digits(value: float) -> str:
+    """A number for a sentence: two digits, more of what is larger than 100, never a power of ten."""
+    if not np.isfinite(value) or value == 0:
+        return f"{value:g}"
+    places = max(0, 1 - int(np.floor(np.log10(abs(value)))))
+    text = f"{value:.{places}f}"
+    return text.rstrip("0").rstrip(".") if "." in text else text
+
+
+Clauses = list[tuple[float, str]]  # sizes, by which they are put in order, and texts
+
+
+def clauses(values: Values, name: str, text: str, *, signs: tuple[str, str] = ("", ""), factor: float = 1.0) -> Clauses:
+    """Of every value whose name is `name` with numbers in the place of I and K, `text` with them and the value.
+
+    In the text {I}, {K} are the numbers, {next} is I + 1, {value} is the value times `factor` and {sign} the first of
+    `signs` where it is positive, else the second; the value is without its own sign then.
+    """
+    pattern = re.compile(re.escape(name).replace("I", r"(?P<I>\d+)").replace("K", r"(?P<K>\d+)"))
+    result: Clauses = []
+    for key, value in values.items():
+        if match := pattern.fullmatch(key):
+            size, numbers = factor * value, match.groupdict()
+            shown = two_digits(abs(size) if any(signs) else size)
+            following = int(numbers["I"]) + 1
+            result.append((size, text.format(**numbers, next=following, value=shown, sign=signs[int(size < 0)])))
+    return result
+
+
+def vectors(values: Values, names: Sequence[str], text: str, *, factor: float = 1.0) -> Clauses:
+    """`text` with {I} and {value}, for every number I: the length of the vector whose components have these names."""
+    numbers = sorted({int(x) for key in values for x in re.findall(r"_(\d+)", key)})
+    sizes = ((i, factor * length_of(values, *(name.replace("I", str(i)) for name in names))) for i in numbers)
+    return [(size, text.format(I=i, value=two_digits(size))) for i, size in sizes]
+
+
+def length_of(values: Values, *names: str) -> float:
+    """The length of a vector whose components have these names; 0 for those that are not there."""
+    return float(np.linalg.norm([values.get(name, 0.0) for name in names]))
+
+
+def direction_of(values: Values, *names: str) -> str:
+    """The direction of that vector, as "(0, 0.6, -0.8)"."""
+    vector = np.array([values.get(name, 0.0) for name in names])
+    unit = vector / max(float(np.linalg.norm(vector)), 1e-300)
+    return f"({', '.join(f'{x + 0.0:.2g}' for x in unit.round(2))})"
+
+
+MOST_TOLD = 3  # clauses that a sentence holds
+
+
+def told(*parts: Clauses) -> str:
+    """Clauses as one, those with the largest sizes where there are many."""
+    ordered = sorted((clause for part in parts for clause in part if clause[0]), key=lambda clause: -abs(clause[0]))
+    shown = [text for _, text in ordered[:MOST_TOLD]]
+    return ", ".join([*shown, *([f"and {len(ordered) - MOST_TOLD} more"] if len(ordered) > MOST_TOLD else [])])
 
 
 def numbered(stem: str, numbers: Iterable[int], unit: str = "") -> list[str]:

@@ -185,12 +185,9 @@ def scenario_text(robot: Robot, file: str, mesh: str | None = None, unit: str | 
     return "\n".join([*lines, ""])
 
 
-WORDS = {  # of column names, by what they most likely are; the unit stands behind
-    "theta": r"(?:theta|rot|alpha|angle|ang|phi|a|r)_?(\d)",
-    "l": r"(?:l|beta|trans|lin|ext|ins|d|t)_?(\d)",
-    "position": r"(?:tip_?|pos_?|p_?)?([xyz])",
-    "tangent": r"(?:t|tan|dir|d|n)_?([xyz])",
-}
+ANGLE = {"theta", "rot", "rotation", "alpha", "angle", "ang", "phi", "a", "r", "turn", "deg", "degrees", "rad", "turns"}
+LENGTH = {"l", "beta", "trans", "translation", "lin", "ext", "ins", "insertion", "d", "t", "mm", "cm", "m"}
+AXIS = re.compile(r"(t|tan|tangent|dir|direction|d|n)?(?:tip|pos|position|p)?([xyz])")
 TIME, SEQUENCE = r"(?:time|t|stamp|timestamp)", r"(?:sequence|seq|run|s|trial)"
 UNIT = r"(?:_?(?:\(|\[)?(rad|deg|degrees|mm|m|s|ms)(?:\)|\])?)?"
 
@@ -199,7 +196,7 @@ def mapping_text(table: str | os.PathLike[str], robot: Robot) -> str:
     """A mapping file for a CSV table whose columns are guessed by their names; what was not found is said in it."""
     name = file_name(table, "a CSV file")
     columns = CsvTable(name, "file of measurements").header
-    guessed = {key: _guessed(columns, pattern) for key, pattern in WORDS.items()}
+    guessed = _guessed(columns)
     theta, l = (_tubes(guessed[key], robot.n) for key in ("theta", "l"))  # noqa: E741
     position = [guessed["position"].get(axis) for axis in "xyz"]
     lines = [
@@ -232,13 +229,21 @@ def mapping_text(table: str | os.PathLike[str], robot: Robot) -> str:
     return "\n".join(lines)
 
 
-def _guessed(columns: Sequence[str], pattern: str) -> dict[str, str]:
-    """Columns by the number or axis in their names."""
-    matches = ((re.fullmatch(pattern + UNIT, column, re.IGNORECASE), column) for column in columns)
-    result = dict[str, str]()
-    for match, column in matches:
-        if match:
-            result.setdefault(match[1].lower(), column)
+def _guessed(columns: Sequence[str]) -> dict[str, dict[str, str]]:
+    """Columns of rotations and translations by the number in their names, of places and directions by their axis.
+
+    A name is taken apart into words, numbers and a unit: "base2 angle [deg]", "theta_2_rad" and "rot2" are one thing.
+    """
+    result: dict[str, dict[str, str]] = {key: {} for key in ("theta", "l", "position", "tangent")}
+    for column in columns:
+        words = re.findall(r"[a-z]+|\d+", column.lower())
+        numbers = [word for word in words if word.isdigit()]
+        axes = [match for word in words if (match := AXIS.fullmatch(word))]
+        if axes and not numbers:
+            is_direction = axes[0][1] or {"t", "tan", "tangent", "dir", "direction", "d", "n"} & set(words)
+            result["tangent" if is_direction else "position"].setdefault(axes[0][2], column)
+        elif len(numbers) == 1 and (ANGLE | LENGTH) & set(words):
+            result["theta" if ANGLE & set(words) else "l"].setdefault(numbers[0], column)
     return result
 
 

@@ -114,7 +114,7 @@ class ScenarioStep(CaseStep):
         write_atomically(work.file(ENTRIES), _more(task.entries, task.targets))
         write_atomically(work.file(SCENARIO), _with_head(content))
         robot = load_robot(work.file(ROBOT))
-        work.keep(SCENARIO, replace(scenario, robot=robot))
+        work.keep(SCENARIO, replace(scenario, robot=robot, content=content))
         return task.sentence
 
 
@@ -314,6 +314,7 @@ class PlacedStep(CaseStep):
             base_position_m=pose.position_m,
             base_R=pose.R,
             path=str(work.file(PLACED)),
+            content=content,
         )
         work.keep(PLACED, kept)
         position = ", ".join(f"{x:.1f}" for x in pose.position_m * MM_PER_M)

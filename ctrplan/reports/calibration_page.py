@@ -49,7 +49,8 @@ def errors_figure(calibration: Calibration) -> go.Figure:
     """Usual errors with their intervals, and the largest ones."""
     names, sets = zip(*_sets(calibration), strict=True)
     rms = [1e3 * errors.rms_m for errors in sets]
-    low, high = ([abs(1e3 * e.rms_ci95_m[k] - r) for e, r in zip(sets, rms, strict=True)] for k in (0, 1))
+    ends = [e.rms_ci95_m or (e.rms_m, e.rms_m) for e in sets]
+    low, high = ([abs(1e3 * end[k] - r) for end, r in zip(ends, rms, strict=True)] for k in (0, 1))
     bars = {"type": "data", "symmetric": False, "array": high, "arrayminus": low, "color": looks.MUTED}
     figure = go.Figure(go.Bar(x=rms, y=names, orientation="h", name="rms, 95 % interval", error_x=bars))
     figure.data[0].marker.color = [looks.PLATE, *[looks.SERIES[0]] * (len(names) - 1)]

@@ -16,6 +16,7 @@ import numpy as np
 
 from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.certificate.certificate import FIGURES
+from ctrplan.diagnosis.reading import how_taken, read_again
 from ctrplan.drive.legs import Collars
 from ctrplan.errors import InputError
 from ctrplan.files.measurement_file import load_measurements
@@ -38,7 +39,7 @@ if TYPE_CHECKING:
 
 SAMPLES = 64  # configurations whose bounds are looked at, a second or so of three tubes
 SHOWN = {"m": (1e3, " mm"), "rad": (180 / math.pi, " deg"), "mm": (1.0, " mm"), "number": (1.0, "")}
-FAR_OFF = 0.1  # of the robot's length: a median error of the model that no effect explains
+FAR_OFF = 0.1  # of the robot's length: a median error that no effect explains, where no other reading does
 
 
 @dataclass(frozen=True, eq=False)
@@ -293,20 +294,22 @@ def _of_measurements(data: Measurements, robot: Robot) -> Check:
     collars = (theta_b, l_b) if data.of_collars else robot.collars(theta_b, l_b)
     table = point_table(robot, data, Collars(*collars), np.zeros((data.count, robot.n - 1)))
     off = np.linalg.norm(table.position_m - data.position_m, axis=1)[table.sound]
-    facts: dict[str, Any] = {"poses": data.count}
-    flags = []
+    readings = read_again(robot, data)
+    facts: dict[str, Any] = {"poses": data.count, "reading": [reading.to_json() for reading in readings]}
+    flags = [f"{data.file}: {reading.sentence}" for reading in readings]
     if len(off):
         facts |= {"error_median_mm": float(np.median(off)) * 1e3, "error_largest_mm": float(off.max()) * 1e3}
         lines.append(
             f"the robot file explains them, without friction, to {np.median(off) * 1e3:.3g} mm in the middle, "
             f"{off.max() * 1e3:.3g} mm at most"
         )
-        if np.median(off) > FAR_OFF * reach_m(robot):
+        if not flags and np.median(off) > FAR_OFF * reach_m(robot):
             rule = "is too far for any effect: are columns in another order, axis or unit, or is the frame another one"
             flags.append(
                 f'{data.file}: {np.median(off) * 1e3:.3g} mm {rule}? frame = "unknown" in a mapping file finds it.'
             )
-    return Check(str(data.file), "measurements", tuple(lines), tuple(flags), data.warnings, facts, robot)
+    notes = (*data.warnings, *how_taken(data))
+    return Check(str(data.file), "measurements", tuple(lines), tuple(flags), notes, facts, robot)
 
 
 def _listed(values: Array) -> str:

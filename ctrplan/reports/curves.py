@@ -212,21 +212,24 @@ def _shown_rows(plan: Plan) -> NDArray[np.int_]:
     return np.unique(np.linspace(0, count - 1, MOST_SAMPLES).round().astype(int))
 
 
-ROW_HEIGHT = 165
+ROW_HEIGHT, HEADING = 180, 72  # pixels of a panel with its heading, of the heading alone
 CURSOR = 0  # the shape that a script moves
 DASHES = {"solid": "solid", "dotted": "dot"}
+STROKES = {"solid": "\u2501\u2501", "dotted": "\u2509\u2509"}
+NAMES_A_LINE = 3  # of curves in a heading: as many as a phone has room for
 
 
 def stacked_figure(panels: Sequence[Panel], timeline: Timeline) -> go.Figure:
     """Panels with their headings, limits and marks; the legs are shaded by their kind."""
     count = len(panels)
-    figure = make_subplots(rows=count, cols=1, shared_xaxes=True, vertical_spacing=52 / (ROW_HEIGHT * count))
+    figure = make_subplots(rows=count, cols=1, shared_xaxes=True, vertical_spacing=HEADING / (ROW_HEIGHT * count))
     for row, panel in enumerate(panels, start=1):
         _add_panel(figure, row, panel, timeline)
     shades = (_shade(shade, row) for row in range(1, count + 1) for shade in timeline.shades)
     figure.update_layout(
         height=ROW_HEIGHT * count + 110,
-        margin={"l": 70, "r": 20, "t": 60, "b": 50},
+        margin={"l": 70, "r": 20, "t": 76, "b": 50},
+        showlegend=False,
         shapes=[_cursor(0.0), *shades],
         hovermode="x unified",
         plot_bgcolor="rgba(0,0,0,0)",
@@ -240,9 +243,8 @@ def stacked_figure(panels: Sequence[Panel], timeline: Timeline) -> go.Figure:
 
 def _add_panel(figure: go.Figure, row: int, panel: Panel, timeline: Timeline) -> None:
     place = {"row": row, "col": 1}
-    legend = "legend" if row == 1 else f"legend{row}"
     for series in panel.series:
-        figure.add_trace(_curve(series, panel.unit, legend, shown=len(panel.series) > 1), **place)
+        figure.add_trace(_curve(series, panel.unit), **place)
     for limit in panel.limits:
         line = {"color": limit.colour, "width": 1.2, "dash": "dash"}
         ends = {"x": [0, timeline.end_s], "y": [limit.value, limit.value]}
@@ -252,19 +254,17 @@ def _add_panel(figure: go.Figure, row: int, panel: Panel, timeline: Timeline) ->
             _add_point(figure, timeline.duration_s, mark.value, mark.colour, place)
     rule = {"rangemode": "tozero"} if panel.from_zero else {}
     figure.update_yaxes(title_text=panel.unit, gridcolor=looks.GRID, zeroline=False, **place, **rule)
-    _add_heading(figure, row, html.escape(panel.heading), legend)
+    _add_heading(figure, row, panel)
 
 
-def _curve(series: Series, unit: str, legend: str, *, shown: bool) -> Any:
+def _curve(series: Series, unit: str) -> Any:
     return go.Scatter(
         x=series.time_s.astype(np.float32),
         y=series.values.astype(np.float32),
         name=html.escape(series.name),
         mode="lines",
         line={"color": series.colour, "width": 2, "dash": DASHES[series.dash]},
-        hovertemplate=f"%{{y:.4g}} {unit}",
-        legend=legend,
-        showlegend=shown,
+        hovertemplate=f"%{{y:.3g}} {unit}",
     )
 
 
@@ -275,15 +275,19 @@ def _add_point(figure: go.Figure, time_s: float, value: float, colour: str, plac
     figure.add_scatter(x=[time_s], y=[value], **drawn, **place)
 
 
-def _add_heading(figure: go.Figure, row: int, text: str, legend: str) -> None:
-    """Text at the left above a panel, its legend at the right."""
+def _add_heading(figure: go.Figure, row: int, panel: Panel) -> None:
+    """Title at the left above a panel; under it the names of its curves in their colours, if there are several."""
     top = figure.layout["yaxis" if row == 1 else f"yaxis{row}"].domain[1]
+    names = [
+        f'<span style="color:{series.colour}">{STROKES[series.dash]} {html.escape(series.name)}</span>'
+        for series in panel.series
+    ]
+    lines = ["\u2002".join(names[k : k + NAMES_A_LINE]) for k in range(0, len(names), NAMES_A_LINE)]
+    text = "<br>".join([f"<b>{html.escape(panel.heading)}</b>", *(lines if len(names) > 1 else [])])
     figure.add_annotation(
-        text=f"<b>{text}</b>", x=0, y=top, xref="paper", yref="paper", xanchor="left", yanchor="bottom",
+        text=text, x=0, y=top, xref="paper", yref="paper", xanchor="left", yanchor="bottom", align="left",
         showarrow=False, yshift=4,
     )  # fmt: skip
-    place = {"orientation": "h", "x": 1, "xanchor": "right", "y": top, "yanchor": "bottom", "bgcolor": "rgba(0,0,0,0)"}
-    figure.update_layout({legend: place})
 
 
 def _shade(shade: Shade, row: int) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from ctrplan.diagnosis.correlated_bench import FRAMES
 from ctrplan.diagnosis.next_experiment import Proposal
 from ctrplan.diagnosis.partial_diagnosis import PartialDiagnosis
 from ctrplan.diagnosis.result import Diagnosis
-from ctrplan.diagnosis.sentences import built_lines, headline, verdict_sentence
+from ctrplan.diagnosis.sentences import built_lines, headline, in_figures, verdict_sentence
 from ctrplan.effects.learned.inputs import unit
 from ctrplan.pipeline.term import Term
 from ctrplan.reports import looks
@@ -82,6 +82,7 @@ def _effects(diagnosis: Diagnosis, errors: SelectionErrors) -> Iterator[dict[str
         values = estimates(diagnosis.chosen.fit, t).items()
         yield {
             "term": t,
+            "said": in_figures(diagnosis, t, diagnosis.chosen.fit),
             "figure": plot(drawn, f"signature_{number}", with_library=number == 0, kind="plot twin"),
             "parameters": [(n, e.shown, f"{e.shown_ci95}{', at its bound' if e.at_bound else ''}") for n, e in values],
             "rivals": [a for a in compared if t.key not in {other.key for other in a.scored.terms}],
@@ -113,7 +114,7 @@ def write_diagnosis_report(path: str | os.PathLike[str], diagnosis: Diagnosis, e
 
 def diagnosis_report_html(diagnosis: Diagnosis, errors: SelectionErrors) -> str:
     """The content of report.html."""
-    good = diagnosis.verdict in ("named", "no_missing_effect") and not diagnosis.interrupted
+    good = diagnosis.verdict in ("named", "no_missing_effect") and not (diagnosis.interrupted or diagnosis.reading)
     gap, left = diagnosis.gap, diagnosis.judgement.adequacy
     return rendered(
         "diagnosis.html",

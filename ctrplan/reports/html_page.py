@@ -34,7 +34,7 @@ STYLE = f"""
 :root {{ color-scheme: light; }}
 body {{ margin: 0; background: #f4f6f8; color: {looks.INK}; line-height: 1.5;
   font-family: {FONT}; font-size: 16px; }}
-main {{ max-width: 1120px; margin: 0 auto; padding: 28px 20px 60px; }}
+main {{ max-width: 1180px; margin: 0 auto; padding: 28px 20px 60px; }}
 h1 {{ font-size: 1.9rem; line-height: 1.2; margin: 0 0 14px; overflow-wrap: anywhere; }}
 h2 {{ font-size: 1.2rem; margin: 0 0 4px; }}
 p {{ margin: 6px 0 10px; max-width: 75ch; }}
@@ -55,19 +55,25 @@ th {{ color: {looks.MUTED}; font-weight: 600; overflow-wrap: break-word; }}
 td.key {{ width: 30%; color: {looks.MUTED}; }}
 code {{ font-size: 0.85rem; }}
 .plot {{ margin: 8px -8px 0; }}
-.scene {{ height: max(300px, min(560px, 100vh - 370px)); margin: 0; }} .scene > div {{ height: 100%; }}
-.motion {{ display: grid; grid-template-columns: minmax(0, 1fr) 300px; gap: 8px 26px; }}
-.player {{ display: flex; gap: 14px; align-items: center; margin: 4px 0 10px; }} .player input {{ flex: 1; }}
+.scene {{ height: max(340px, min(640px, 100vh - 300px)); margin: 0; border-radius: 8px; overflow: hidden;
+  background: radial-gradient(ellipse at 40% 35%, #ffffff 0%, #eef3f6 55%, #d9e2e8 100%); }}
+.scene > div {{ height: 100%; }}
+section.motion {{ padding: 0 0 14px; overflow: hidden; }}
+section.motion > :not(.scene), section.motion > #key, section.motion > .scene-key {{ margin-left: 22px;
+  margin-right: 22px; }}
+section.motion .scene {{ border-radius: 8px 8px 0 0; }}
+.player {{ display: flex; gap: 14px; align-items: center; margin: 12px 0 10px; }} .player input {{ flex: 1; }}
 .looking {{ display: flex; flex-wrap: wrap; gap: 6px; align-items: center; margin: 0 0 10px; font-size: 0.9rem; }}
 .looking button {{ padding: 2px 10px; }} .cut {{ display: flex; gap: 8px; align-items: center; margin-left: 8px; }}
 .cut select {{ font: inherit; }} .cut input {{ width: 120px; }}
 .player button {{ width: 7em; font-weight: 600; color: #fff; background: {looks.SERIES[0]}; border: 0; }}
 .player button:hover {{ background: #005a8e; }}
 output {{ min-width: 3.5em; text-align: right; }} output, .moment b {{ font-variant-numeric: tabular-nums; }}
-.moment > div {{ margin: 0 0 10px; }} .moment b {{ display: block; font-size: 1.5rem; line-height: 1.2; }}
+.moment {{ display: flex; flex-wrap: wrap; gap: 4px 40px; }} .moment > div {{ margin: 0 0 10px; }}
+.moment b {{ display: block; font-size: 1.5rem; line-height: 1.2; }}
 .moment span {{ color: {looks.MUTED}; font-size: 0.9rem; }} .moment b.bound {{ color: {looks.BOUND}; }}
-.ways {{ font-size: 0.9rem; }} .small {{ font-size: 0.85rem; }} .hint {{ margin-bottom: 0; max-width: none; }}
-.wide, .twin {{ overflow-x: auto; }} .wide th, .wide td {{ overflow-wrap: break-word; }}
+.small {{ font-size: 0.85rem; }} .hint {{ margin-bottom: 0; max-width: none; }}
+.whole {{ white-space: nowrap; }} .wide {{ overflow-x: auto; }} .wide th, .wide td {{ overflow-wrap: break-word; }}
 {KEY_STYLE}
 abbr {{ text-decoration: underline dotted {looks.MUTED} 1px; text-underline-offset: 3px; cursor: help; }}
 details {{ margin: 10px 0 0; }} summary {{ cursor: pointer; color: {looks.MUTED}; }}
@@ -76,10 +82,19 @@ dt {{ font-weight: 600; }} dd {{ margin: 0 0 8px; color: {looks.MUTED}; max-widt
   main {{ padding: 16px 10px 40px; }} section {{ padding: 14px 14px; }} h1 {{ font-size: 1.5rem; }}
   .verdict {{ font-size: 1rem; padding: 10px 14px; }} .tile {{ padding: 8px 12px; }} .tile b {{ font-size: 1.25rem; }}
   .tiles {{ gap: 8px; }} .tile {{ flex-basis: 140px; }}
-  .motion {{ grid-template-columns: minmax(0, 1fr); }} .scene {{ height: 42vh; min-height: 260px; }}
-  .twin > div {{ min-width: 620px; }} .wide th, .wide td {{ min-width: 4.2em; }}
-  .moment {{ display: flex; gap: 12px; }} .moment > div {{ flex: 1; }} .moment b {{ font-size: 1.15rem; }}
+  section.motion {{ padding: 0 0 10px; }}
+  section.motion > :not(.scene), section.motion > #key, section.motion > .scene-key {{ margin-left: 14px;
+    margin-right: 14px; }}
+  .scene {{ height: 46vh; min-height: 300px; }}
+  .wide th, .wide td {{ min-width: 4.2em; }}
+  .moment {{ gap: 12px; }} .moment > div {{ flex: 1; }} .moment b {{ font-size: 1.15rem; }}
   .moment span {{ font-size: 0.8rem; }} table {{ font-size: 0.85rem; }} th, td {{ padding-right: 8px; }}
+  .cut {{ margin-left: 0; }} #key button, .scene-key button {{ font-size: 0.78rem; }}
+  .stack thead, .named thead {{ display: none; }} .stack tr, .named tr {{ display: flex; flex-wrap: wrap;
+    gap: 0 18px; padding: 7px 0; border-bottom: 1px solid {looks.GRID}; }}
+  .wide.stack td, .wide .named td {{ border: 0; padding: 0; min-width: 0; }} .stack td:empty {{ display: none; }}
+  .stack td:first-child, .named td:first-child {{ flex-basis: 100%; color: {looks.MUTED}; }}
+  .named td:not(:first-child):not(:empty)::before {{ content: attr(data-name) " "; color: {looks.MUTED}; }}
 }}
 @media print {{ body {{ background: #fff; font-size: 11pt; }} section, .tile {{ padding: 8px 0; }}
   section, tr {{ break-inside: avoid; }} }}

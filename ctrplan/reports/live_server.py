@@ -71,9 +71,10 @@ pre {{ background: #f4f6f8; border-radius: 6px; padding: 10px 12px; overflow-x: 
 abbr {{ text-decoration: underline dotted {looks.MUTED} 1px; text-underline-offset: 3px; cursor: help; }}
 details {{ margin-top: 14px; font-size: 0.9rem; }} summary {{ cursor: pointer; }} dt {{ font-weight: 600; }}
 dd {{ margin: 0 0 8px; color: {looks.MUTED}; }}
-#scene {{ width: 100%; height: 100vh; min-width: 0; }}
+#scene {{ width: 100%; height: 100vh; min-width: 0;
+  background: radial-gradient(ellipse at 40% 35%, #ffffff 0%, #eef3f6 55%, #d9e2e8 100%); }}
 @media (max-width: 800px) {{ body {{ display: block; height: auto; }}
-  #scene {{ height: 48vh; position: sticky; top: 0; z-index: 1; background: #fff;
+  #scene {{ height: 48vh; position: sticky; top: 0; z-index: 1;
     border-bottom: 1px solid {looks.GRID}; }}
   aside {{ border: 0; padding-top: 12px; }} }}
 """

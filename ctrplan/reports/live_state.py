@@ -109,12 +109,13 @@ class LiveState:
 
         scenario = self.scenario
         surfaces = [anatomy_surface(part) for part in scenario.anatomy]
-        still = [mesh_trace(stand(scenario), looks.PLATE_LOOK.colour, 1.0, looks.PLATE_LOOK.name)]
+        still = [mesh_trace(stand(scenario), looks.PLATE_LOOK.colour, 1.0, looks.PLATE_LOOK.name, shown=False)]
         anatomy = anatomy_traces(scenario, surfaces)
         figure = go.Figure([*robot_traces(pose(scenario, scenario.start)), *still, *self._target(), *anatomy])
         points_m = self._reach(surfaces)
         solid = np.concatenate([np.empty((0, 3)), *(surface.vertices_m for surface in surfaces)])
-        lay_out(figure, *view_box(points_m, solid), points_m, scenario.frame)
+        shown_m, base_m = np.concatenate([points_m, stand(scenario).vertices_m]), scenario.base_position_m
+        lay_out(figure, *view_box(points_m, solid), shown_m, scenario.frame, base_m=base_m)
         return figure
 
     def _target(self) -> list[Any]:

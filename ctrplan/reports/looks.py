@@ -34,7 +34,8 @@ CLEARANCES = (LIMIT, "#E69F00", CLEARANCE)  # from none to much
 INK = "#1F2933"
 MUTED = "#5F6B76"
 GRID = "#E3E7EB"
-ANATOMY = {"avoid": "#D98880", "inside": "#9FB4C4"}
+ANATOMY = {"avoid": "#D98880", "inside": "#CFA08F"}
+ANATOMY_OPACITY = {"avoid": 0.6, "inside": 0.3}
 LEG_KINDS = {"rotation": "#E4EDF7", "translation": "#FBF0DC", "simultaneous": "#EDE6F6"}
 
 

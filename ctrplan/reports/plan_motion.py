@@ -11,15 +11,14 @@ import numpy as np
 import plotly.graph_objects as go
 
 from ctrplan.base.arrays import Array
-from ctrplan.base.surface import Surface, capsule
+from ctrplan.base.surface import capsule
 from ctrplan.plans.planned_motion import place_time_s, sample_time_s
 from ctrplan.reports import looks
 from ctrplan.reports.curves import CURSOR
 from ctrplan.reports.html_page import plot, rendered, script
-from ctrplan.reports.looks import side_azimuth_rad, view_box
+from ctrplan.reports.looks import view_box
 from ctrplan.reports.plan_scene import (
     SIDES,
-    TILT,
     PlanScene,
     anatomy_traces,
     goal_tip,
@@ -27,6 +26,7 @@ from ctrplan.reports.plan_scene import (
     mesh_trace,
     moved_traces,
     robot_traces,
+    seen_from,
     tip_path,
     xyz,
 )
@@ -47,19 +47,18 @@ WAY_NAMES = {
 
 
 def camera_places(scene: PlanScene) -> dict[str, Any]:
-    """Points in mm and unit vectors, anatomy's frame."""
+    """Points in mm and unit vectors, anatomy's frame. inside: whether there is a lumen to be looked at from the tip."""
     scenario = scene.plan.scenario
     points = np.concatenate([step.envelope.centreline_m for step in scene.path])
-    azimuth = side_azimuth_rad(points)
-    side = np.array([np.cos(TILT) * np.cos(azimuth), np.cos(TILT) * np.sin(azimuth), np.sin(TILT)])
+    _, side = seen_from(points, scenario.base_position_m)
     return {
-        "overview": dict(zip("xyz", side.tolist(), strict=True)),
         "side": side.tolist(),
         "base": _mm(scenario.base_position_m),
         "axis": scenario.base_R[:, 2].tolist(),
         "goal": _mm(goal_tip(scene.plan)),
         "tips": [_mm(step.tip_m) for step in scene.path],
         "along": [np.round(step.tubes[-1].tangent[-1], 4).tolist() for step in scene.path],
+        "inside": any(part.role == "inside" for part in scenario.anatomy),
         **_closest(scene, side),
     }
 
@@ -94,7 +93,7 @@ NO_BREAK = "\u00a0"
 WITHIN = 0.95  # of its radius: hidden where the moving robot is
 LABEL_M = 6e-3  # beyond the wall
 FAR_MM = 10.0  # clearances beyond look alike
-NAME = f"{looks.NARROW_BODY.name}: red 0, blue {FAR_MM:g} mm"  # a colour bar would cover the robot in small windows
+NAME = f"{looks.NARROW_BODY.name}: red 0, blue {FAR_MM:g} mm or more"
 SCALE = [[share, colour] for share, colour in zip((0.0, 0.3, 1.0), looks.CLEARANCES, strict=True)]
 
 
@@ -115,15 +114,14 @@ def _body(pose: NarrowestPose) -> Any:
 def _gap(pose: NarrowestPose) -> list[Any]:
     """Across the free room, and its number beyond the wall, where the robot does not cover it."""
     colour, number = looks.NARROWEST.colour, millimetres(pose.place.clearance_m)
-    name = f"{looks.NARROWEST.name}: {number} beyond the margin"
     across = pose.gap_m[1] - pose.gap_m[0]
     beside = pose.gap_m[1] + LABEL_M * across / max(float(np.linalg.norm(across)), 1e-12)
     drawn = {"mode": "lines+markers", "line": {"color": colour, "width": 5}, "marker": {"color": colour, "size": 4}}
     hover = f"clearance {number} beyond the margin, in the worst friction state<extra></extra>"
     label = {"text": [f"<b>{number}</b>"], "textfont": {"color": colour, "size": 14}, "textposition": "middle right"}
     return [
-        go.Scatter3d(**xyz(pose.gap_m), **drawn, name=name, hovertemplate=hover),
-        go.Scatter3d(**xyz(beside[None]), mode="text", hoverinfo="skip", **label, name=name, showlegend=False),
+        go.Scatter3d(**xyz(pose.gap_m), **drawn, name=NAME, hovertemplate=hover, showlegend=False),
+        go.Scatter3d(**xyz(beside[None]), mode="text", hoverinfo="skip", **label, name=NAME, showlegend=False),
     ]
 
 
@@ -140,63 +138,72 @@ def clearance_section(plan: Plan) -> Markup:
 
 
 SWEPT_OPACITY, SWEPT_TRIANGLES = 0.10, 15_000
-BOUND_SCALE = [[0.0, "#2F6FB0"], [0.5, "#B07AA1"], [1.0, looks.TIP_PATH.colour]]
+BOUND_COLOURS = ("#2F6FB0", "#B07AA1", looks.TIP_PATH.colour)  # of the least, half of and the largest worst case
+BOUND_SCALE = [[share, colour] for share, colour in zip((0.0, 0.5, 1.0), BOUND_COLOURS, strict=True)]
+SWATCH = f"linear-gradient(90deg, {', '.join(BOUND_COLOURS)})"
 
 
 def scene_figure(scene: PlanScene) -> go.Figure:
-    """A plotly figure of the start with a frame per pose; frames are called by their time in s."""
+    """A plotly figure of the start with a frame per pose; frames are called by their time in s.
+
+    What the motion comes to is there and not shown: the pose at the goal, the closest one, the space that is swept.
+    """
     plan, path = scene.plan, scene.path
     names = [f"{step.time_s:.3f}" for step in path]
-    moving = robot_traces(scene.start)
+    moving = [*robot_traces(scene.start), _tip_path(plan, scene.start.time_s)]
     anatomy = [anatomy_surface(part) for part in plan.scenario.anatomy]
     swept = mesh_trace(
         thinned(swept_surface(path), SWEPT_TRIANGLES),
         looks.ENVELOPE_LOOK.colour,
         SWEPT_OPACITY,
         "space the envelope sweeps",
-    ).update(meta={"cut": True})
-    figure = go.Figure([*moving, *_still(scene, anatomy), swept])
+    )
+    later = [
+        trace.update(visible=False, meta={"later": True}) for trace in (*_at_goal(scene), *_narrowest(scene), swept)
+    ]
+    figure = go.Figure([*moving, *_still(scene), *later, *anatomy_traces(plan.scenario, anatomy)])
     figure.frames = [
-        go.Frame(data=moved_traces(step), traces=list(range(len(moving))), name=name)
+        go.Frame(data=[*moved_traces(step), _tip_path(plan, step.time_s)], traces=list(range(len(moving))), name=name)
         for step, name in zip(path, names, strict=True)
     ]
-    points = np.concatenate([step.envelope.surface(4).vertices_m for step in path] + [goal_tip(plan)[None]])
+    robots, foot = [step.envelope.surface(4).vertices_m for step in path], stand(plan.scenario).vertices_m
+    points = np.concatenate([*robots, foot, goal_tip(plan)[None]])
     solid = np.concatenate([np.empty((0, 3)), *(s.vertices_m for s in anatomy)])
-    lay_out(figure, *view_box(points, solid), points, plan.scenario.frame)
+    lay_out(figure, *view_box(points, solid), points, plan.scenario.frame, base_m=plan.scenario.base_position_m)
     return figure
 
 
-def _still(scene: PlanScene, anatomy: list[Surface]) -> list[Any]:
-    plan, scenario = scene.plan, scene.plan.scenario
+def _at_goal(scene: PlanScene) -> list[Any]:
     slim = [replace(rod, radius_m=0.9 * rod.radius_m) for rod in scene.goal.tubes]  # hidden where the moving robot is
-    ghost = [
+    return [
         mesh_trace(rod.surface(SIDES), looks.AT_GOAL.colour, 1.0, looks.AT_GOAL.name, shown=i == 0)
         for i, rod in enumerate(slim)
     ]
-    disc = mesh_trace(stand(scenario), looks.PLATE_LOOK.colour, 1.0, looks.PLATE_LOOK.name)
-    narrow = narrowest_traces(scene.narrowest) if scene.narrowest else []
-    return [*ghost, disc, _tip_path(plan), *_goal(plan), *narrow, *anatomy_traces(scenario, anatomy)]
 
 
-def _tip_path(plan: Plan) -> Any:
-    bound_mm = (plan.certificate.samples.bound_m * 1e3).astype(np.float32)
-    bar = {
-        "title": {"text": f"{looks.TIP_PATH.name}:<br>worst case (mm)", "font": {"size": 11}},
-        "thickness": 10,
-        "len": 0.42,
-        "x": 1.0,
-        "xanchor": "right",
-        "y": 0.24,
-        "tickfont": {"size": 11},
-    }
-    scale = {"colorscale": BOUND_SCALE, "cmin": 0, "cmax": max(float(np.nanmax(bound_mm)), 1e-6), "colorbar": bar}
+def _narrowest(scene: PlanScene) -> list[Any]:
+    return narrowest_traces(scene.narrowest) if scene.narrowest else []
+
+
+def _still(scene: PlanScene) -> list[Any]:
+    plate = mesh_trace(stand(scene.plan.scenario), looks.PLATE_LOOK.colour, 1.0, looks.PLATE_LOOK.name, shown=False)
+    return [plate, *_goal(scene.plan)]
+
+
+def _tip_path(plan: Plan, time_s: float) -> Any:
+    """The tip's way without friction up to a time, coloured by the worst case there."""
+    way, bound_mm = tip_path(plan), (plan.certificate.samples.bound_m * 1e3).astype(np.float32)
+    ahead = sample_time_s(plan) > time_s
+    ahead[0] = False  # a line without a point has no place
+    passed, largest = np.where(ahead[:, None], np.nan, way), max(float(np.nanmax(bound_mm)), 1e-6)
     return go.Scatter3d(
-        **xyz(tip_path(plan)),
+        **xyz(passed),
         mode="lines",
-        line={"color": bound_mm, "width": 6, **scale},
-        showlegend=False,
+        line={"color": bound_mm, "width": 6, "colorscale": BOUND_SCALE, "cmin": 0, "cmax": largest, "showscale": False},
+        name=html.escape(f"{looks.TIP_PATH.name} so far, red where friction may err most"),
+        meta={"swatch": SWATCH},
         customdata=bound_mm,
-        hovertemplate="worst-case friction error %{customdata:.2f} mm<extra></extra>",
+        hovertemplate="worst-case friction error %{customdata:.3g} mm<extra></extra>",
     )
 
 
@@ -205,7 +212,9 @@ def _goal(plan: Plan) -> list[Any]:
     way = [goal.tip_m for goal in plan.scenario.via if goal.tip_m is not None]
     marker = {"symbol": "diamond", "size": 6, "color": looks.GOAL_LOOK.colour}
     hover = {"hovertemplate": "goal<extra></extra>"}
-    traces = [go.Scatter3d(**xyz(tip_m[None]), mode="markers", marker=marker, name=looks.GOAL_LOOK.name, **hover)]
+    tolerance = "" if goal.tip_m is None else f", tolerance {goal.tolerance_m * 1e3:g} mm"
+    name = f"{looks.GOAL_LOOK.name}{tolerance}"
+    traces = [go.Scatter3d(**xyz(tip_m[None]), mode="markers", marker=marker, name=name, **hover)]
     if way:
         hollow = marker | {"symbol": "diamond-open"}
         hover_way = {"hovertemplate": "target on the way<extra></extra>"}
@@ -218,8 +227,8 @@ def _goal(plan: Plan) -> list[Any]:
             go.Scatter3d(**xyz(goal.line_m), mode="lines", line=line, name="line to follow", hoverinfo="skip")
         )
     if goal.tip_m is not None:
-        name = f"goal tolerance {html.escape(millimetres(goal.tolerance_m))}"
-        traces.append(mesh_trace(capsule(tip_m, tip_m, goal.tolerance_m, 20), looks.GOAL_LOOK.colour, 0.25, name))
+        ball = capsule(tip_m, tip_m, goal.tolerance_m, 20)
+        traces.append(mesh_trace(ball, looks.GOAL_LOOK.colour, 0.25, name, shown=False))
     if goal.direction is not None:
         arrow = np.stack([tip_m - 0.015 * goal.direction, tip_m])
         line = {"color": looks.GOAL_LOOK.colour, "width": 4}
@@ -241,7 +250,6 @@ def shown_motion(scene: PlanScene) -> dict[str, Any]:
         "last": len(scene.path) - 1,
         "start_s": scene.start.time_s,
         "thinned": _thinned(scene, figure),
-        "ways": sorted(scene.plan.reorder.alternatives, key=lambda way: way.name != "as driven"),
         **{name: texts[0] for name, texts in moments(scene).items()},
     }
 

@@ -78,12 +78,13 @@ def plan_report_html(scene: PlanScene) -> str:
         certificate_rows=certificate_rows(plan),
         uncertainty=uncertainty_section(plan),
         notes=tuple(dict.fromkeys((*plan.notes, *scenario.warnings))),
-        margins=plot(margins_figure(plan), "margins", kind="plot twin"),
-        joints=plot(joints_figure(plan), "joints", kind="plot twin"),
+        margins=plot(margins_figure(plan), "margins"),
+        joints=plot(joints_figure(plan), "joints"),
         ends_s=leg_end_s(plan),
         moves=partial(_moves, plan),
         leg_remarks=partial(_leg_remarks, plan),
         reordered=_reordered(plan.reorder),
+        ways=sorted(plan.reorder.alternatives, key=lambda way: way.name != "as driven"),
         counted=_counted,
         MEANING=MEANING,
         SHADES=SHADES,
@@ -123,15 +124,14 @@ def _leg_remarks(plan: Plan, number: int) -> Iterator[str]:
 def _reordered(report: ReorderReport) -> list[tuple[str, ...]]:
     """Quantities before and after."""
     figures = (
-        ("Cost", VALUES["mm"], report.cost_before_mm, report.cost_after_mm),
-        ("Worst-case friction error at the goal", millimetres, report.goal_bound_before_m, report.goal_bound_after_m),
+        ("Cost of the path in the search", VALUES["mm"], report.cost_before_mm, report.cost_after_mm),
         (
-            "Error summed over the path",
+            "Error summed over the path in the search",
             VALUES["mm"],
             report.error_integral_before_mm,
             report.error_integral_after_mm,
         ),
-        ("Stops on the way", str, report.stops_before, report.stops_after),
+        ("Stops of the path in the search", str, report.stops_before, report.stops_after),
     )
     return [(name, said(before), said(after)) for name, said, before, after in figures]
 

@@ -10,7 +10,7 @@ import numpy as np
 import plotly.graph_objects as go
 
 from ctrplan.anatomy.parts import exact_clearance
-from ctrplan.anatomy.patient_frame import Frame, axis_label
+from ctrplan.anatomy.patient_frame import ENDS, Frame, axis_label
 from ctrplan.base.arrays import Array
 from ctrplan.base.long_work import Progress
 from ctrplan.base.surface import Rod, Surface
@@ -20,7 +20,6 @@ from ctrplan.mechanics.shapes import Status
 from ctrplan.plans.planned_motion import Played, joints_at
 from ctrplan.reports import looks
 from ctrplan.reports.html_page import FIGURE_TEXT
-from ctrplan.reports.looks import side_azimuth_rad
 from ctrplan.reports.robot_surface import RobotPose, pose, tube_surface
 from ctrplan.scenario.scenario import Scenario
 
@@ -32,7 +31,8 @@ if TYPE_CHECKING:
 SIDES, ENVELOPE_SIDES = 10, 12
 FINENESS = 128  # parts of a mm
 TILT = np.radians(16)
-LIGHT = {"ambient": 0.75, "diffuse": 0.5, "specular": 0.15, "roughness": 0.7}
+LIGHT = {"ambient": 0.5, "diffuse": 0.75, "specular": 0.45, "roughness": 0.45, "fresnel": 0.1}
+TISSUE_LIGHT = {"ambient": 0.55, "diffuse": 0.7, "specular": 0.1, "roughness": 0.9, "fresnel": 0.5}
 
 
 def robot_traces(pose: RobotPose) -> list[Any]:
@@ -71,9 +71,9 @@ def anatomy_traces(scenario: Scenario, surfaces: list[Surface]) -> list[Any]:
     """What to avoid and what to stay inside, translucent."""
     roles, traces = [part.role for part in scenario.anatomy], []
     for k, (role, surface) in enumerate(zip(roles, surfaces, strict=True)):
-        look, opacity = looks.ANATOMY_LOOK[role], 0.35 if role == "avoid" else 0.2
+        look, opacity = looks.ANATOMY_LOOK[role], looks.ANATOMY_OPACITY[role]
         trace = mesh_trace(surface, look.colour, opacity, look.name, shown=role not in roles[:k])
-        traces.append(trace.update(meta={"cut": True, "wall": opacity}))  # for looking.js
+        traces.append(trace.update(meta={"cut": True, "wall": opacity}, lighting=TISSUE_LIGHT))  # for looking.js
     return traces
 
 
@@ -101,33 +101,105 @@ def xyz(points_m: Array) -> dict[str, Any]:
     return {"x": x, "y": y, "z": z}
 
 
-def lay_out(figure: go.Figure, lower_m: Array, upper_m: Array, robot_m: Array, frame: Frame | None = None) -> None:
-    """Equal scales that stay while the robot moves; seen from where it spreads widest.
+def lay_out(
+    figure: go.Figure,
+    lower_m: Array,
+    upper_m: Array,
+    points_m: Array,
+    frame: Frame | None = None,
+    *,
+    base_m: Array | None = None,
+    axes: bool = False,
+) -> None:
+    """Equal scales that stay while the robot moves, seen from where `points_m` (K, 3) spread widest, as near as may be.
 
-    frame: of the patient, whose letters then stand at the ends of the axes.
+    frame: of the patient, whose letters the axes have. base_m: (3,) from where the robot comes, left or below. axes:
+    whether coordinates are to be read off; else a cross of known size stands in a corner of the box.
     """
-    axis = {"backgroundcolor": "#F8FAFB", "gridcolor": looks.GRID, "zeroline": False, "nticks": 6}
+    axis = {"backgroundcolor": "#F8FAFB", "gridcolor": looks.GRID, "zeroline": False, "nticks": 6, "visible": axes}
     ranges = (np.stack([lower_m, upper_m], axis=1) * 1e3).tolist()
-    axes = {
+    named = {
         f"{'xyz'[k]}axis": axis | {"title": {"text": f"{axis_label(k, frame)} (mm)"}, "range": r}
         for k, r in enumerate(ranges)
     }
-    azimuth, extent = side_azimuth_rad(robot_m), upper_m - lower_m
-    toward = np.array([np.cos(TILT) * np.cos(azimuth), np.cos(TILT) * np.sin(azimuth), np.sin(TILT)])
+    extent, (along, toward) = upper_m - lower_m, seen_from(points_m, base_m)
     sides = extent / np.cbrt(extent.prod())
     eye = (0.6 + 1.45 * sides.max()) * toward  # until fit_camera.js knows the shape of the window
     aspect = dict(zip("xyz", sides.tolist(), strict=True))
-    light = dict(zip("xyz", (1e5 * toward).tolist(), strict=True))
+    light = dict(zip("xyz", (6e4 * (toward + 0.7 * np.cross(toward, along) + 0.3 * along)).tolist(), strict=True))
     camera = {"eye": dict(zip("xyz", eye.tolist(), strict=True)), "center": {"x": 0, "y": 0, "z": 0.0}}
     figure.update_traces(lightposition=light, selector={"type": "mesh3d"})
+    if not axes:
+        figure.add_traces(cross := _cross(points_m, frame))
+        points_m = np.concatenate([points_m, *(_ends_m(trace) for trace in cross)])
     figure.update_layout(
         autosize=True,
         margin={"l": 0, "r": 0, "t": 0, "b": 0},
-        scene={"aspectmode": "manual", "aspectratio": aspect, "camera": camera, **axes},
+        scene={"aspectmode": "manual", "aspectratio": aspect, "camera": camera, "bgcolor": "rgba(0,0,0,0)", **named},
+        paper_bgcolor="rgba(0,0,0,0)",
+        modebar={"bgcolor": "rgba(0,0,0,0)", "color": looks.MUTED},
         showlegend=False,  # the key is beside the scene
         uirevision="stays",
         font=FIGURE_TEXT,
+        meta={
+            "view": {"toward": toward.tolist(), "along": along.tolist(), "points": _outermost_mm(points_m)}
+            | {"axes": axes}
+        },
     )
+
+
+def seen_from(points_m: Array, base_m: Array | None = None) -> tuple[Array, Array]:
+    """Unit vectors (3,), (3,): along the widest spread of points (K, 3), away from a base, and towards the eye.
+
+    The eye looks across the two widest spreads, a little aslant, so that things in front stand in front.
+    """
+    middle = points_m.mean(axis=0)
+    thin, wide, long = np.linalg.eigh(np.cov((points_m - middle).T) if len(points_m) > 1 else np.eye(3))[1].T
+    along = long * (np.sign(long @ (middle - base_m)) or 1.0 if base_m is not None else np.sign(long[2]) or 1.0)
+    toward = thin * (np.sign(thin @ FRONT) or 1.0) + np.tan(TILT) * wide * (np.sign(wide @ ABOVE) or 1.0)
+    return along, toward / np.linalg.norm(toward)
+
+
+FRONT, ABOVE = np.array([0.6, -1.0, 0.3]), np.array([0.2, -0.1, 1.0])  # where eyes usually are: only signs count
+DIRECTIONS = 96  # in which outermost points are sought, a few degrees apart
+
+
+def _outermost_mm(points_m: Array) -> list[list[float]]:
+    """Those of points (K, 3) that lie farthest in some direction: what a view of all of them has to hold."""
+    k = np.arange(DIRECTIONS) + 0.5
+    height, turn = 1 - 2 * k / DIRECTIONS, np.pi * (1 + np.sqrt(5)) * k
+    around = np.sqrt(1 - height**2)
+    directions = np.column_stack([around * np.cos(turn), around * np.sin(turn), height])
+    rows = np.unique(np.argmax(points_m @ directions.T, axis=0))
+    outermost: list[list[float]] = np.round(points_m[rows] * 1e3, 2).tolist()
+    return outermost
+
+
+ROUND_MM = (1, 2, 5, 10, 20, 50, 100)
+
+
+def _ends_m(trace: Any) -> Array:
+    return np.column_stack([trace[axis] for axis in "xyz"]).astype(float) * 1e-3
+
+
+def _cross(points_m: Array, frame: Frame | None) -> list[Any]:
+    """Three lines of one stated length in the lower corner around points (K, 3), with the letters of the axes."""
+    corner, upper_m = points_m.min(axis=0), points_m.max(axis=0)
+    extent, traces = float((upper_m - corner).max()) * 1e3, list[Any]()
+    length = max((mm for mm in ROUND_MM if mm <= 0.12 * extent), default=1)
+    for k in range(3):
+        end = corner + np.eye(3)[k] * length * 1e-3
+        letter = "xyz"[k] if frame is None else ENDS[frame][k][1]
+        text = ["", f"{letter}, {length} mm" if k == 0 else letter]
+        drawn = {"mode": "lines+text", "line": {"color": looks.MUTED, "width": 4}, "text": text}
+        style = {
+            "textfont": {"color": looks.MUTED, "size": 12},
+            "textposition": "top center",
+            "showlegend": False,
+            "hoverinfo": "skip",
+        }
+        traces.append(go.Scatter3d(**xyz(np.stack([corner, end])), **drawn, **style, name="axes"))
+    return traces
 
 
 def poses_along(

@@ -50,7 +50,7 @@ def reach_scene(scenario: Scenario, reach: Reach, branches: list[int]) -> ReachS
 def reach_figure(scene: ReachScene) -> go.Figure:
     """All these robots at once, each in its branch's colour with its envelope."""
     surfaces = [anatomy_surface(part) for part in scene.scenario.anatomy]
-    traces = [mesh_trace(stand(scene.scenario), looks.PLATE_LOOK.colour, 1.0, looks.PLATE_LOOK.name)]
+    traces = [mesh_trace(stand(scene.scenario), looks.PLATE_LOOK.colour, 1.0, looks.PLATE_LOOK.name, shown=False)]
     for branch, shown in scene.poses:
         colour, name = looks.SERIES[branch], f"branch {branch + 1}"
         for tube, rod in enumerate(shown.tubes):
@@ -60,9 +60,9 @@ def reach_figure(scene: ReachScene) -> go.Figure:
     point = go.Scatter3d(**xyz(scene.target_m[None]), mode="markers", marker=marker, name="the point asked for")
     figure = go.Figure([*traces, point, *anatomy_traces(scene.scenario, surfaces)])
     robots = [shown.envelope.surface(4).vertices_m for _, shown in scene.poses]
-    points = np.concatenate([*robots, scene.target_m[None], scene.scenario.located(np.zeros((1, 3)))])
+    points = np.concatenate([*robots, scene.target_m[None], stand(scene.scenario).vertices_m])
     solid = np.concatenate([np.empty((0, 3)), *(surface.vertices_m for surface in surfaces)])
-    lay_out(figure, *view_box(points, solid), points, scene.scenario.frame)
+    lay_out(figure, *view_box(points, solid), points, scene.scenario.frame, base_m=scene.scenario.base_position_m)
     return figure
 
 

@@ -74,29 +74,36 @@ def term(name: str, text: str = "") -> Markup:
 LEAST = 1e-4  # of which Python would write a power of ten
 
 
+FINEST = 1e-3  # mm or degrees, below which no solve is that good: a tolerance of what is said, not of what is computed
+
+
 def millimetres(length_m: float) -> str:
-    """A length for people, about three digits."""
-    return f"{digits(length_m * 1e3)} mm"
+    """A length for people, about three digits; one below FINEST is said to be that."""
+    return f"{_no_finer(length_m * 1e3)} mm"
 
 
 def degrees(angle_rad: float) -> str:
-    """An angle for people."""
-    return f"{digits(math.degrees(angle_rad))}°"
+    """An angle for people, in the same way."""
+    return f"{_no_finer(math.degrees(angle_rad))}°"
+
+
+def _no_finer(value: float) -> str:
+    return f"<{FINEST:g}" if 0 < abs(value) < FINEST else digits(value)
 
 
 def digits(value: float) -> str:
-    """Three digits or so, never in powers of ten where a plain number does; a question mark for what is not finite."""
+    """Three digits, two of what is below 0.1, never in powers of ten where a plain number does; "?" of no number."""
     if not math.isfinite(value):
         return "?"
     if value == 0 or abs(value) >= 0.1:
         return f"{value:.{max(0, 2 - max(0, math.floor(math.log10(abs(value) or 1))))}f}"
-    return f"{value:.2g}" if abs(value) >= LEAST else f"{value:.5f}"
+    return f"{value:#.2g}" if abs(value) >= LEAST else f"{value:.5f}"
 
 
 VALUES: dict[Unit, Callable[[float], str]] = {
     "m": millimetres,
     "rad": degrees,
-    "mm": lambda value: f"{digits(value)} mm",
+    "mm": lambda value: f"{_no_finer(value)} mm",
     "share": lambda value: f"{digits(100 * value)} %",
     "number": digits,
     "count": str,

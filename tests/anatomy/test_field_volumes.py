@@ -13,6 +13,7 @@ import numpy as np
 import pydicom
 import pytest
 from pydicom.dataset import FileMetaDataset
+from pydicom.sequence import Sequence
 from pydicom.uid import ExplicitVRBigEndian, ExplicitVRLittleEndian, ImplicitVRLittleEndian, RLELossless
 from scipy.spatial.transform import Rotation
 
@@ -250,6 +251,13 @@ def test_a_meta_image_is_what_its_header_says(keys: Any, tmp_path: Path) -> None
     check(read_image(mha(tmp_path / "a.mha", **keys)), TURNED)
 
 
+def test_a_size_of_voxels_beside_their_distance_is_said(tmp_path: Path) -> None:
+    image = read_image(mha(tmp_path / "a.mha", ElementSize="1 1 1"))
+    check(image, TURNED)
+    assert len(image.notes) == 1 and "ElementSize" in image.notes[0]
+    assert read_image(mha(tmp_path / "b.mha", ElementSize="0.8 0.9 1.1")).notes == ()
+
+
 def dicom(folder: Path, k: int, **changes: Any) -> pydicom.Dataset:
     """Slice k as an object of X-ray angiography, whose pixels GDCM would place by ImagerPixelSpacing."""
     lps = TURNED[:, None] * AFFINE
@@ -344,7 +352,7 @@ def test_places_of_slices_count_and_a_spacing_that_contradicts_them_is_said(tmp_
     ("change", "phrase"),
     [
         ({"PixelSpacing": None}, r"which does not say its place.* \(ImagerPixelSpacing is that at the detector\)"),
-        ({"NumberOfFrames": "3"}, "holds images of several frames a file"),
+        ({"NumberOfFrames": "3"}, r"holds I0.dcm, 3 frames that do not say where each lies \(a film\?\)"),
         ({"SamplesPerPixel": 3}, "holds colour images"),
         ({"ImageOrientationPatient": ["1", "0", "0", "1", "0", "0"]}, "whose rows and columns are not at right angles"),
     ],
@@ -352,6 +360,89 @@ def test_places_of_slices_count_and_a_spacing_that_contradicts_them_is_said(tmp_
 def test_dicom_files_that_are_no_volume(change: dict[str, Any], phrase: str, tmp_path: Path) -> None:
     with pytest.raises(ImageRefusal, match=phrase):
         read_series(series(tmp_path, lambda k: change), None)
+
+
+def group(**tags: Any) -> Sequence:
+    made = pydicom.Dataset()
+    for name, value in tags.items():
+        setattr(made, name, value)
+    return Sequence([made])
+
+
+def enhanced(folder: Path, frames: list[dict[str, Any]], pixels: bytes, **tags: Any) -> Path:
+    """One file of several frames; each of `frames` has what its functional groups say of its own."""
+    made, first = dicom(folder, 0, **tags), dicom(folder, 0)
+    for name in ("PixelSpacing", "ImagerPixelSpacing", "ImagePositionPatient", "ImageOrientationPatient"):
+        delattr(made, name)
+    shared = pydicom.Dataset()
+    shared.PixelMeasuresSequence = group(PixelSpacing=first.PixelSpacing, SliceThickness=str(SPACING[2]))
+    shared.PlaneOrientationSequence = group(ImageOrientationPatient=first.ImageOrientationPatient)
+    made.SharedFunctionalGroupsSequence = Sequence([shared])
+    each = []
+    for frame in frames:
+        own = pydicom.Dataset()
+        own.PlanePositionSequence = group(ImagePositionPatient=dicom(folder, frame["k"]).ImagePositionPatient)
+        if "slope" in frame:
+            own.PixelValueTransformationSequence = group(RescaleSlope=frame["slope"], RescaleIntercept="0")
+        if "segment" in frame:
+            own.SegmentIdentificationSequence = group(ReferencedSegmentNumber=frame["segment"])
+        each.append(own)
+    made.PerFrameFunctionalGroupsSequence = Sequence(each)
+    made.NumberOfFrames, made.PixelData = str(len(frames)), pixels
+    made.save_as(folder / "E1.dcm", enforce_file_format=True)
+    return folder
+
+
+def test_frames_of_one_file_lie_where_each_says(tmp_path: Path) -> None:
+    """Out of order, and with a scaling of each frame."""
+    order = [(7 * k) % SIZE[2] for k in range(SIZE[2])]
+    frames = [{"k": k, "slope": "0.5" if k % 2 else "1"} for k in order]
+    stored = [VOXELS[:, :, k].T * (2 if k % 2 else 1) for k in order]
+    data = b"".join(values.astype(np.int16).tobytes() for values in stored)
+    check(read_series(enhanced(tmp_path, frames, data, sop="1.2.840.10008.5.1.4.1.1.2.1"), None), TURNED)
+
+
+@pytest.mark.parametrize("kind", ["BINARY", "FRACTIONAL"])
+def test_a_segmentation_object_has_its_segments(kind: str, tmp_path: Path) -> None:
+    """Frames without a voxel are left out, as they may be; names and labels are those of the file."""
+    frames, masks = [], []
+    for number in (3, 5):
+        for k in range(SIZE[2]):
+            mask = (number == VOXELS[:, :, k].T).astype(np.uint8)
+            if mask.any():
+                frames.append({"k": k, "segment": number})
+                masks.append(mask)
+    bits = np.concatenate([mask.ravel() for mask in masks])
+    data = (
+        np.packbits(bits, bitorder="little").tobytes() if kind == "BINARY" else (bits * 255).astype(np.uint8).tobytes()
+    )
+    depth = 1 if kind == "BINARY" else 8
+    named = [group(SegmentNumber=n, SegmentLabel=name)[0] for n, name in ((3, "lumen"), (5, "vessel"))]
+    keys: dict[str, Any] = {"BitsAllocated": depth, "BitsStored": depth, "HighBit": depth - 1, "PixelRepresentation": 0}
+    keys |= {"SegmentationType": kind, "SegmentSequence": Sequence(named), "Modality": "SEG"}
+    keys |= {"MaximumFractionalValue": 255} if kind == "FRACTIONAL" else {}
+    image = read_series(
+        enhanced(tmp_path, frames, data + b"\0" * (len(data) % 2), sop="1.2.840.10008.5.1.4.1.1.66.4", **keys), None
+    )
+    assert [(s.name, s.label) for s in image.segments] == [("lumen", 3), ("vessel", 5)]
+    check(image, TURNED)
+
+
+def test_segments_that_overlap_are_layers(tmp_path: Path) -> None:
+    frames = [{"k": k, "segment": number} for number in (1, 2) for k in range(SIZE[2])]
+    bits = np.concatenate([(VOXELS[:, :, f["k"]].T > 0).astype(np.uint8).ravel() for f in frames])
+    named = [group(SegmentNumber=n, SegmentLabel=f"s{n}")[0] for n in (1, 2)]
+    keys: dict[str, Any] = {
+        "BitsAllocated": 1,
+        "BitsStored": 1,
+        "HighBit": 0,
+        "PixelRepresentation": 0,
+        "Modality": "SEG",
+    }
+    keys |= {"SegmentationType": "BINARY", "SegmentSequence": Sequence(named)}
+    image = read_series(enhanced(tmp_path, frames, np.packbits(bits, bitorder="little").tobytes(), **keys), None)
+    assert image.voxels.shape[3] == 2 and [(s.label, s.layer) for s in image.segments] == [(1, 0), (1, 1)]
+    np.testing.assert_array_equal(image.voxels[..., 0], image.voxels[..., 1])
 
 
 def test_the_other_order_of_bytes(tmp_path: Path) -> None:

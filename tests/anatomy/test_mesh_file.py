@@ -277,6 +277,31 @@ def test_unreadable_files_are_refused(name: str, content: bytes, phrase: str, tm
     assert phrase in str(caught.value), str(caught.value)
 
 
+@pytest.mark.parametrize("rest", [b"", b"made by a scanner", b"\0" * 50])
+@pytest.mark.parametrize("name", [b"solid of a scanner", b"plain", b"solid\0"])
+def test_a_binary_stl_is_one_whatever_it_calls_itself(name: bytes, rest: bytes, tmp_path: Path) -> None:
+    data = box().export(file_type="stl")
+    (tmp_path / "a.stl").write_bytes(name.ljust(80, b" ") + data[80:] + rest)
+    assert volume_mm3(tmp_path / "a.stl") == pytest.approx(1000.0)
+
+
+def test_a_second_solid_behind_a_binary_one_is_not_passed_over(tmp_path: Path) -> None:
+    data = box().export(file_type="stl")
+    (tmp_path / "a.stl").write_bytes(data + data)
+    with pytest.raises(InputError, match="its header promises 12 triangles"):
+        load_mesh(tmp_path / "a.stl")
+
+
+def test_text_stl_of_other_habits(tmp_path: Path) -> None:
+    """A byte-order mark is read; decimal commas are named."""
+    text = box().export(file_type="stl_ascii")
+    (tmp_path / "a.stl").write_text("\ufeff" + text, encoding="utf-8")
+    assert volume_mm3(tmp_path / "a.stl") == pytest.approx(1000.0)
+    (tmp_path / "b.stl").write_text(text.replace(".", ","))
+    with pytest.raises(InputError, match="decimal commas"):
+        load_mesh(tmp_path / "b.stl")
+
+
 def test_a_text_stl_with_a_broken_normal_brings_no_traceback(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """trimesh logs one; normals are not used, so that the surface is read nevertheless."""
     text = box().export(file_type="stl_ascii").replace("facet normal ", "facet normal x", 1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import threading
 from dataclasses import replace
 from html import unescape
@@ -295,7 +296,9 @@ def test_the_command_writes_files_that_go_on_working(tmp_path: Path, capsys: pyt
     write_csv(tmp_path / "data.csv", measured(ROBOT, PLAN, BASE | {"backlash": {"theta_2_deg": 8.0}}))
     out = tmp_path / "out"
     assert main(["diagnose", str(tmp_path / "robot.toml"), str(tmp_path / "data.csv"), "-o", str(out), "--quiet"]) == 0
-    assert "Missing: play in the drive (backlash)." in capsys.readouterr().out
+    assert re.search(
+        r"Missing: the rotation of tube 2 has [\d.]+ deg of play \(backlash theta_2_deg = ", capsys.readouterr().out
+    )
     content = json.loads((out / "diagnosis.json").read_text())
     assert content["verdict"] == "named" and content["effects"][0]["stage"] == "drive"
     assert set(content["gap"]) >= {

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from measured_data import measured, pair_robot, waypoints
+import tomli_w
+from measured_data import measured, pair_robot, waypoints, write_csv
 from places import SCENARIOS
 from scipy.spatial.transform import Rotation
 
@@ -106,3 +108,40 @@ def test_commands_fit_nothing_to_a_misread_file(
     assert main([command, str(robot), "log.csv", "-o", str(tmp_path / "out"), *parameters]) == 1
     assert "--as-read fits it as it stands" in capsys.readouterr().err
     assert not (tmp_path / "out" / "robot.toml").exists()
+
+
+def misread_files(folder: Path) -> list[str]:
+    """Robot and measurements whose two tubes were exchanged in the log, as a shell names them."""
+    (folder / "robot.toml").write_text(tomli_w.dumps(dict(ROBOT.content)))
+    write_csv(folder / "log.csv", joints(theta=THETA[:, ::-1].copy()))
+    return [str(folder / "robot.toml"), str(folder / "log.csv")]
+
+
+def test_the_reading_is_written_where_nothing_is_fitted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    files, out = misread_files(tmp_path), tmp_path / "out"
+    out.mkdir()
+    (out / "robot.toml").write_text("# of an earlier run")
+    assert main(["diagnose", *files, "-o", str(out), "--quiet"]) == 1
+    said = json.loads((out / "diagnosis.json").read_text())
+    told = said["reading"][0]
+    assert said["verdict"] == "misread" and set(told) == {"what", "columns", "rms_before_mm", "rms_after_mm"}
+    assert told["rms_after_mm"] < 0.5 * told["rms_before_mm"] and told["what"] in capsys.readouterr().err.lower()
+    assert not (out / "robot.toml").exists() and "diagnosis.json" in (out / "SHA256SUMS").read_text()
+
+
+def test_the_reading_is_the_first_sentence_of_an_answer(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    files = misread_files(tmp_path)
+    assert main(["diagnose", *files, "-o", str(tmp_path / "out"), "--quiet", "--as-read"]) in (0, 1)
+    said = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
+    first = capsys.readouterr().out.splitlines()[0]
+    assert first.startswith("Rotations 1 and 2 are exchanged") and said["reading"][0]["what"] in first.lower()
+    assert first in (tmp_path / "out" / "report.html").read_text()
+
+
+def test_check_reads_measurements_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    robot, log = misread_files(tmp_path)
+    assert main(["check", log, "--robot", robot]) == 1
+    assert "! " in (said := capsys.readouterr().out) and "Rotations 1 and 2 are exchanged" in said
+    write_csv(tmp_path / "clean.csv", CLEAN)
+    assert main(["check", str(tmp_path / "clean.csv"), "--robot", robot, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["reading"] == []

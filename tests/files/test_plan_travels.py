@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import zipfile
 from pathlib import Path
 
 import numpy as np
+import packed_page
 import pytest
 import tomli_w
 import trimesh
@@ -161,6 +163,11 @@ def test_two_plans_side_by_side(saved: Path, tmp_path: Path, capsys: pytest.Capt
     differences = [line.split()[-2] for line in told.splitlines()[5:] if line.endswith("mm")]
     assert differences and set(differences) <= {"+0"}
     assert (tmp_path / "c" / "compare.png").stat().st_size > 20_000
+    page = (tmp_path / "c" / "compare.html").read_text(encoding="utf-8")
+    scene = json.loads(packed_page.unpacked(re.findall(r'drawn\("scene", "([^"]+)"', page)[0]))
+    names = {trace.get("name") for trace in scene["data"]}
+    assert {"plan A", "plan B", "envelope of friction of A", "envelope of friction of B"} <= names
+    assert len(scene["frames"]) == 40 and "now_A" in page and "now_B" in page and "Duration of the motion" in page
     assert main([*said, "--json"]) == 0
     rows = json.loads(capsys.readouterr().out)
     assert all(row["a"] == row["b"] for row in rows.values()) and len(rows) > 6

@@ -17,6 +17,7 @@ from ctrplan.errors import InputError
 from ctrplan.files.robot_file import load_robot, write_robot
 from ctrplan.files.starting_files import mapping_text, robot_text, tube_choice
 from ctrplan.mechanics.shapes import Status
+from ctrplan.storage.toml_document import read_document
 
 
 @pytest.fixture(scope="module")
@@ -120,3 +121,21 @@ def test_columns_that_were_not_found_are_left_to_be_said(tmp_path: Path) -> None
 def test_a_robot_s_text_explains_its_keys() -> None:
     text = robot_text()
     assert text.count("[[tube]]") == 3 and text.count("#") > 15
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        "run,base1 angle [deg],base2 angle [deg],base1 [mm],base2 [mm],tip x [mm],tip y [mm],tip z [mm]",
+        "seq,rot1_deg,rot2_deg,ins1_mm,ins2_mm,tip_x_mm,tip_y_mm,tip_z_mm",
+        "trial,Theta_1 (deg),Theta_2 (deg),L1 (mm),L2 (mm),X (mm),Y (mm),Z (mm)",
+        "s,alpha0_deg,alpha1_deg,beta0_mm,beta1_mm,px_mm,py_mm,pz_mm",
+    ],
+)
+def test_columns_are_guessed_as_laboratories_call_them(header: str, tmp_path: Path) -> None:
+    columns = header.split(",")
+    (tmp_path / "log.csv").write_text(header + "\n" + ",".join("0" * len(columns)) + "\n")
+    (tmp_path / "map.toml").write_text(mapping_text(tmp_path / "log.csv", pair_robot()))
+    said = read_document(tmp_path / "map.toml").content
+    assert [*said["columns"]["theta"], *said["columns"]["l"], *said["columns"]["position"]] == columns[1:]
+    assert said["columns"]["sequence"] == columns[0] and said["units"] == {"theta": "deg", "l": "mm", "position": "mm"}

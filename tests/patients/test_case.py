@@ -67,6 +67,9 @@ def folder(planned: Case, tmp_path: Path) -> Path:
 def test_a_phantom_is_planned_and_written_whole(planned: Case) -> None:
     assert planned.plan is not None and planned.plan.certificate.valid
     written = ctrplan.load_plan(planned.folder / "plan" / "plan.json", planned.folder / PLACED, allow_outside=True)
+    alone = ctrplan.load_plan(planned.folder / "plan")  # of what is packed with it, the base where it was placed
+    np.testing.assert_allclose(alone.scenario.base_position_m, written.scenario.base_position_m)
+    np.testing.assert_allclose(alone.scenario.base_R, written.scenario.base_R)
     place_m = written.scenario.goal.tip_m
     assert place_m is not None
     lps = np.multiply(place_m * 1e3, (-1, -1, 1))  # a case is in RAS where no number was said

@@ -99,6 +99,6 @@ def test_measurements_need_their_robot_and_say_how_far_off_it_is(tmp_path: Path)
     assert result.facts["error_median_mm"] < 0.5 and result.flags == ()
     write_csv(tmp_path / "b.csv", replace(data, position_m=data.position_m[:, [1, 2, 0]]))
     (flag,) = ctrplan.check(tmp_path / "b.csv", robot=robot).flags
-    assert "is too far for any effect: are columns in another order" in flag
+    assert "The columns of positions are not x, y, z but hold them as (z, x, y)" in flag
     with pytest.raises(InputError, match="robot: is needed: say the robot that was measured"):
         ctrplan.check(tmp_path / "a.csv")

@@ -45,12 +45,14 @@ def test_the_body_is_coloured_by_its_clearance(narrowest: NarrowestPose) -> None
     body, gap, label = narrowest_traces(narrowest)
     assert len(body.intensity) == len(body.x)
     assert float(min(body.intensity)) == pytest.approx(1e3 * narrowest.clearance_m.min(), rel=1e-5)
-    assert millimetres(least_m) in gap.name and millimetres(least_m) in label.text[0]
+    assert millimetres(least_m) in gap.hovertemplate and millimetres(least_m) in label.text[0]
+    assert {trace.name for trace in (body, gap, label)} == {body.name}  # a click shows them together
 
 
 def test_page_and_picture_mark_the_narrowest_place(scene: PlanScene, narrowest: NarrowestPose) -> None:
     number = millimetres(narrowest.place.clearance_m)
-    assert any(number in (trace.name or "") for trace in scene_figure(scene).data)
+    marks = [trace for trace in scene_figure(scene).data if number in (trace.hovertemplate or "")]
+    assert marks and not any(trace.visible for trace in marks)  # it lies in the future when the motion begins
     assert number in {text.get_text().strip() for text in plan_figure(scene).axes[0].texts}
 
 

@@ -52,7 +52,7 @@ def drawn_by_plotly(figure: go.Figure, panel: Panel) -> list[np.ndarray]:
     colours = {series.colour for series in panel.series}
     names = {series.name for series in panel.series}
     traces = [trace for trace in figure.data if trace.name in names and len(trace.y) == len(panel.series[0].values)]
-    traces = [trace for trace in traces if trace.hovertemplate == f"%{{y:.4g}} {panel.unit}"]
+    traces = [trace for trace in traces if trace.hovertemplate == f"%{{y:.3g}} {panel.unit}"]
     assert {trace.line.color for trace in traces} == colours
     return [np.asarray(trace.y, dtype=float) for trace in traces]
 

@@ -23,7 +23,7 @@ from ctrplan.plans.plan import Plan
 from ctrplan.plans.planned_motion import ComparedWay
 from ctrplan.reports.curves import CURSOR
 from ctrplan.reports.html_page import _templates, rendered
-from ctrplan.reports.plan_motion import moments, scene_figure
+from ctrplan.reports.plan_motion import camera_places, moments, scene_figure
 from ctrplan.reports.plan_page import joints_figure, margins_figure, plan_report_html, write_plan_report
 from ctrplan.reports.plan_scene import FRAMES, PlanScene, plan_scene
 from ctrplan.reports.plan_words import certificate_rows, verdict
@@ -137,6 +137,49 @@ def test_frames_move_the_robot_and_nothing_else(scene: PlanScene) -> None:
         np.testing.assert_array_equal(np.asarray(trace.z), np.asarray(moved.z))
 
 
+def test_nothing_of_the_future_is_shown_at_the_start(scene: PlanScene) -> None:
+    """Neither the pose at the goal, the closest one and the space that is swept, nor the tip's way beyond its place."""
+    figure = scene_figure(scene)
+    start = np.concatenate([step.envelope.surface(4).vertices_m for step in scene.path[:1]]) * 1e3
+    still = {"goal", "lumen to", "anatomy to", "front plate", "axes", "line to", "targets on"}
+    for trace in figure.data:
+        if trace.visible is False:
+            assert trace.meta["later"]
+        elif not any(trace.name.startswith(name) for name in still):
+            points = np.column_stack([np.asarray(trace[axis], dtype=float) for axis in "xyz"])
+            points = points[np.isfinite(points).all(axis=1)]
+            assert np.all(points.min(axis=0) > start.min(axis=0) - 3) and np.all(
+                points.max(axis=0) < start.max(axis=0) + 3
+            )
+    ways = [frame.data[-1] for frame in figure.frames]
+    passed = [int(np.isfinite(np.asarray(way.x)).sum()) for way in ways]
+    assert passed[0] == 1 and passed == sorted(passed) and passed[-1] == len(scene.plan.certificate.samples.leg)
+
+
+def test_the_scene_fills_its_window_with_the_motion(scene: PlanScene) -> None:
+    """What the camera has to hold is the robot's way and its goal, not a box around the anatomy."""
+    view = scene_figure(scene).layout.meta["view"]
+    points, every = (
+        np.array(view["points"]),
+        np.concatenate([step.envelope.surface(4).vertices_m for step in scene.path]),
+    )
+    lower, upper = points.min(axis=0), points.max(axis=0)
+    assert np.all(lower <= every.min(axis=0) * 1e3 + 3) and np.all(upper >= every.max(axis=0) * 1e3 - 3)
+    toward, along = np.array(view["toward"]), np.array(view["along"])
+    assert np.linalg.norm(toward) == pytest.approx(1) and abs(toward @ along) < 1e-9
+
+
+def test_inside_is_offered_where_there_is_a_lumen(scene: PlanScene) -> None:
+    lumen = AnatomyPart(Mesh(*capsule_mesh()), "inside")
+    within = replace(scene, plan=replace(scene.plan, scenario=replace(scene.plan.scenario, anatomy=(lumen,))))
+    assert camera_places(within)["inside"] and not camera_places(scene)["inside"]
+
+
+def capsule_mesh() -> tuple[np.ndarray, np.ndarray]:
+    ball = capsule(np.zeros(3), np.array([0.0, 0.0, 0.15]), 0.06, 40)
+    return ball.vertices_m, ball.faces
+
+
 def test_figures_of_the_moment_are_those_of_the_certificate(scene: PlanScene) -> None:
     texts, samples = moments(scene), scene.plan.certificate.samples
     assert {len(column) for column in texts.values()} == {FRAMES}
@@ -239,8 +282,8 @@ def looks_around_and_cuts(browser: Browser, scene: PlanScene) -> None:
     eye = "JSON.stringify(document.getElementById('scene').layout.scene.camera)"
     buttons, seen = "document.querySelectorAll('#looking button')", list[str]()
     names = browser.run(f"Array.from({buttons}, (b) => b.textContent)")
-    assert names == ["All", "Plate", "Target", "Closest", "Inside"]
-    for number in (1, 2, 3, 4, 0):
+    assert names == ["All", "Plate", "Target", "Closest"]  # no lumen to be inside of
+    for number in (1, 2, 3, 0):
         browser.run(f"{buttons}[{number}].click()")
         browser.wait_for(f"!{json.dumps(seen)}.includes({eye})")
         seen.append(browser.run(eye))

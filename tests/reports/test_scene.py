@@ -131,4 +131,6 @@ def test_letters_at_the_axes_say_the_patients_frame(frame: Frame, left: str, bac
     axes = scene_figure(scene).layout.scene
     assert (axes.xaxis.title.text, axes.yaxis.title.text) == (f"x, {left} (mm)", f"y, {back} (mm)")
     assert axes.zaxis.title.text == "z, I → S (mm)"
+    ends = [trace.text[-1] for trace in scene_figure(scene).data if trace.name == "axes"]
+    assert [end.split(",")[0] for end in ends] == [left[-1], back[-1], "S"] and ends[0].endswith(" mm")
     assert scene_figure(plan_scene(plan, 2)).layout.scene.xaxis.title.text == "x (mm)"

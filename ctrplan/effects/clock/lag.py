@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ctrplan.effects.effect import Effect, Parameter, Values, register
+from ctrplan.effects.effect import Effect, Parameter, Values, register, two_digits
 from ctrplan.measurement.measurements import LONGEST_LAG_S, Measurements
 from ctrplan.robot.robot import Robot
 
@@ -23,6 +23,10 @@ class Lag(Effect):
     is_linear = False
     depends_on_history = True
     needs_time = True
+
+    def in_figures(self, values: Values, robot: Robot) -> str:
+        late = values["tau_s"]
+        return f"poses are stamped {two_digits(abs(late))} s {'late' if late > 0 else 'early'}"
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         return (Parameter("tau_s", 0.15, lower=-LONGEST_LAG_S, upper=LONGEST_LAG_S, start=0.02),)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ctrplan.base.arrays import Array
 from ctrplan.drive.legs import Collars
-from ctrplan.effects.effect import DEGREE, MILLIMETRE, Effect, Parameter, Values, numbered, register
+from ctrplan.effects.effect import DEGREE, MILLIMETRE, Effect, Parameter, Values, clauses, numbered, register, told
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.robot.robot import Robot
 
@@ -22,6 +22,10 @@ class Backlash(Effect):
     experiment = "approach from both sides where curvatures are aligned: friction has no effect there, backlash has"
     depends_on_history = True
     acts_at_rest = False
+
+    def in_figures(self, values: Values, robot: Robot) -> str:
+        turned = clauses(values, "theta_I_deg", "the rotation of tube {I} has {value} deg of play")
+        return told(turned, clauses(values, "l_I_mm", "the translation of tube {I} has {value} mm of play"))
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         tubes = range(1, robot.n + 1)

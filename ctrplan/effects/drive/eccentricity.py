@@ -8,7 +8,7 @@ import numpy as np
 
 from ctrplan.base.arrays import Array
 from ctrplan.drive.legs import Collars
-from ctrplan.effects.effect import DEGREE, Effect, Parameter, Values, register, turning, with_column
+from ctrplan.effects.effect import DEGREE, Effect, Parameter, Values, register, told, turning, vectors, with_column
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.robot.robot import Robot
 
@@ -24,6 +24,10 @@ class Eccentricity(Effect):
     signature = "errors repeat with every turn of one actuator, whatever the relative angles"
     look_alikes = ("off_plane_precurvature", "ovality")
     experiment = "turn all tubes together by a full turn: only an eccentricity shows"
+
+    def in_figures(self, values: Values, robot: Robot) -> str:
+        text = "the rotation of tube {I} errs by up to {value} deg once a turn"
+        return told(vectors(values, ("sin_I_deg", "cos_I_deg"), text))
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         return tuple(

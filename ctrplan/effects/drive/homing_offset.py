@@ -12,9 +12,11 @@ from ctrplan.effects.effect import (
     Effect,
     Parameter,
     Values,
+    clauses,
     numbered,
     register,
     sliding,
+    told,
     with_column,
 )
 from ctrplan.measurement.measurements import Measurements
@@ -32,6 +34,11 @@ class HomingOffset(Effect):
     signature = "the robot stands as if a tube were turned or moved along by a constant amount"
     look_alikes = ("off_plane_precurvature", "base_misalignment", "joint_scale")
     experiment = "home again and repeat: an offset of homing changes, one of the tube does not"
+
+    def in_figures(self, values: Values, robot: Robot) -> str:
+        turned = clauses(values, "theta_I_deg", "tube {I} stands turned by {value} deg")
+        moved = clauses(values, "l_I_mm", "tube {I} stands {value} mm {sign}", signs=("too far ahead", "too far back"))
+        return told(turned, moved)
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         tubes = range(1, robot.n + 1)

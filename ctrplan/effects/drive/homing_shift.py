@@ -7,7 +7,18 @@ from collections.abc import Sequence
 import numpy as np
 
 from ctrplan.base.arrays import Array
-from ctrplan.effects.effect import DEGREE, MILLIMETRE, Effect, Parameter, Values, register, sliding, turning
+from ctrplan.effects.effect import (
+    DEGREE,
+    MILLIMETRE,
+    Effect,
+    Parameter,
+    Values,
+    clauses,
+    register,
+    sliding,
+    told,
+    turning,
+)
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.robot.robot import Robot
 
@@ -25,6 +36,11 @@ class HomingShift(Effect):
     signature = "tubes stand turned or moved along by constants, others in the runs of each homing"
     look_alikes = ("homing_offset", "frame_shift", "drift")
     experiment = "repeat one run without homing again: its zeros stay"
+
+    def in_figures(self, values: Values, robot: Robot) -> str:
+        turned = clauses(values, "theta_I_K_deg", "after homing {K} tube {I} stands turned by {value} deg")
+        place = "after homing {K} tube {I} stands {value} mm {sign}"
+        return told(turned, clauses(values, "l_I_K_mm", place, signs=("too far ahead", "too far back")))
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         tubes = range(1, robot.n + 1)

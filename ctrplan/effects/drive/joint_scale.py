@@ -6,9 +6,22 @@ from collections.abc import Sequence
 
 from ctrplan.base.arrays import Array
 from ctrplan.drive.legs import Collars
-from ctrplan.effects.effect import Effect, Parameter, Values, numbered, register, sliding, turning, with_column
+from ctrplan.effects.effect import (
+    Effect,
+    Parameter,
+    Values,
+    clauses,
+    numbered,
+    register,
+    sliding,
+    told,
+    turning,
+    with_column,
+)
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.robot.robot import Robot
+
+FAR = ("too far", "too little")
 
 
 @register
@@ -22,6 +35,10 @@ class JointScale(Effect):
     signature = "errors grow with the distance of a joint from its zero, turn after turn"
     look_alikes = ("homing_offset", "varying_precurvature", "drift")
     experiment = "the same relative angle reached a full turn apart"
+
+    def in_figures(self, values: Values, robot: Robot) -> str:
+        turns = clauses(values, "theta_I", "tube {I} turns {value} % {sign}", signs=FAR, factor=100)
+        return told(turns, clauses(values, "l_I", "tube {I} slides {value} % {sign}", signs=FAR, factor=100))
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         tubes = range(1, robot.n + 1)

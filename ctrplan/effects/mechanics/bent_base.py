@@ -8,7 +8,7 @@ import numpy as np
 
 from ctrplan.base.arrays import Array
 from ctrplan.drive.legs import Collars
-from ctrplan.effects.effect import Effect, Parameter, Values, register
+from ctrplan.effects.effect import Effect, Parameter, Values, length_of, register, two_digits
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.robot.robot import Robot
 
@@ -30,6 +30,10 @@ class BentBase(Effect):
     acts_at_rest = False
     look_alikes = ("base_misalignment", "off_plane_precurvature", "eccentricity")
     experiment = "turn all tubes together with tube 1 drawn back, then pushed home: the circle of the tip shrinks"
+
+    def in_figures(self, values: Values, robot: Robot) -> str:
+        bent = length_of(values, "curvature_x_per_m", "curvature_y_per_m")
+        return f"tube 1 is bent behind the plate, with a curvature of {two_digits(bent)} 1/m"
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         return tuple(Parameter(f"curvature_{axis}_per_m", 1.0, lower=-100.0, upper=100.0) for axis in "xy")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from ctrplan.effects.effect import Effect, Parameter, Values, numbered, register
+from ctrplan.effects.effect import Effect, Parameter, Values, clauses, numbered, register, told, two_digits
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.robot.robot import Robot
 
@@ -22,6 +22,12 @@ class Friction(Effect):
     experiment = "approach strongly opposed curvatures from both sides and after an oscillation, at rest"
     depends_on_history = True
     sets_outright = True
+
+    def in_figures(self, values: Values, robot: Robot) -> str:
+        usual = {parameter.name: two_digits(parameter.neutral) for parameter in self.parameters(robot)}
+        text = "the friction coefficient of tubes {I} and {next} is {value}, not "
+        each = [clauses({name: value}, "mu_I", text + usual[name]) for name, value in values.items()]
+        return told(*each)
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         neutral = robot.friction[:, 1].tolist()

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ctrplan.base.arrays import Array
-from ctrplan.effects.effect import DEGREE, Effect, Parameter, Values, register
+from ctrplan.effects.effect import DEGREE, Effect, Parameter, Values, register, two_digits
 from ctrplan.measurement.approach import turning_speeds
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.robot.robot import Robot
@@ -34,6 +34,11 @@ class FrictionSpeed(Effect):
     depends_on_history = True
     is_linear = False
     needs_time = True
+
+    def in_figures(self, values: Values, robot: Robot) -> str:
+        left = f"{two_digits(100 * values['moving_share'])} %" if "moving_share" in values else "a part"
+        from_on = f", from some {two_digits(values['speed_deg_s'])} deg/s on" if "speed_deg_s" in values else ""
+        return f"in fast motion {left} of the friction is left{from_on}"
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         return (

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from ctrplan.effects.effect import Effect, Parameter, Values, register
+from ctrplan.effects.effect import Effect, Parameter, Values, direction_of, length_of, register, two_digits
 from ctrplan.robot.robot import Robot
 
 NITINOL_KG_M3 = 6450.0  # where the robot file gives no density; a lining or a tool makes g come out larger
@@ -22,6 +22,11 @@ class Gravity(Effect):
     look_alikes = ("tip_load", "base_misalignment")
     experiment = "the robot mounted upright and on its side"
     scales_with_stiffness = True
+
+    def in_figures(self, values: Values, robot: Robot) -> str:
+        names = ("g_x_m_s2", "g_y_m_s2", "g_z_m_s2")
+        size, along = two_digits(length_of(values, *names)), direction_of(values, *names)
+        return f"the tubes' weight bends them, {size} m/s2 along {along}"
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         return tuple(Parameter(f"g_{axis}_m_s2", 40.0, lower=-1e3, upper=1e3) for axis in "xyz")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from ctrplan.effects.effect import Effect, Parameter, Values, register
+from ctrplan.effects.effect import Effect, Parameter, Values, register, two_digits
 from ctrplan.robot.robot import Robot
 
 
@@ -20,6 +20,11 @@ class NonlinearElasticity(Effect):
     look_alikes = ("varying_precurvature", "shaft_torsion")
     experiment = "the most curved tube inside the stiffest section, aligned and opposed"
     is_linear = False
+
+    def in_figures(self, values: Values, robot: Robot) -> str:
+        strain, left = values.get("strain_percent"), values.get("stiffness_fraction")
+        beyond = "strongly bent" if strain is None else f"beyond a strain of {two_digits(strain)} %"
+        return f"{beyond} tubes keep {'a part' if left is None else f'{two_digits(100 * left)} %'} of their stiffness"
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         return (

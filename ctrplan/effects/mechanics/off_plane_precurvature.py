@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from ctrplan.effects.effect import Effect, Parameter, Values, register
+from ctrplan.effects.effect import Effect, Parameter, Values, clauses, register, told
 from ctrplan.robot.robot import Robot
 
 
@@ -21,6 +21,10 @@ class OffPlanePrecurvature(Effect):
     signature = "the robot bends as if a tube were turned by a constant angle"
     look_alikes = ("homing_offset", "base_misalignment")
     experiment = "retract the curved section of the tube: an angle offset stays, an off-plane curvature goes with it"
+
+    def in_figures(self, values: Values, robot: Robot) -> str:
+        text = "section {K} of tube {I} is curved out of its plane by {value} 1/m"
+        return told(clauses(values, "delta_I_K_per_m", text))
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         return tuple(

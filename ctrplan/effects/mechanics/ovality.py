@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from ctrplan.effects.effect import Effect, Parameter, Values, register
+from ctrplan.effects.effect import Effect, Parameter, Values, register, told, vectors
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.robot.robot import Robot
 
@@ -21,6 +21,10 @@ class Ovality(Effect):
     signature = "errors with twice the relative angle, all approaches alike"
     look_alikes = ("off_plane_precurvature", "nonlinear_elasticity")
     experiment = "one full turn of the tube in fine steps at small extension"
+
+    def in_figures(self, values: Values, robot: Robot) -> str:
+        text = "tube {I} is {value} % stiffer about one axis and as much softer about the other"
+        return told(vectors(values, ("sin_I", "cos_I"), text, factor=100))
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         return tuple(

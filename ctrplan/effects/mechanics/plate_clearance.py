@@ -6,7 +6,7 @@ import numpy as np
 
 from ctrplan.base.arrays import Array
 from ctrplan.drive.legs import Collars
-from ctrplan.effects.effect import DEGREE, Effect, Parameter, Values, register
+from ctrplan.effects.effect import DEGREE, Effect, Parameter, Values, register, two_digits
 from ctrplan.effects.mechanics.plate_compliance import STRAIGHT, bears_on_plate
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.mechanics.shapes import largest_plate_moment, plate_moment
@@ -27,6 +27,9 @@ class PlateClearance(Effect):
     acts_at_rest = False
     look_alikes = ("base_misalignment", "plate_compliance", "backlash")
     experiment = "push the outermost tube at the plate by hand: what moves without force is clearance"
+
+    def in_figures(self, values: Values, robot: Robot) -> str:
+        return f"the front plate lets the robot tilt by {two_digits(values['tilt_deg'])} deg either way"
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         return (Parameter("tilt_deg", 0.5, lower=0.0, upper=20.0, si=DEGREE),)

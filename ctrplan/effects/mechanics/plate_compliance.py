@@ -6,7 +6,7 @@ import numpy as np
 
 from ctrplan.base.arrays import Array
 from ctrplan.drive.legs import Collars
-from ctrplan.effects.effect import Effect, Parameter, Values, register
+from ctrplan.effects.effect import DEGREE, Effect, Parameter, Values, register, two_digits
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.mechanics.shapes import largest_plate_moment, plate_moment
 from ctrplan.robot.robot import Robot
@@ -28,6 +28,10 @@ class PlateCompliance(Effect):
     look_alikes = ("base_misalignment", "plate_clearance", "homing_offset")
     experiment = "draw a curved section into the plate and turn all tubes together: the tilt turns along"
     scales_with_stiffness = True
+
+    def in_figures(self, values: Values, robot: Robot) -> str:
+        yields = two_digits(values["compliance_rad_per_Nm"] * 1e-3 / DEGREE)
+        return f"front collar and plate yield by {yields} deg per N mm of bending"
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         return (Parameter("compliance_rad_per_Nm", 0.1, lower=0.0, upper=100.0),)

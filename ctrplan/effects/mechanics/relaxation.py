@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ctrplan.base.arrays import Array
-from ctrplan.effects.effect import Effect, Parameter, Values, register
+from ctrplan.effects.effect import Effect, Parameter, Values, register, two_digits
 from ctrplan.measurement.approach import time_at_rest_s
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.robot.robot import Robot
@@ -32,6 +32,11 @@ class Relaxation(Effect):
     depends_on_history = True
     is_linear = False
     needs_time = True
+
+    def in_figures(self, values: Values, robot: Robot) -> str:
+        gone = f"{two_digits(100 * values['released_share'])} %" if "released_share" in values else "a part"
+        within = f", most of it within {two_digits(values['time_s'])} s" if "time_s" in values else ""
+        return f"at rest {gone} of the friction goes{within}"
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         return (

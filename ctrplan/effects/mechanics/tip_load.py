@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from ctrplan.effects.effect import Effect, Parameter, Values, register
+from ctrplan.effects.effect import Effect, Parameter, Values, direction_of, length_of, register, two_digits
 from ctrplan.robot.robot import Robot
 
 
@@ -20,6 +20,11 @@ class TipLoad(Effect):
     look_alikes = ("gravity", "base_misalignment")
     experiment = "fully retracted against fully extended, in several directions of bending"
     scales_with_stiffness = True
+
+    def in_figures(self, values: Values, robot: Robot) -> str:
+        names = ("force_x_N", "force_y_N", "force_z_N")
+        size, along = two_digits(length_of(values, *names)), direction_of(values, *names)
+        return f"a force of {size} N pulls at the tip along {along}"
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         return tuple(Parameter(f"force_{axis}_N", 0.3, lower=-100.0, upper=100.0) for axis in "xyz")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ctrplan.effects.effect import MILLIMETRE, Effect, Parameter, Values, register, sliding
+from ctrplan.effects.effect import MILLIMETRE, Effect, Parameter, Values, register, sliding, two_digits
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.robot.robot import Robot
 
@@ -23,6 +23,10 @@ class TranslationRelease(Effect):
     needs = "friction"
     depends_on_history = True
     is_linear = False
+
+    def in_figures(self, values: Values, robot: Robot) -> str:
+        far = values["release_per_mm"]
+        return f"a translation of {two_digits(1 / far) if far else 'any length'} mm leaves a third of the friction"
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         return (Parameter("release_per_mm", 1.0, lower=0.0, upper=10.0, start=0.2, si=1 / MILLIMETRE),)

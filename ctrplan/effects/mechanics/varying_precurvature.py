@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from ctrplan.effects.effect import Effect, Parameter, Values, register
+from ctrplan.effects.effect import Effect, Parameter, Values, clauses, register, told
 from ctrplan.robot.robot import Robot
 
 
@@ -19,6 +19,10 @@ class VaryingPrecurvature(Effect):
     signature = "errors that grow and change sign as a curved section is extended"
     look_alikes = ("clearance", "nonlinear_elasticity", "joint_scale")
     experiment = "the curved section of one tube at several extensions, the others aligned"
+
+    def in_figures(self, values: Values, robot: Robot) -> str:
+        text = "section {K} of tube {I} is {value} % {sign} curved at its end than in its middle"
+        return told(clauses(values, "gradient_I_K", text, signs=("more", "less"), factor=100))
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         return tuple(

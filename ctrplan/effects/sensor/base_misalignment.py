@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ctrplan.effects.effect import DEGREE, MILLIMETRE, Effect, Parameter, Values, register
+from ctrplan.effects.effect import DEGREE, MILLIMETRE, Effect, Parameter, Values, length_of, register, two_digits
 from ctrplan.measurement.measurements import Measurements, Poses, moved_rigidly
 from ctrplan.robot.robot import Robot
 
@@ -22,6 +22,11 @@ class BaseMisalignment(Effect):
     signature = "all poses are displaced by one rigid motion"
     look_alikes = ("homing_offset", "sensor_offset", "gravity")
     experiment = "register the base again with points that do not belong to the robot"
+
+    def in_figures(self, values: Values, robot: Robot) -> str:
+        turned = length_of(values, "rotation_x_deg", "rotation_y_deg", "rotation_z_deg")
+        moved = length_of(values, "shift_x_mm", "shift_y_mm", "shift_z_mm")
+        return f"the base is turned by {two_digits(turned)} deg and shifted by {two_digits(moved)} mm"
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         turns = (Parameter(f"rotation_{axis}_deg", 4.0, lower=-90, upper=90, si=DEGREE) for axis in "xyz")

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ctrplan.effects.effect import DEGREE, MILLIMETRE, Effect, Parameter, Values, register
+from ctrplan.effects.effect import DEGREE, MILLIMETRE, Effect, Parameter, Values, length_of, register, two_digits
 from ctrplan.measurement.measurements import Measurements, Poses, moved_rigidly
 from ctrplan.robot.robot import Robot
 
@@ -27,6 +27,11 @@ class Drift(Effect):
     look_alikes = ("base_misalignment", "joint_scale")
     experiment = "repeat the first configurations at the end"
     needs_time = True
+
+    def in_figures(self, values: Values, robot: Robot) -> str:
+        moved = length_of(values, "shift_x_mm_per_h", "shift_y_mm_per_h", "shift_z_mm_per_h")
+        turned = length_of(values, "rotation_x_deg_per_h", "rotation_y_deg_per_h", "rotation_z_deg_per_h")
+        return f"the sensor drifts by {two_digits(moved)} mm and {two_digits(turned)} deg an hour"
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         shifts = (Parameter(f"shift_{axis}_mm_per_h", 100.0, lower=-MOST, upper=MOST, si=MM_PER_H) for axis in "xyz")

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ctrplan.base.arrays import Array
-from ctrplan.effects.effect import DEGREE, MILLIMETRE, Effect, Parameter, Values, register
+from ctrplan.effects.effect import DEGREE, MILLIMETRE, Effect, Parameter, Values, register, told, vectors
 from ctrplan.measurement.measurements import Measurements, Poses, moved_rigidly
 from ctrplan.robot.robot import Robot
 
@@ -25,6 +25,14 @@ class FrameShift(Effect):
     signature = "all poses of some runs are displaced by one rigid motion, those of others by another"
     look_alikes = ("base_misalignment", "drift")
     experiment = "repeat one run without touching the tracker: its frame stays"
+
+    def in_figures(self, values: Values, robot: Robot) -> str:
+        axes, text = "xyz", "frame {I} of the tracker is turned by {value} deg"
+        turned = vectors(values, [f"rotation_{axis}_I_deg" for axis in axes], text)
+        moved = vectors(
+            values, [f"shift_{axis}_I_mm" for axis in axes], "frame {I} of the tracker is shifted by {value} mm"
+        )
+        return told(turned, moved)
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         frames = range(2, MOST_FRAMES + 1)

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ctrplan.base.arrays import Array
-from ctrplan.effects.effect import MILLIMETRE, Effect, Parameter, Values, register
+from ctrplan.effects.effect import MILLIMETRE, Effect, Parameter, Values, register, two_digits
 from ctrplan.measurement.measurements import Measurements, Poses, frames_along
 from ctrplan.robot.robot import Robot
 
@@ -31,6 +31,12 @@ class SensorDistortion(Effect):
     signature = "errors are a smooth function of where the tip is, whatever the joints"
     look_alikes = ("base_misalignment", "joint_scale")
     experiment = "move the tracker's field generator and repeat, or probe a known grid"
+
+    def in_figures(self, values: Values, robot: Robot) -> str:
+        sizes = {name: abs(value) for name, value in values.items() if name.endswith("_mm")}
+        largest = max(sizes, key=lambda name: sizes[name], default="x")
+        size = two_digits(sizes.get(largest, 0.0))
+        return f"the sensor's field is bent, by {size} mm along {largest[0]} in its largest term"
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         field = (

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ctrplan.effects.effect import DEGREE, MILLIMETRE, Effect, Parameter, Values, register
+from ctrplan.effects.effect import DEGREE, MILLIMETRE, Effect, Parameter, Values, length_of, register, two_digits
 from ctrplan.measurement.measurements import Measurements, Poses, rotation
 from ctrplan.robot.robot import Robot
 
@@ -23,6 +23,11 @@ class SensorOffset(Effect):
     look_alikes = ("base_misalignment", "homing_offset")
     experiment = "turn the innermost tube where nothing bends it: the offset draws a circle"
     turns_with_tip = True
+
+    def in_figures(self, values: Values, robot: Robot) -> str:
+        moved = length_of(values, "offset_x_mm", "offset_y_mm", "offset_z_mm")
+        turned = length_of(values, "tilt_x_deg", "tilt_y_deg")
+        return f"the sensor sits {two_digits(moved)} mm off the tip and is tilted by {two_digits(turned)} deg"
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         shifts = (Parameter(f"offset_{axis}_mm", 2.0, lower=-50, upper=50, si=MILLIMETRE) for axis in "xyz")

@@ -1,16 +1,24 @@
 // Where the report's scene is looked at from, and what of the anatomy is cut away so that one sees into it.
 "use strict";
 
-const BESIDE_MM = 45, INSIDE_HIDES = ["tube", "envelope", "corner", "robot at", "space the", "closest", "front plate"];
-const LAMP_MM = 40, WALL = [[0, "#0d0506"], [0.5, "#8d4a41"], [1, "#f0b3a4"]];
+const BESIDE_MM = 45, LAMP_MM = 40, WALL = [[0, "#0d0506"], [0.5, "#8d4a41"], [1, "#f0b3a4"]];
 const LAMP = {cmin: 0, cmax: 1, showscale: false, "lighting.ambient": 1, "lighting.diffuse": 0, "lighting.specular": 0};
-const DAY = {"lighting.ambient": 0.75, "lighting.diffuse": 0.5, "lighting.specular": 0.15};
+const ROBOT = ["tube", "envelope", "corner"];
+const HIDES = {Inside: [...ROBOT, "robot at", "space the", "closest", "front plate", "axes"], Closest: ROBOT}, SHOWS = {Closest: ["closest"]};
+const MEANS = {
+  All: "the whole motion, as large as the window is",
+  Plate: "along the robot, from where the drive stands",
+  Target: "beside the target",
+  Closest: "where friction brings the robot nearest to the anatomy, at that moment",
+  Inside: "from the tip along its path, as a camera there would see the lumen",
+};
 
 function addLooking(plot, views) {
   const bar = document.getElementById("looking"), frame = () => Number((document.getElementById("time") || {value: 0}).value);
-  const cut = addCut(plot), shown = plot.data.map((trace) => trace.visible);
+  const cut = addCut(plot), usual = plot.data.map((trace) => trace.visible);
   const walls = indices(plot, (trace) => trace.meta && trace.meta.wall);
-  let inside = false;
+  const day = walls.map((k) => ({...plot.data[k].lighting}));
+  let way = "All";
 
   const places = {
     "All": () => ({fit: true}),
@@ -20,22 +28,23 @@ function addLooking(plot, views) {
     "Inside": () => ({eye: views.tips[frame()], at: add(views.tips[frame()], views.along[frame()], BESIDE_MM)}),
   };
   for (const [name, place] of Object.entries(places)) {
-    if (name === "Closest" && !views.closest) continue;
-    const button = Object.assign(document.createElement("button"), {type: "button", textContent: name});
-    button.addEventListener("click", () => look(name, place()));
+    if ((name === "Closest" && !views.closest) || (name === "Inside" && !views.inside)) continue;
+    const button = Object.assign(document.createElement("button"), {type: "button", textContent: name, title: MEANS[name]});
+    button.addEventListener("click", () => look(name, place));
     bar.append(button);
   }
   bar.append(cut);
 
-  async function look(name, {eye, at, fit, frame: moment}) {
-    await enter(name === "Inside");
+  async function look(name, place) {
+    await enter(name);
+    const {eye, at, fit, frame: moment} = place();
     if (moment !== undefined) setTime(moment);
-    if (fit) return fitCamera(plot, views.overview);
+    if (fit) return fitCamera(plot, true);
     return aim(eye, at);
   }
 
   async function aim(eye, at) {
-    if (inside) await light(eye);
+    if (way === "Inside") await light(eye);
     const up = Math.abs(unit(minus(at, eye)).z) > 0.95 ? {x: 1, y: 0, z: 0} : {x: 0, y: 0, z: 1};
     return Plotly.relayout(plot, {"scene.camera": {eye: toScene(plot, eye), center: toScene(plot, at), up}});
   }
@@ -46,17 +55,19 @@ function addLooking(plot, views) {
     return walls.length ? Plotly.restyle(plot, {intensity: shades}, walls) : null;
   }
 
-  async function enter(now) {
-    if (now === inside) return;
-    inside = now;
-    const hides = (trace) => INSIDE_HIDES.some((start) => (trace.name || "").startsWith(start));
-    const visible = plot.data.map((trace, k) => (now && hides(trace) ? false : shown[k] === undefined ? true : shown[k]));
-    if (now) plot.data.forEach((trace, k) => { shown[k] = trace.visible; });
-    await Plotly.restyle(plot, {visible: visible});
-    const own = walls.map((k) => [[0, plot.data[k].color], [1, plot.data[k].color]]);  // plotly keeps what was lit before
-    const change = {opacity: walls.map((k) => (now ? 1 : plot.data[k].meta.wall)), colorscale: now ? walls.map(() => WALL) : own, ...(now ? LAMP : DAY)};
-    await Plotly.restyle(plot, change, walls);
-    await Plotly.relayout(plot, Object.fromEntries(["x", "y", "z"].map((axis) => [`scene.${axis}axis.visible`, !now])));
+  async function enter(name) {
+    if (name === way) return;
+    const before = way, begins = (trace, starts) => (starts || []).some((start) => (trace.name || "").startsWith(start));
+    const own = !HIDES[before];  // what the reader shows and hides is kept, views with parts of their own aside
+    if (own) plot.data.forEach((trace, k) => { usual[k] = trace.visible; });
+    way = name;
+    const visible = plot.data.map((trace, k) => begins(trace, SHOWS[name]) || (!begins(trace, HIDES[name]) && (usual[k] === undefined || usual[k])));
+    if (!own || HIDES[name]) await Plotly.restyle(plot, {visible: visible});
+    if ((before === "Inside") === (name === "Inside")) return;
+    const within = name === "Inside", colours = walls.map((k) => [[0, plot.data[k].color], [1, plot.data[k].color]]);  // plotly keeps what was lit before
+    const lamps = Object.fromEntries(["ambient", "diffuse", "specular"].map((kind) => [`lighting.${kind}`, day.map((light) => light[kind])]));
+    const change = {opacity: walls.map((k) => (within ? 1 : plot.data[k].meta.wall)), colorscale: within ? walls.map(() => WALL) : colours, ...(within ? LAMP : lamps)};
+    if (walls.length) await Plotly.restyle(plot, change, walls);
   }
 
   function setTime(k) {
@@ -65,7 +76,7 @@ function addLooking(plot, views) {
   }
 
   const slider = document.getElementById("time");
-  plot.addEventListener("moved", () => { if (inside && slider) aim(places.Inside().eye, places.Inside().at); });
+  plot.addEventListener("moved", () => { if (way === "Inside" && slider) aim(places.Inside().eye, places.Inside().at); });
 }
 
 // A choice of side and a slider: what is beyond the plane of the anatomy is not drawn.
@@ -140,15 +151,7 @@ function lit(mesh, eye) {
   });
 }
 
-// Coordinates in mm to those of plotly's cameras.
-function toScene(plot, point) {
-  const {aspectratio, ...scene} = plot._fullLayout.scene;
-  return Object.fromEntries(["x", "y", "z"].map((axis, k) => {
-    const [low, high] = scene[`${axis}axis`].range;
-    return [axis, (point[k] - (low + high) / 2) * aspectratio[axis] / (high - low)];
-  }));
-}
-
+const toScene = (plot, point) => inScene(plot._fullLayout.scene, point);
 const indices = (plot, is) => plot.data.flatMap((trace, k) => (is(trace) ? [k] : []));
 const add = (point, along, much, beside = [0, 0, 0], more = 0) => point.map((value, k) => value + much * along[k] + more * beside[k]);
 const minus = (a, b) => ({x: a[0] - b[0], y: a[1] - b[1], z: a[2] - b[2]});

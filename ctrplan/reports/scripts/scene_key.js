@@ -10,8 +10,9 @@ function keyEntry(plot, trace) {
   const entry = document.createElement("button"), swatch = document.createElement("i");
   const same = plot.data.flatMap((other, i) => other.name === trace.name ? [i] : []);
   entry.type = "button";
-  entry.title = "shown; a click hides it";
-  swatch.style.background = trace.color || (trace.line || {}).color || trace.marker.color;
+  entry.title = "a click shows or hides it";
+  entry.classList.toggle("off", Boolean((trace.meta || {}).later));
+  swatch.style.background = (trace.meta || {}).swatch || trace.color || (trace.line || {}).color || trace.marker.color;
   entry.append(swatch, plainText(trace.name));
   entry.addEventListener("click", () => Plotly.restyle(plot, {visible: !entry.classList.toggle("off")}, same));
   return entry;

@@ -1,0 +1,52 @@
+"""The gallery is built from the tree: a part of it, with pictures, numbers and commands, and nothing made twice."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from browser import Browser, chromium
+from places import ROOT
+
+
+def gallery(folder: Path, *names: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, str(ROOT / "tools" / "gallery.py"), "-o", str(folder), "--only", *names]
+    return subprocess.run(command, capture_output=True, text=True, timeout=600)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    made = tmp_path_factory.mktemp("gallery")
+    done = gallery(made, "pair_free", "joint_scale")
+    assert done.returncode == 0, done.stderr
+    return made
+
+
+def test_cards_have_pictures_numbers_and_commands(folder: Path) -> None:
+    page = (folder / "index.html").read_text(encoding="utf-8")
+    assert "ctrplan plan scenarios/pair_free.toml" in page and "worst case at the goal" in page
+    assert "ctrplan diagnose robot.toml" in page and "named: joint_scale" in page
+    for place in ("plans/pair_free/report.html", "diagnoses/joint_scale/diagnosis/report.html"):
+        assert f'href="{place}"' in page and (folder / place).is_file()
+    assert (folder / "pictures" / "pair_free.png").stat().st_size > 5000
+
+
+def test_what_is_there_is_not_made_again(folder: Path) -> None:
+    plan = folder / "plans" / "pair_free" / "plan.json"
+    before = plan.stat().st_mtime_ns
+    assert gallery(folder, "pair_free").returncode == 0 and plan.stat().st_mtime_ns == before
+    wrong = gallery(folder, "pair_fre")
+    assert wrong.returncode == 1 and "nothing is called pair_fre" in wrong.stderr
+
+
+@pytest.mark.skipif(chromium() is None, reason="no Chromium on this machine")
+def test_the_page_fits_a_phone_and_loads_its_pictures(folder: Path, tmp_path: Path) -> None:
+    with Browser(tmp_path / "profile") as browser:
+        browser.send("Emulation.setDeviceMetricsOverride", width=390, height=844, deviceScaleFactor=1, mobile=True)
+        browser.open((folder / "index.html").as_uri())
+        browser.wait_for("document.readyState === 'complete'")
+        browser.run("document.querySelectorAll('img').forEach((image) => { image.loading = 'eager'; })")
+        browser.wait_for("Array.from(document.images).every((image) => image.naturalWidth > 100)")
+        assert browser.run("document.documentElement.scrollWidth") == 390 and browser.complaints() == []
