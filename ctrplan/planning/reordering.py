@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -312,7 +312,7 @@ def assemble(
         error_integral_after_mm=b.error_integral_mm,
         stops_before=max(a.legs - 1, 0),
         stops_after=max(b.legs - 1, 0),
-        **_compared(scenario, stages[-1], ways[-1]),
+        **_compared(scenario, stages[-1], ways[-1], certificate),
     )
     try:
         trajectory = time_parameterise(driven, drive, period_s, rests=rests.tolist(), joinable=True)
@@ -338,10 +338,11 @@ def assemble(
     )
 
 
-def _compared(scenario: Scenario, stage: Reordered, driven: Array) -> dict[str, Any]:
+def _compared(scenario: Scenario, stage: Reordered, driven: Array, certificate: Certificate) -> dict[str, Any]:
     """What was reordered on the way to the goal, and what other ways would leave there; nothing for a line.
 
-    driven (K, m): what settling and compensation made of the reordered way.
+    driven (K, m): what settling and compensation made of the reordered way. Of that the certificate says whether it is
+    valid, not the search, which keeps more room.
     """
     if stage.on_line:
         return {}
@@ -354,7 +355,10 @@ def _compared(scenario: Scenario, stage: Reordered, driven: Array) -> dict[str, 
     }
     return {
         "changes": changes(checker, stage.before, stage.after),
-        "alternatives": tuple(alternative(checker, name, way) for name, way in ways.items()),
+        "alternatives": tuple(
+            replace(other, problem=next(iter(certificate.problems), "")) if other.name == "as driven" else other
+            for other in (alternative(checker, name, way) for name, way in ways.items())
+        ),
     }
 
 

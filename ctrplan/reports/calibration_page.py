@@ -27,7 +27,9 @@ def calibration_report_html(calibration: Calibration) -> str:
         data=calibration.data,
         headline=headline(calibration),
         sentence=_sentence(calibration),
-        standing="good" if calibration.fit.converged and not calibration.notes else "caution",
+        standing="good"
+        if calibration.fit.converged and not calibration.notes and _has_helped(calibration)
+        else "caution",
         figures=[
             (_mm(calibration.nominal.rms_m), term("rms", "rms error before")),
             (_mm(calibration.training.rms_m), term("rms", "rms error after, poses fitted")),
@@ -42,7 +44,8 @@ def calibration_report_html(calibration: Calibration) -> str:
 def headline(calibration: Calibration) -> str:
     """Usual errors before and after, on poses kept aside if there are any."""
     after = calibration.held_out or calibration.training
-    return f"Errors of {_mm(calibration.nominal.rms_m)} became {_mm(after.rms_m)}"
+    end = "" if _has_helped(calibration) else ": no better than the robot of the file"
+    return f"Errors of {_mm(calibration.nominal.rms_m)} became {_mm(after.rms_m)}{end}"
 
 
 def errors_figure(calibration: Calibration) -> go.Figure:
@@ -77,10 +80,17 @@ def _sentence(calibration: Calibration) -> str:
     where = "on poses kept aside" if calibration.held_out else "on the poses fitted; none were kept aside"
     after = calibration.held_out or calibration.training
     ended = "" if calibration.fit.converged else " The fit did not converge: its values are not the best ones."
+    if not _has_helped(calibration):
+        ended += " The fit has not helped: the robot of the file explains the poses as well."
     return (
         f"Tips were {_mm(calibration.nominal.rms_m)} off before (rms), and are {_mm(after.rms_m)} off after, {where}, "
         f"{_mm(after.max_m)} at most.{ended}"
     )
+
+
+def _has_helped(calibration: Calibration) -> bool:
+    after = calibration.held_out or calibration.training
+    return after.rms_m < calibration.nominal.rms_m
 
 
 def _mm(length_m: float) -> str:

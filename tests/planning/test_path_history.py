@@ -170,6 +170,7 @@ def test_what_settling_changed_is_what_is_compared(
         checker.scenario, [given], settled.certificate, planner="given path", seed=0, time_s=0.0, ends=[settled.corners]
     )
     ways = {other.name: other for other in plan.reorder.alternatives}
+    assert ways["as driven"].problem == next(iter(plan.certificate.problems), "")  # never "not valid" beside it
     assert ways["as driven"].length_mm == pytest.approx(plan.certificate.length_mm)
     assert ways["as driven"].goal_predicted_m == pytest.approx(plan.certificate.goal_predicted_m, abs=0.05e-3)
     assert ways["as given"].goal_predicted_m == pytest.approx(settled.certificate.settling.goal_predicted_before_m)
