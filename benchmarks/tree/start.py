@@ -1,8 +1,11 @@
-"""How soon do commands start? Help, import, a bound and a loaded scenario, by the clock, as processes of their own.
+"""How soon do commands start, and `ctrplan render` draw? Help, import, a bound and a loaded scenario, by the clock.
 
     python benchmarks/run.py start [--runs 9] [--robot three_tube] [--scenario vessel]
+    python benchmarks/run.py start --pictures out/plan.json
 
-Each row is run so many times after one that is not counted. Modules are those of ctrplan that are imported at the end.
+Each row is a process of its own, run so many times after one that is not counted. Modules are those of ctrplan that are
+imported at the end. --pictures: processor time of a picture of a plan, by camera, of the first and the mean of the next
+ones. What stands still is drawn once where the camera stands still too, and anew for each picture from inside.
 """
 
 import os
@@ -16,8 +19,13 @@ import numpy as np
 from common import ROBOTS, SCENARIOS, table
 
 from ctrplan import load_robot
+from ctrplan.files.plan_file import load_plan
+from ctrplan.reports.plan_scene import written_motion
+from ctrplan.reports.render.camera import VIEWS
+from ctrplan.reports.render.film import film
 
 COMMAND = "import sys; from ctrplan.cli import main; sys.exit(main(sys.argv[1:]))"
+WIDTH, HEIGHT, PICTURES = 960, 720, 6
 MODULES = "import sys; print(sum(name.split('.')[0] == 'ctrplan' for name in sys.modules))"
 
 
@@ -45,12 +53,27 @@ def bound_arguments(file: Path) -> list[str]:
     return ["bound", str(file), *(word for flag, row in flags for word in (flag, *(f"{x:.4f}" for x in row)))]
 
 
+def pictures(plan: str) -> None:
+    motion, rows = written_motion(load_plan(plan, allow_outside=True), PICTURES), []
+    for view in VIEWS:
+        times = [time.process_time()]
+        for _ in film(motion, view, WIDTH, HEIGHT):  # type: ignore[arg-type]
+            times.append(time.process_time())
+        first, *others = np.diff(times).tolist()
+        rows.append((view, f"{first:.2f} s", f"{np.mean(others):.2f} s"))
+    table(f"{motion.scenario.name}, {WIDTH} x {HEIGHT}", ("camera", "first picture", "each other"), rows)
+
+
 def main() -> None:
     parser = common.parser(__doc__)
+    parser.add_argument("--pictures")
     parser.add_argument("--runs", type=int, default=9)
     parser.add_argument("--robot", default="three_tube")
     parser.add_argument("--scenario", default="vessel")
     given = parser.parse_args()
+    if given.pictures:
+        pictures(given.pictures)
+        return
     file = SCENARIOS / f"{given.scenario}.toml"
     load = f"import ctrplan; ctrplan.load_scenario({str(file)!r})"
     measured: dict[str, tuple[str, list[str]]] = {
