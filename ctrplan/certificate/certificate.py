@@ -164,10 +164,10 @@ class CertificateSamples:
     tip_m: Array  # (K, 3) frictionless tip, robot frame
     released_m: Array  # (K,) as bound_m, less what translations released by the friction law; fully loaded at the start
     predicted_m: Array  # (K,) friction error by simulated history, the largest over the states it may start in
-    play_m: Array  # (K,) how far play of the drive may move the robot
+    play_m: Array  # (K,) how far play of the drive may move the tip
     parameter_bound_m: Array  # (K,) what uncertain parameters add to the bound; in bound_m
-    parameter_clearance_m: Array  # (K,) what they and registration take off the clearance; off clearance_m
-    parameter_stability: Array  # (K,) what uncertain parameters take off the stability; off stability
+    parameter_clearance_m: Array  # (K,) what intervals, play and registration take off the clearance; off clearance_m
+    parameter_stability: Array  # (K,) what intervals and play take off the stability; off stability
     parameter_strain: Array  # (K,) and add to the strain; in max_strain
     spread_m: Array  # (K,) size of the set of friction states at the tip: half the largest distance of two histories
     friction_spread: Array  # (K, n - 1) of each pair: 1 where nothing is known of its friction, 0 where all is
@@ -251,7 +251,7 @@ class Certificate:
         title="Distance from the goal without friction", limit=lambda scenario: scenario.goal.tolerance_m,
     ))
     worst_play_m: float = field(default=0.0, metadata=figure(
-        "max", "m", "how far play of the drive may move the robot, taken off every clearance"
+        "max", "m", "how far play of the drive may move the tip; clearances hold anywhere within it"
     ))
     goal_play_m: float = field(default=0.0, metadata=figure("last", "m", "that at the goal"))
     min_clearance_m: float = field(metadata=figure(  # inf in free space

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary
 
@@ -40,32 +40,6 @@ if TYPE_CHECKING:
     from ctrplan.robot.robot import Robot
     from ctrplan.scenario.scenario import Registration, Scenario
 
-Solve = Callable[[Array], Array]  # (P,) away from the values -> (S,); NaN without an equilibrium
-
-
-@dataclass(frozen=True, eq=False)
-class MarginSpread:
-    """A number of S friction states; the larger the better. NaN where there is no equilibrium."""
-
-    value: Array  # (S,)
-    middle: Array  # (S,) change at the middle of the intervals
-    sides: Array  # (S, A) further change at the end of each axis of the box
-
-    def lost(self, parameters: UncertainParameters, solve: Solve) -> float:
-        """How much the least may fall within the intervals: to first order, and what the worst combination, solved,
-        differs by. inf where some robot has no equilibrium.
-        """
-        if not parameters.count:
-            return 0.0
-        if np.isnan(self.value).any() or np.isnan(self.middle).any() or np.isnan(self.sides).any():
-            return np.inf
-        least = self.value + self.middle - np.abs(self.sides).sum(axis=1)
-        state, box = int(np.argmin(least)), OffsetBox.of(parameters)
-        solved = float(solve(box.middle - box.axes @ np.sign(self.sides[state]))[state])
-        beyond = np.nan_to_num(abs(solved - least[state]), nan=np.inf)
-        return max(float(self.value.min() - least[state] + beyond), 0.0)
-
-
 SPACING_M = 1e-3  # between the points of a body
 
 
@@ -77,8 +51,6 @@ class BodySpread:
     radius_m: Array  # (N,)
     middle_m: Array  # (S, N, 3) displacement at the middle of the intervals
     sides_m: Array  # (S, N, 3, A) further displacement at the end of each axis of the box
-    stability: MarginSpread
-    spared_strain: MarginSpread  # strains, negative
 
     def sides(self) -> IntervalSides:
         """Displacements of all S N points, one state after the other."""
@@ -96,14 +68,7 @@ def body_spread(parameters: UncertainParameters, theta: Array, l: Array) -> Body
     inner = alike(middle.point_m, pattern)
     displaced = [alike(end.point_m, pattern) - inner for end in ends]
     sides = np.stack(displaced, axis=3) if ends else np.zeros((*pattern.shape, 0))
-    return BodySpread(
-        pattern,
-        here.radius_m,
-        inner - pattern,
-        sides,
-        _spread(here.stability, middle.stability, [end.stability for end in ends]),
-        _spread(-here.max_strain, -middle.max_strain, [-end.max_strain for end in ends]),
-    )
+    return BodySpread(pattern, here.radius_m, inner - pattern, sides)
 
 
 def solved_bodies(parameters: UncertainParameters, offset: Array, theta: Array, l: Array) -> FrictionBodies:  # noqa: E741
@@ -112,23 +77,13 @@ def solved_bodies(parameters: UncertainParameters, offset: Array, theta: Array, 
     theta_b, l_b = clamped_collars(parameters, robot, theta[None], l[None])
     result = robot.mechanics.friction_bodies(theta_b[0], l_b[0], friction_states(robot), spacing_m=SPACING_M)
     lost = ~result.solved
-    return replace(
-        result,
-        point_m=np.where(lost[:, None, None], np.nan, result.point_m),
-        stability=np.where(lost, np.nan, result.stability),
-        max_strain=np.where(lost, np.nan, result.max_strain),
-    )
+    return replace(result, point_m=np.where(lost[:, None, None], np.nan, result.point_m))
 
 
 def body_at(parameters: UncertainParameters, offset: Array, theta: Array, l: Array) -> tuple[Array, Array]:  # noqa: E741
     """(S, N, 3) of these bodies [m], and outer radii (N,) [m]."""
     result = solved_bodies(parameters, offset, theta, l)
     return result.point_m, result.radius_m
-
-
-def _spread(here: Array, middle: Array, ends: list[Array]) -> MarginSpread:
-    sides = np.stack(ends, axis=1) - middle[:, None] if ends else np.zeros((len(here), 0))
-    return MarginSpread(here, middle - here, sides)
 
 
 def alike(bodies: Array, pattern: Array) -> Array:
@@ -238,16 +193,6 @@ class BodyClearance:
         apart = np.linalg.norm(solved.reshape(-1, 3) - linear, axis=1)[self.near]
         return float(np.nan_to_num(apart, nan=np.inf).max(initial=0.0))
 
-    @cached_property
-    def margins_lost(self) -> tuple[float, float]:
-        """What parameters may take off the stability and add to the strain, of all friction states looked at."""
-
-        def solved(offset: Array) -> FrictionBodies:
-            return solved_bodies(self.parameters, offset, self.theta, self.l)
-
-        stability = self.spread.stability.lost(self.parameters, lambda offset: solved(offset).stability)
-        return stability, self.spread.spared_strain.lost(self.parameters, lambda offset: -solved(offset).max_strain)
-
     @property
     def allowance_m(self) -> float:
         """What errors may take off the clearance; inf where a body within the intervals has no equilibrium."""
@@ -287,7 +232,7 @@ def _distance(scenario: Scenario, points_m: Array) -> Array:
     return grid.sample(scenario.located(points_m))
 
 
-ROWS = 12  # samples of a path at which bodies are solved at the ends of every interval
+ROWS, LOOKS = 12, 200  # samples of a path where bodies are solved at the ends of every interval, without errors
 _USUAL: WeakKeyDictionary[Robot, dict[Registration, float]] = WeakKeyDictionary()
 
 
@@ -311,18 +256,49 @@ def usual_allowance_m(scenario: Scenario, sample: Callable[[], Array]) -> float:
     return known[scenario.registration]
 
 
-def allowance_samples(count: int) -> NDArray[np.int_]:
-    """Samples of `count`, spread evenly, the first and the last among them."""
-    return np.unique(np.linspace(0, count - 1, min(count, ROWS)).round().astype(int))
-
-
 def bodies_at(scenario: Scenario, parameters: UncertainParameters, joints: Array) -> list[BodyClearance]:
     """At joints (R, m), on every core."""
 
     def look(q: Array) -> BodyClearance:
         body_clearance = BodyClearance.of(scenario, parameters, q)
-        _ = body_clearance.allowance_m, body_clearance.margins_lost  # solved here, on this thread
+        _ = body_clearance.allowance_m  # solved here, on this thread
         return body_clearance
 
     with ThreadPoolExecutor(cores()) as pool:
         return list(pool.map(look, joints))
+
+
+def narrow_rows(scenario: Scenario, parameters: UncertainParameters, joints: Array) -> NDArray[np.intp]:
+    """Samples of a path, joints (K, m), where uncertainty may leave least room: what is drawn is looked at there.
+
+    Bodies are solved at the ends of intervals at ROWS samples spread evenly, and without errors at up to LOOKS. How far
+    points may be displaced is taken from the nearest of the former; the ROWS narrowest of the latter come on top.
+    """
+    even = _spread_evenly(len(joints), ROWS)
+    known = bodies_at(scenario, parameters, joints[even])
+    looks, rooms = _spread_evenly(len(joints), LOOKS), list[float]()
+    with ThreadPoolExecutor(cores()) as pool:
+        nearest = [known[int(np.argmin(np.abs(even - row)))] for row in looks]
+        rooms = list(pool.map(partial(_room_beside, scenario, parameters), joints[looks], nearest))
+    chosen = list[int]()
+    for k in np.argsort(rooms, kind="stable").tolist():
+        if len(chosen) < ROWS and all(abs(looks[k] - other) * LOOKS >= 2 * len(joints) for other in chosen):
+            chosen.append(int(looks[k]))
+    return np.unique([*even.tolist(), *chosen])
+
+
+def _spread_evenly(count: int, most: int) -> NDArray[np.int_]:
+    """Samples of `count`, the first and the last among them."""
+    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int))
+
+
+def _room_beside(scenario: Scenario, parameters: UncertainParameters, q: Array, beside: BodyClearance) -> float:
+    """[m] what displacements like those of a configuration nearby may leave at joints (m,); inf without a solution."""
+    bodies, radius = body_at(
+        parameters, np.zeros(parameters.count), *(part[0] for part in scenario.robot.drive.commanded(q[None]))
+    )
+    room = _distance(scenario, bodies.reshape(-1, 3)).reshape(len(bodies), -1) - radius
+    reach = beside.reach_m.reshape(len(bodies), -1)
+    at, own = np.linspace(0, 1, room.shape[1]), np.linspace(0, 1, reach.shape[1])
+    left = room - np.array([np.interp(at, own, row) for row in reach])
+    return float(np.nan_to_num(left, nan=np.inf).min(initial=np.inf))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
 from ctrplan.base.package import shown
-from ctrplan.uncertainty.body_clearance import BodyClearance, alike, allowance_samples, bodies_at, body_at
+from ctrplan.uncertainty.body_clearance import BodyClearance, alike, bodies_at, body_at, narrow_rows
 from ctrplan.uncertainty.parameters import UncertainParameters
 from ctrplan.uncertainty.worst_case import (
     DISTRIBUTION,
@@ -106,7 +106,7 @@ def closest_approach(scenario: Scenario, parameters: UncertainParameters, joints
     """On a path, joints (K, m); None in free space."""
     if not scenario.anatomy:
         return None
-    rows = allowance_samples(len(joints))
+    rows = narrow_rows(scenario, parameters, joints)
     bodies = bodies_at(scenario, parameters, joints[rows])
     room = [body.least_m - body.allowance_m for body in bodies]
     narrowest = int(np.argmin(room))

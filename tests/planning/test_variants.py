@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from places import ROBOTS
 
+import ctrplan
 from ctrplan.anatomy.parts import AnatomyPart
 from ctrplan.anatomy.shapes.sphere import Sphere
 from ctrplan.base.arrays import Array
@@ -67,6 +68,9 @@ def test_a_curvature_s_interval_counts_where_the_tip_passes_and_not_only_where_t
     (problem,) = certified(case).problems
     assert "too close to the anatomy" in problem
     assert certified(replace(case, anatomy=case.anatomy[:1])).valid
+    way = ends[0] + np.linspace(0, 1, 400)[:, None] * (ends[1] - ends[0])
+    at = ctrplan.plan_uncertainty(case, way).closest
+    assert at is not None and at.chance_touch.stated > 0.1  # it said less than 0.04 %, of the sphere at the base
 
 
 def test_play_counts_everywhere_on_the_way_and_only_in_its_own_direction() -> None:
@@ -169,6 +173,9 @@ def test_no_robot_that_the_file_allows_comes_nearer_than_certified(seed: int) ->
             np.cross(bodies.point_m, center), axis=2
         ) / np.linalg.norm(bodies.point_m - center, axis=2)
         least = min(least, float((apart - nearer).min()))
+        assert (
+            bodies.stability.min() >= found.min_stability - 1e-4 and bodies.max_strain.max() <= found.max_strain + 1e-6
+        )
     assert 0 <= stated <= least
     assert least - stated < 1.2e-3  # meshes, steps between samples, and small axes that are added up
 
