@@ -32,8 +32,7 @@ from common import ROBOTS, SCENARIOS, table
 import ctrplan
 from ctrplan.base.arrays import Array
 from ctrplan.certificate.anatomy_distance import AnatomyDistance
-from ctrplan.certificate.every_state import LOOK_EVERY
-from ctrplan.certificate.friction_states import UNEVEN_FRICTION_M, bound_allowance_m, mesh_allowance_m
+from ctrplan.certificate.friction_states import LOOK_EVERY, UNEVEN_FRICTION_M, bound_allowance_m, mesh_allowance_m
 from ctrplan.certificate.sample_states import SampleStates, StatesBetween
 from ctrplan.certificate.uneven_friction import PARTS, worst_uneven_friction
 from ctrplan.certificate.walked_piece import walked

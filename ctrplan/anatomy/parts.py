@@ -51,7 +51,7 @@ class AnatomyPart:
 
     @cached_property
     def sha256(self) -> str:
-        """Of its content: kind and numbers of the shape, role and margin; not of where they came from."""
+        """Hash of its content: kind and numbers of the shape, role and margin; where they came from does not count."""
         numbers = [np.asarray(each) for each in self.shape.content()]
         return content_sha256((self.shape.kind, numbers, self.shape.surface_error_m, self.role, self.margin_m))
 

@@ -103,7 +103,7 @@ class RawAnatomy:
 
     @property
     def work(self) -> int:
-        """Of the distances of a hundred points, in units of a hundred to a sphere."""
+        """Work of the distances of a hundred points, in units of those of a hundred to a sphere."""
         return sum(MESH_WORK if isinstance(part.shape, Mesh) else 1 for part, _ in self.parts)
 
     def along(self, points_m: Array) -> Array:

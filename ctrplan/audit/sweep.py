@@ -22,8 +22,7 @@ from ctrplan.audit.audited_plan import AuditedPlan
 from ctrplan.base.arrays import Array
 from ctrplan.errors import CtrplanError
 
-FIRST_ROWS = 33
-ROWS_OF_A_ROUND = 16
+FIRST_ROWS, ROWS_OF_A_ROUND = 33, 16  # places of the way to begin with, and between two descents: budgets of the hunt
 SPACING_M = 2e-3  # between the points of a body in a sweep
 CLOSEST_M = 0.1e-3  # of motion between rows, below which the interval is not halved
 MOST_GRID = 3  # pairs of tubes whose friction states are a grid of -1, 0 and 1; of more, corners and middle

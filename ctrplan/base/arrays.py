@@ -142,3 +142,23 @@ def _pieces(value: object) -> Iterator[bytes]:
     else:  # a function, or an effect of the catalogue
         kind = value if callable(value) and hasattr(value, "__qualname__") else type(value)
         yield f"{kind.__module__}.{kind.__qualname__}".encode()
+
+
+def shares_of_length(body_m: Array) -> Array:
+    """(N,) share of a body's length at its points (N, 3)."""
+    length = np.append(0.0, np.cumsum(lengths(np.diff(body_m, axis=0))))
+    share: Array = length / length[-1] if length[-1] > 0 else np.linspace(0.0, 1.0, len(length))
+    return share
+
+
+def alike(bodies: Array, pattern: Array) -> Array:
+    """(S, N, 3) as many points on bodies (S, M, 3) as a body (N, 3) has, at the same shares of the first's length."""
+    if bodies.shape[1] == len(pattern):
+        return bodies
+    if bodies.shape[1] == 0:
+        return np.zeros((len(bodies), len(pattern), 3))
+    if not np.isfinite(bodies).all():
+        return np.full((len(bodies), len(pattern), 3), np.nan)
+    own, share = shares_of_length(bodies[0]), shares_of_length(pattern)
+    columns = [[np.interp(share, own, column) for column in body.T] for body in bodies]
+    return np.ascontiguousarray(np.array(columns).transpose(0, 2, 1))

@@ -26,11 +26,8 @@ from ctrplan.certificate.friction_cube import (
     StateMinima,
     minima_of_cubes,
 )
-from ctrplan.certificate.friction_states import (
-    TIGHT_M,
-    Solved,
-    State,
-)
+from ctrplan.certificate.friction_states import LOOK_EVERY, TIGHT_M, Solved, State
+from ctrplan.certificate.narrow_samples import NARROWEST
 from ctrplan.certificate.sample_states import SampleStates, StatesBetween
 from ctrplan.certificate.walked_piece import Piece, narrowest_of
 from ctrplan.motion.checker import path_limits
@@ -42,8 +39,7 @@ if TYPE_CHECKING:
 
 # Cells of every few samples and of those near the anatomy are halved once, some of them twice: a fold in the corner of
 # a cell lasts for more than a few mm of motion.
-NEAR_M, LOOK_EVERY, CLOSE_EVERY, CLOSE_DEPTH = 3e-3, 4, 16, 2
-FIRST = 4  # narrowest samples
+NEAR_M, CLOSE_EVERY, CLOSE_DEPTH = 3e-3, 16, 2
 AT_ONCE = 64  # efforts: of most samples there is little to compute of each
 NARROW_EFFORT = 3  # of a sample that has to be solved on the certificate mesh, in those of any other
 SPARE_M = 0.15e-3  # of a sample that may be interpolated: with less, what is taken off for that is too much
@@ -80,7 +76,7 @@ def in_every_friction_state(scenario: Scenario, pieces: Sequence[Piece], spare_m
 def _narrowest(pieces: Sequence[Piece]) -> list[tuple[int, int]]:
     """Pieces and samples that come first: less than what they keep is not asked of any other sample."""
     rows = sorted((float(c), p, k) for p, piece in enumerate(pieces) for k, c in enumerate(piece.clearance_m))
-    return [(piece, sample) for clearance, piece, sample in rows[:FIRST] if np.isfinite(clearance)]
+    return [(piece, sample) for clearance, piece, sample in rows[:NARROWEST] if np.isfinite(clearance)]
 
 
 def _of_piece(

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 SPACING_M = 0.5e-3  # largest motion of a body point of any shape between samples
 POINT_SPACING_M = 1e-3  # between the points of a shape
+LOOK_EVERY = 4  # samples, between which what changes slowly along the path is taken from those on both sides
 # Friction that differs along the contact of a pair: bodies of simulated histories were at most 0.05 mm beyond those of
 # all uniform states (1,632 histories, but for a fold, which is a snap).
 UNEVEN_FRICTION_M = 0.05e-3

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ctrplan.base.arrays import Array, lengths
+from ctrplan.base.arrays import Array, alike, lengths
 from ctrplan.base.long_work import cores
 from ctrplan.certificate.anatomy_distance import AnatomyDistance
 from ctrplan.certificate.friction_states import (
@@ -24,18 +24,19 @@ from ctrplan.certificate.friction_states import (
     corner_states,
     mesh_allowance_m,
 )
-from ctrplan.certificate.variants import NO_EQUILIBRIUM, alike
+from ctrplan.certificate.variants import NO_EQUILIBRIUM
 from ctrplan.certificate.walked_piece import Piece, composed, shapes_of
 from ctrplan.errors import CtrplanError
 from ctrplan.mechanics.shapes import Status
 from ctrplan.mechanics.walk import PathDensity, PathSamples
 from ctrplan.motion.checker import path_limits
+from ctrplan.uncertainty.body_clearance import GRADIENT_STEP_M
 
 if TYPE_CHECKING:
     from ctrplan.robot.robot import Robot
     from ctrplan.scenario.scenario import Scenario
 
-FIRST = 4  # narrowest samples: no others than those that seem to have less have to be solved
+NARROWEST = 4  # samples that are solved first: of others only those that seem to have less, a budget
 LONGEST = 12  # samples that one thread walks to
 ONLY_THESE = PathDensity(near_m=20e-3, point_spacing_m=POINT_SPACING_M)  # samples; more only where shapes leap
 
@@ -57,7 +58,7 @@ def closely_solved(scenario: Scenario, pieces: Sequence[Piece], spare_m: float) 
     narrow = [row for row in rows if pieces[row[1]].accuracy == "search"]
     ceiling = limits.clearance_m + spare_m  # of the least clearance that is asked for
     with ThreadPoolExecutor(cores()) as pool:
-        for some in (narrow[:FIRST], narrow[FIRST:]):
+        for some in (narrow[:NARROWEST], narrow[NARROWEST:]):
             runs = _runs([(p, k) for value, p, k in some if value < ceiling])
             solved = pool.map(lambda run: _on_certificate_mesh(scenario, distance, pieces[run[0]], run[1]), runs)
             for (p, samples), result in zip(runs, solved, strict=True):
@@ -126,8 +127,7 @@ def _apart_m(scenario: Scenario, piece: Piece, rows: Sequence[tuple[PathSamples,
 
 
 NEAR_M = 1e-3  # of what is left: points that may come to be the narrowest
-SLOPE_M = 0.5e-3  # over which the distance to the anatomy is differenced
-MOST, APART = 4, 10  # narrowest samples, so many from one another
+APART = 10  # samples between those that are looked at, which is 5 mm of motion at most
 
 
 def at_worst_ends(scenario: Scenario, pieces: Sequence[Piece]) -> list[Piece]:
@@ -149,7 +149,7 @@ def at_worst_ends(scenario: Scenario, pieces: Sequence[Piece]) -> list[Piece]:
     return [replace(piece, clearance_m=piece.clearance_m - most, taken_m=piece.taken_m + most) for piece in pieces]
 
 
-def narrow_places(pieces: Sequence[Piece], below_m: float = np.inf, most: int = MOST) -> list[tuple[int, int]]:
+def narrow_places(pieces: Sequence[Piece], below_m: float = np.inf, most: int = NARROWEST) -> list[tuple[int, int]]:
     """Pieces and samples with less clearance, the narrowest first, those of a piece at least APART samples apart."""
     rows = sorted((float(c), p, k) for p, piece in enumerate(pieces) for k, c in enumerate(piece.clearance_m))
     chosen: list[tuple[int, int]] = []
@@ -179,7 +179,7 @@ def _beyond_first_order(distance: AnatomyDistance, piece: Piece, sample: int) ->
     room = distance(body, np.full(len(body), np.inf)) - radius - lengths(by).sum(axis=0)
     near = np.flatnonzero(room <= room.min() + NEAR_M)
     k = int(np.argmin(room))
-    shifts = SLOPE_M * np.vstack([np.eye(3), -np.eye(3)])
+    shifts = GRADIENT_STEP_M * np.vstack([np.eye(3), -np.eye(3)])
     ends = distance(body[k] + shifts, np.full(6, np.inf)).reshape(2, 3)
     farthest = by[np.argmax(lengths(by[:, k])), k]
     beyond = [0.0]

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ctrplan.base.arrays import Array, lengths
+from ctrplan.base.arrays import Array, alike, lengths, shares_of_length
 from ctrplan.certificate.friction_cube import BEYOND
 from ctrplan.certificate.friction_states import (
     BEND_CHANGE,
@@ -34,7 +34,7 @@ from ctrplan.certificate.friction_states import (
     corner_weights,
     mesh_allowance_m,
 )
-from ctrplan.certificate.variants import Point, alike, shares_of_length
+from ctrplan.certificate.variants import Point
 from ctrplan.certificate.walked_piece import Piece, filled_radius
 from ctrplan.mechanics.friction import Doubts, bodies_between
 from ctrplan.mechanics.shapes import FrictionBodies
@@ -88,7 +88,7 @@ class SampleStates:
 
     @cached_property
     def walked(self) -> CornerShapes:
-        """As they were walked to."""
+        """The shapes of this sample as they were walked to, on the mesh of the walk."""
         return self.piece.shapes(self.sample)
 
     def let_go(self) -> None:

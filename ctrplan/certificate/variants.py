@@ -17,8 +17,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrplan.base.arrays import Array, lengths
-from ctrplan.certificate.friction_states import POINT_SPACING_M, SPACING_M, corner_states
+from ctrplan.base.arrays import Array, alike, lengths, shares_of_length
+from ctrplan.certificate.friction_cube import MOST_TUBES
+from ctrplan.certificate.friction_states import LOOK_EVERY, POINT_SPACING_M, SPACING_M, corner_states
 from ctrplan.effects.learned.learned import effect_of
 from ctrplan.mechanics.shapes import Status
 from ctrplan.mechanics.walk import PathDensity, PathSamples
@@ -37,7 +38,6 @@ if TYPE_CHECKING:
 # small axes together are solved where the anatomy is nearest.
 LARGE_M = 0.2e-3
 MOST_LARGE = 2  # axes in cells, a budget: each doubles what is solved of a sample
-MOST_DIMENSIONS = 5  # of friction and large axes together, as of six tubes
 PLACES = 5  # of the path where axes are ranked, its ends among them
 
 Point = tuple[float, ...]  # of the box, one number an axis
@@ -56,7 +56,10 @@ class Variants:
 
     @classmethod
     def of(cls, scenario: Scenario, joints: Array) -> Variants:
-        """Of a path along joints (K, m): axes are large where they move the tip by more than LARGE_M on it."""
+        """The box of a scenario's robot on a path along joints (K, m).
+
+        Axes are large where they move the tip by more than LARGE_M on it.
+        """
         robot, parameters = scenario.robot, uncertain_parameters(scenario.robot)
         held = np.zeros(2 * robot.n) if robot.drive.play is None else np.concatenate(robot.drive.play)
         held = held + _late_by(robot)
@@ -67,7 +70,7 @@ class Variants:
             return result
         rows = joints[np.unique(np.linspace(0, len(joints) - 1, PLACES).round().astype(int))]
         moved_m = result.tip_moves(rows)
-        most = max(0, min(MOST_LARGE, MOST_DIMENSIONS - (robot.n - 1)))
+        most = max(0, min(MOST_LARGE, MOST_TUBES - robot.n))
         order = np.argsort(-moved_m, kind="stable")[:most]
         return cls(scenario, parameters, box, play, tuple(sorted(int(k) for k in order if moved_m[k] > LARGE_M)))
 
@@ -160,28 +163,8 @@ def _late_by(robot: Robot) -> Array:
     return result
 
 
-def shares_of_length(body_m: Array) -> Array:
-    """(N,) share of a body's length at its points (N, 3)."""
-    length = np.append(0.0, np.cumsum(lengths(np.diff(body_m, axis=0))))
-    share: Array = length / length[-1] if length[-1] > 0 else np.linspace(0.0, 1.0, len(length))
-    return share
-
-
-def alike(bodies: Array, pattern: Array) -> Array:
-    """(S, N, 3) as many points on bodies (S, M, 3) as a body (N, 3) has, at the same shares of the first's length."""
-    if bodies.shape[1] == len(pattern):
-        return bodies
-    if not np.isfinite(bodies).all():
-        return np.full((len(bodies), len(pattern), 3), np.nan)
-    own, share = shares_of_length(bodies[0]), shares_of_length(pattern)
-    columns = [[np.interp(share, own, column) for column in body.T] for body in bodies]
-    return np.ascontiguousarray(np.array(columns).transpose(0, 2, 1))
-
-
 # A variant is walked along the samples of the file's robot; more are taken where it moves farther between them.
 VARIANT_SPACING_M = 1.5 * SPACING_M
-EVERY = 4  # samples of the file's robot, between which what small axes do is taken to be the larger of both sides
-COARSE_M = EVERY * 2 * SPACING_M  # motion between these
 NO_EQUILIBRIUM = "a robot that the stated intervals and play allow has no equilibrium, or snaps"
 
 
@@ -240,8 +223,9 @@ def _with_axes(
 ) -> VariantWalks:
     """The walks with what single axes do, each at its end, at every few samples."""
     count = len(joints)
-    rows = np.unique(np.append(np.arange(0, count, EVERY), count - 1))
-    density = PathDensity(motion_m=COARSE_M, near_m=COARSE_M, point_spacing_m=POINT_SPACING_M)
+    rows = np.unique(np.append(np.arange(0, count, LOOK_EVERY), count - 1))
+    coarse_m = 2 * LOOK_EVERY * SPACING_M
+    density = PathDensity(motion_m=coarse_m, near_m=coarse_m, point_spacing_m=POINT_SPACING_M)
     middle = _at_rows(variants, variants.end(-1), joints[rows], density, accuracy)
     single = {k: _at_rows(variants, variants.end(k), joints[rows], density, accuracy) for k in range(variants.count)}
     other = {k: _at_rows(variants, variants.end(k, -1.0), joints[rows], density, accuracy) for k in variants.large}

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrplan.base.arrays import Array, lengths
+from ctrplan.base.arrays import Array, alike, lengths, shares_of_length
 from ctrplan.base.long_work import Progress, cores
 from ctrplan.certificate.anatomy_distance import AnatomyDistance
 from ctrplan.certificate.certificate import CertificateSamples
@@ -31,9 +31,7 @@ from ctrplan.certificate.variants import (
     VARIANT_SPACING_M,
     Variants,
     VariantWalks,
-    alike,
     rows_of,
-    shares_of_length,
     walk_corners,
     walk_variants,
 )

@@ -210,7 +210,7 @@ Clauses = list[tuple[float, str]]  # sizes, by which they are put in order, and 
 
 
 def clauses(values: Values, name: str, text: str, *, signs: tuple[str, str] = ("", ""), factor: float = 1.0) -> Clauses:
-    """Of every value whose name is `name` with numbers in the place of I and K, `text` with them and the value.
+    """Clauses of a sentence: `text` for every value whose name is `name` with numbers in the place of I and K.
 
     In the text {I}, {K} are the numbers, {next} is I + 1, {value} is the value times `factor` and {sign} the first of
     `signs` where it is positive, else the second; the value is without its own sign then.

@@ -250,15 +250,13 @@ def _at_targets(plan: Plan) -> list[CertificateRow]:
         rows.append(CertificateRow(quantity, millimetres(arrival.error_m), tolerance, met, caution=arrival.exceeds))
     if certificate.arrival:
         rows += [CertificateRow(f"  by {words}", millimetres(m)) for words, m in certificate.arrival.by_cause.told]
-        rows.append(CertificateRow("Friction before the motion is forgotten", _forgotten(plan)))
+        rows.append(CertificateRow("Friction before the motion is forgotten", _forgotten(certificate.arrival)))
         rows.append(CertificateRow("An interrupted run begins again", restart_words(plan)))
     return rows + _settling(plan)
 
 
-def _forgotten(plan: Plan) -> str:
+def _forgotten(arrival: Arrival) -> str:
     """By which legs each pair of tubes forgets."""
-    arrival = plan.certificate.arrival
-    assert arrival is not None
     parts = []
     for pair, erased in enumerate(arrival.erased, start=1):
         tubes = f"tubes {pair} and {pair + 1}"
@@ -314,12 +312,10 @@ def verdict(plan: Plan) -> str:
     """One sentence: certified or not, with the figures that matter most, or with the first problem."""
     certificate = plan.certificate
     if not certificate.valid:
-        first = certificate.problems[0].rstrip(".") if certificate.problems else "a requirement is not met"
-        first = first[:1].lower() + first[1:]
-        others = len(certificate.problems) - 1
-        return f"Not certified: {first}{f' (and {others} more)' if others > 0 else ''}."
-    parts = [*_at_the_goal(plan)]
-    parts.append(f"worst case at most {millimetres(certificate.worst_bound_m)} along the path")
+        first, *others = certificate.problems or ("a requirement is not met",)
+        more = f" (and {len(others)} more)" if others else ""
+        return f"Not certified: {first[:1].lower()}{first[1:].rstrip('.')}{more}."
+    parts = [*_at_the_goal(plan), f"worst case at most {millimetres(certificate.worst_bound_m)} along the path"]
     if math.isfinite(certificate.min_clearance_m):
         parts.append(f"smallest clearance {millimetres(certificate.min_clearance_m)} beyond the margins")
     return f"{OPENINGS[standing(plan)]}: {', '.join(parts)}."
@@ -418,9 +414,8 @@ def _room(plan: Plan, times: Array) -> str:
     narrowest, least = certificate.narrowest, times[int(np.argmin(certificate.samples.clearance_m))]
     when = digits(least if narrowest is None else place_time_s(plan, narrowest))
     if certificate.min_clearance_m < path_limits(plan.scenario).clearance_m:
-        return (
-            f"The margins to the anatomy are not kept: {millimetres(-certificate.min_clearance_m)} short at {when} s."
-        )
+        short = millimetres(-certificate.min_clearance_m)
+        return f"The margins to the anatomy are not kept: {short} short at {when} s."
     return (
         "In every friction state the robot keeps its margins to the anatomy, measured to its surface and not on a "
         f"grid, and {millimetres(certificate.min_clearance_m)} more; the narrowest place comes at {when} s. Half the "

@@ -324,7 +324,7 @@ def _stretches(tubes: tuple[Tube, ...], l_b: Array) -> list[_Stretch]:
 
 
 def _precurvature(tube: Tube, inside: float, at: float) -> tuple[list[float], list[float]]:
-    """Of the section that `inside` lies in: the precurvature (2,) at `at`, both from the tube's base, and its slope."""
+    """Precurvature (2,) [1/m] at `at`, and its slope, of the section that `inside` lies in; lengths from the base."""
     begin = 0.0
     for section in tube.sections:
         if begin < inside < begin + section.length_m:

@@ -17,7 +17,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrplan.base.arrays import Array
+from ctrplan.base.arrays import Array, alike
 from ctrplan.base.long_work import cores
 from ctrplan.mechanics.shapes import FrictionBodies
 from ctrplan.scenario.scenario import anatomy_grid
@@ -65,8 +65,8 @@ def body_spread(parameters: UncertainParameters, theta: Array, l: Array) -> Body
     middle = solved_bodies(parameters, box.middle, theta, l) if box.middle.any() else here
     ends = [solved_bodies(parameters, box.middle + axis, theta, l) for axis in box.axes.T]
     pattern = here.point_m
-    inner = alike(middle.point_m, pattern)
-    displaced = [alike(end.point_m, pattern) - inner for end in ends]
+    inner = alike(middle.point_m, pattern[0])
+    displaced = [alike(end.point_m, pattern[0]) - inner for end in ends]
     sides = np.stack(displaced, axis=3) if ends else np.zeros((*pattern.shape, 0))
     return BodySpread(pattern, here.radius_m, inner - pattern, sides)
 
@@ -84,20 +84,6 @@ def body_at(parameters: UncertainParameters, offset: Array, theta: Array, l: Arr
     """(S, N, 3) of these bodies [m], and outer radii (N,) [m]."""
     result = solved_bodies(parameters, offset, theta, l)
     return result.point_m, result.radius_m
-
-
-def alike(bodies: Array, pattern: Array) -> Array:
-    """(S, N, 3) as many points on bodies (S, M, 3) as `pattern` has, at the same shares of the length."""
-    if bodies.shape == pattern.shape:
-        return bodies
-    count = pattern.shape[1]
-    if bodies.shape[1] == 0:
-        return np.zeros_like(pattern)
-    at = np.linspace(0.0, bodies.shape[1] - 1.0, count)
-    low = np.minimum(at.astype(int), max(bodies.shape[1] - 2, 0))
-    share = (at - low)[:, None]
-    result: Array = bodies[:, low] * (1 - share) + bodies[:, np.minimum(low + 1, bodies.shape[1] - 1)] * share
-    return result
 
 
 NEAR_M = 1e-3  # beside what may be narrowest: friction states between the corners are not looked at here
@@ -188,7 +174,7 @@ class BodyClearance:
         """Largest difference [m] of points near the anatomy from first order, solved at the worst combination."""
         if not self.parameters.count:
             return 0.0
-        solved = alike(body_at(self.parameters, self.worst_offset, self.theta, self.l)[0], self.spread.point_m)
+        solved = alike(body_at(self.parameters, self.worst_offset, self.theta, self.l)[0], self.spread.point_m[0])
         linear = self.point_m + self.sides.middle + self.sides.sides @ self.worst.signs[0]
         apart = np.linalg.norm(solved.reshape(-1, 3) - linear, axis=1)[self.near]
         return float(np.nan_to_num(apart, nan=np.inf).max(initial=0.0))

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrplan.base.arrays import Array
+from ctrplan.base.arrays import Array, alike
 from ctrplan.base.package import shown
-from ctrplan.uncertainty.body_clearance import BodyClearance, alike, bodies_at, body_at, narrow_rows
+from ctrplan.uncertainty.body_clearance import BodyClearance, bodies_at, body_at, narrow_rows
 from ctrplan.uncertainty.parameters import UncertainParameters
 from ctrplan.uncertainty.worst_case import (
     DISTRIBUTION,
@@ -182,7 +182,7 @@ def _linear(body: BodyClearance, draws: Draws) -> Array:
 
 def _solved(body: BodyClearance, draws: Draws, k: int) -> float:
     """The smallest clearance of draw k, its robot solved and placed before the anatomy; NaN without a solution."""
-    solved = alike(body_at(body.parameters, draws.offset[k], body.theta, body.l)[0], body.spread.point_m)
+    solved = alike(body_at(body.parameters, draws.offset[k], body.theta, body.l)[0], body.spread.point_m[0])
     points = solved.reshape(-1, 3)[_points(body)]
     placed = points + draws.shift_m[k] + np.cross(draws.turn_rad[k], points) + draws.unexplained_m[k]
     return float(body.clearance_at(placed, _points(body)).min())

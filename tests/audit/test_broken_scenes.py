@@ -75,7 +75,7 @@ def late() -> WrittenPlan:
 
 
 def maybe_late() -> WrittenPlan:
-    """The same where only the interval says that they may be late."""
+    """A drive that the file says to be at once, and late by its interval only."""
     robot = table_ii("effects.drive_lag.theta_s=0.0", "effects.drive_lag.ci95={theta_s = [0.0, 0.4]}")
     plan = late()
     return moved_to(plan, replace(plan.scenario, robot=robot))

@@ -11,8 +11,9 @@ from places import SCENARIOS
 
 from ctrplan.base.arrays import Array
 from ctrplan.certificate import every_state
-from ctrplan.certificate.every_state import LOOK_EVERY, _PieceView, in_every_friction_state
+from ctrplan.certificate.every_state import _PieceView, in_every_friction_state
 from ctrplan.certificate.friction_cube import Needed, StateMinima
+from ctrplan.certificate.friction_states import LOOK_EVERY
 from ctrplan.certificate.problems import problems_of_walk
 from ctrplan.certificate.sample_states import SampleStates
 from ctrplan.certificate.walked_piece import Piece, walk_pieces

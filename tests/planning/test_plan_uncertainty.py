@@ -16,7 +16,7 @@ from scipy import stats
 import ctrplan
 from ctrplan.anatomy.parts import AnatomyPart
 from ctrplan.anatomy.shapes.sphere import Sphere
-from ctrplan.base.arrays import Array
+from ctrplan.base.arrays import Array, alike
 from ctrplan.certificate.certificate import CertificateSamples
 from ctrplan.certificate.walked_legs import walk_legs
 from ctrplan.commands.plan import _summary
@@ -26,7 +26,7 @@ from ctrplan.motion.checker import search_limits
 from ctrplan.plans.plan import Plan
 from ctrplan.reports.plan_page import uncertainty_section
 from ctrplan.scenario.scenario import Goal, Registration, Scenario
-from ctrplan.uncertainty.body_clearance import alike, bodies_at, body_at
+from ctrplan.uncertainty.body_clearance import bodies_at, body_at
 from ctrplan.uncertainty.parameters import uncertain_parameters
 from ctrplan.uncertainty.worst_case import wilson
 
@@ -113,7 +113,7 @@ def test_no_robot_within_the_intervals_loses_more_clearance_than_allowed(uncerta
     rng = np.random.default_rng(2)
     for signs in np.sign(rng.standard_normal((20, parameters.count))):
         offset = signs * parameters.half_width
-        moved = alike(body_at(parameters, offset, body.theta, body.l)[0], body.spread.point_m).reshape(-1, 3)
+        moved = alike(body_at(parameters, offset, body.theta, body.l)[0], body.spread.point_m[0]).reshape(-1, 3)
         least = body.clearance_at(moved, np.arange(len(moved))).min()
         assert least >= body.least_m - body.allowance_m
 

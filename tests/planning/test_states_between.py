@@ -11,8 +11,7 @@ import pytest
 from places import ROBOTS
 
 import ctrplan
-from ctrplan.certificate.every_state import LOOK_EVERY
-from ctrplan.certificate.friction_states import Solved, State, corner_states, corner_weights
+from ctrplan.certificate.friction_states import LOOK_EVERY, Solved, State, corner_states, corner_weights
 from ctrplan.certificate.sample_states import SampleStates, StatesBetween
 from ctrplan.certificate.variants import Variants
 from ctrplan.certificate.walked_piece import walked

@@ -13,10 +13,10 @@ from places import ROBOTS
 import ctrplan
 from ctrplan.anatomy.parts import AnatomyPart
 from ctrplan.anatomy.shapes.sphere import Sphere
-from ctrplan.base.arrays import Array
+from ctrplan.base.arrays import Array, alike, shares_of_length
 from ctrplan.certificate.certificate import Certificate
 from ctrplan.certificate.certify import certify
-from ctrplan.certificate.variants import Variants, alike, shares_of_length
+from ctrplan.certificate.variants import Variants
 from ctrplan.drive.driven_way import driven_ways
 from ctrplan.drive.trajectory import time_parameterise
 from ctrplan.files.robot_file import robot_from_dict
@@ -60,7 +60,7 @@ def certified(case: Scenario) -> Certificate:
 
 
 def test_a_curvature_s_interval_counts_where_the_tip_passes_and_not_only_where_the_base_is_narrow() -> None:
-    """Of 12 rows along the way each told of the sphere at the base, and the tip hit the other one by 1.8 mm."""
+    """Twelve rows along the way told of the sphere at the base each, and the tip hit the other one by 1.8 mm."""
     ends = joints(-150, -150, -150, -30), joints(150, 150, 150, -30)
     spheres = ([3.62, 0.0, 8.0], 1.0), ([85.224, 0.0, 169.736], 1.0)
     case = scene(robot(**CURVED), *ends, *spheres, start_friction="released")

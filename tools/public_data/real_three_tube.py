@@ -122,7 +122,7 @@ def erasure(output: Path) -> None:
     by_turning = np.concatenate([[0.0], np.cumsum(turned)])
 
     def share(row: int) -> float:
-        """Of turning in the last millimetre of slip before a row."""
+        """How much of the last millimetre of slip before a row was turning."""
         begin = int(np.searchsorted(way, way[row] - SLIP_M))
         return float((by_turning[row] - by_turning[begin]) / max(way[row] - way[begin], 1e-9))
 
