@@ -226,7 +226,9 @@ def _with_axes(
     rows = np.unique(np.append(np.arange(0, count, LOOK_EVERY), count - 1))
     coarse_m = 2 * LOOK_EVERY * SPACING_M
     density = PathDensity(motion_m=coarse_m, near_m=coarse_m, point_spacing_m=POINT_SPACING_M)
-    middle = _at_rows(variants, variants.end(-1), joints[rows], density, accuracy)
+    middle: PathSamples | None = samples.at_rows(rows)
+    if not variants.has_middle:
+        middle = _at_rows(variants, variants.end(-1), joints[rows], density, accuracy)
     single = {k: _at_rows(variants, variants.end(k), joints[rows], density, accuracy) for k in range(variants.count)}
     other = {k: _at_rows(variants, variants.end(k, -1.0), joints[rows], density, accuracy) for k in variants.large}
     if middle is None or any(walk is None for walk in [*single.values(), *other.values()]):
