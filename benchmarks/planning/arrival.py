@@ -4,6 +4,7 @@
     python benchmarks/run.py --write arrival queries [SCENARIO ...]
     python benchmarks/run.py arrival hunt [--pasts N] [--sets N] [--seed N] [--accuracy MESH] [ROBOT ...]
     python benchmarks/run.py arrival erasure
+    python benchmarks/run.py arrival steps [ROBOT ...]
 
 scenarios, queries: each planned twice, as it is and without compensation and endings.
 hunt: two plans of each robot in free space, with friction coefficients known to 30 %. For each set, coefficients
@@ -11,6 +12,7 @@ anywhere in their intervals are drawn, and how inexactly each leg is executed: j
 drive's tolerance. A robot with them moves about its start (turns, up to whole ones, slides, oscillations) and comes
 back, again and again; every return is a past. The states that it has then are driven along the motion, those that have
 become the same once from there on.
+steps: what the steps of histories change at the ends of plans like those of the hunt, against what arrivals say of it.
 erasure: corners of friction and the released state at one configuration, driven one way until their tips agree.
 """
 
@@ -36,7 +38,15 @@ from ctrplan.mechanics.history import HistoryOptions, HistoryState
 from ctrplan.mechanics.shapes import Accuracy
 from ctrplan.robot.robot import Robot
 from ctrplan.scenario.joint_space import JointSpace, bare_scenario
-from ctrplan.scenario.prediction import STEP_M, STEP_RAD, predict_end
+from ctrplan.scenario.prediction import (
+    STEP_M,
+    STEP_RAD,
+    predict,
+    predict_end,
+    rows_to_simulate,
+    start_states,
+    step_error,
+)
 from ctrplan.scenario.scenario import Goal, Scenario
 from ctrplan.storage.toml_document import read_document
 
@@ -318,6 +328,41 @@ def hunted(
     return rows
 
 
+FINEST = 16  # times the steps are divided for what is taken for the truth
+OF_STEPS = ("robot", "histories", "apart from the finest, median", "largest", "said, median", "beyond what is said")
+
+
+def steps_matter(name: str, content: dict[str, Any], plans: int = 4) -> tuple[object, ...]:
+    """Over random plans of a robot and every friction state at their starts."""
+    robot, rng, off, said = robot_from_dict(content), np.random.default_rng(len(name)), list[float](), list[float]()
+    options = HistoryOptions()
+    finest = HistoryOptions(
+        rotation_rad=options.rotation_rad / FINEST,
+        translation_m=options.translation_m / FINEST,
+        state_change=options.state_change / FINEST,
+    )
+    while plans:
+        scenario = task(robot, rng)
+        try:
+            plan = ctrplan.plan(
+                replace(scenario, planner=msgspec.structs.replace(scenario.planner, time_s=1.0)), seed=0
+            )
+        except NoAnswerError:
+            continue
+        plans -= 1
+        samples, starts = plan.certificate.samples, start_states(plan.scenario)
+        joints = samples.joints[rows_to_simulate(robot, samples.joints, samples.leg)]
+        prediction = predict(robot, joints, starts)
+        share = step_error(robot, joints, prediction, starts)
+        for start, tip in zip(starts, prediction.tip_m[:, -1], strict=True):
+            path = robot.history(start, options=finest).follow(*robot.drive.collars(joints))  # type: ignore[arg-type]
+            off.append(float(np.linalg.norm(path.position_m[-1] - tip)))
+            said.append(share)
+        print(name, f"{1e3 * max(off):.4f}", f"{1e3 * share:.4f}", file=sys.stderr, flush=True)
+    lengths = [f"{1e3 * x:.4f} mm" for x in (np.median(off), max(off), np.median(said))]
+    return name, len(off), *lengths, int(np.sum(np.array(off) > said))
+
+
 def way_to(
     robot: Robot,
     theta: Array,
@@ -389,7 +434,7 @@ OF_HUNT += ("ratio", "bound")
 
 def main() -> None:
     parser = common.parser(__doc__)
-    parser.add_argument("section", choices=["scenarios", "queries", "hunt", "erasure"])
+    parser.add_argument("section", choices=["scenarios", "queries", "hunt", "erasure", "steps"])
     parser.add_argument("names", nargs="*")
     parser.add_argument("--pasts", type=int, default=10_000)
     parser.add_argument("--accuracy", choices=["search", "certificate"], default="search", help="mesh of the hunt")
@@ -413,5 +458,8 @@ def main() -> None:
             for row in hunted(name, content, given.pasts, given.sets, given.seed, given.accuracy)
         ]
         table("hunt", OF_HUNT, found)
+    elif given.section == "steps":
+        of_robots = {name: content for name, content in robots().items() if not given.names or name in given.names}
+        table("steps", OF_STEPS, [steps_matter(name, content) for name, content in of_robots.items()])
     else:
         erasure()

@@ -34,6 +34,7 @@ from ctrplan.scenario.prediction import (
     ball_centre,
     predict,
     rows_to_simulate,
+    step_error,
 )
 from ctrplan.uncertainty.parameters import UncertainParameters, uncertain_parameters
 from ctrplan.uncertainty.target import TargetPose
@@ -178,7 +179,7 @@ def arrival(
         parameters_m=_parameters(robot, joints[-1]),
         registration_m=shift,
         unexplained_m=robot.model_error_m,
-        mesh_m=_mesh(robot, joints[-1], prediction),
+        mesh_m=_mesh(robot, joints[-1], prediction) + step_error(robot, joints, prediction, starts),
     )
     tangents = np.concatenate([prediction.tangent[:, -1], *(variant.tangent[:, -1] for variant in variants)])
     return Arrival(
@@ -365,7 +366,7 @@ def _end_of(
 
     That of the prediction as soon as the detour is forgotten; NaN where no equilibrium is found.
     """
-    history = robot.history()
+    history = robot.history(accuracy=prediction.accuracy)
     try:
         history.restore(state)
         path, begin = history.follow(*robot.drive.collars(detour)), row + 1
@@ -406,11 +407,11 @@ def _registration(scenario: Scenario, tip_m: Array) -> tuple[float, float]:
 
 
 def _mesh(robot: Robot, joints: Array, prediction: PathPrediction) -> float:
-    """[m] a simulated tip may be off by steps and mesh: the finer mesh's tip in the same friction state is so far."""
+    """[m] a simulated tip may be off by its mesh: the finer mesh's tip in the same friction state is so far."""
     collars, phi = robot.drive.collars(joints[None]), np.clip(prediction.phi[:1, -1], -1, 1)
     solve = partial(robot.mechanics.tips_with_friction, *collars, phi)
     coarse, fine = (solve(accuracy=mesh).position_m[0] for mesh in ("search", "certificate"))
-    return float(np.linalg.norm(fine - coarse)) + TIP_TOLERANCE_M
+    return float(np.linalg.norm(fine - coarse))
 
 
 def simulated_rows(scenario: Scenario, joints: Array, leg: NDArray[np.int_]) -> tuple[NDArray[np.int_], list[int]]:

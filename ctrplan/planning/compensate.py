@@ -35,6 +35,9 @@ from ctrplan.scenario.tip_solver import angle_to, target_in_robot_frame
 from ctrplan.uncertainty.target import TargetPose
 
 ITERATIONS = 8
+ROUNDS = 2  # of corrections, the second of what the first could not certify, a budget
+LOOKED_AT = 4  # places between corners of a line, a budget
+MOST_INSERTED = 2  # times that corners are put between those of a line, a budget
 CLOSE_M = 0.02e-3  # of the predicted tip to the target; better than histories are simulated
 REFINED = 2  # times that the middle over all coefficients of friction is looked at again, a budget
 DAMPING = 1e-4  # of the least-squares step, in units of (mm per mm) squared
@@ -77,29 +80,19 @@ def compensate(
     Where that is not certified, two short legs at the end correct the path, or slides alone, or part of the change is
     made. A path that can't be improved so is returned as it was.
     """
-    scenario, begun = checker.scenario, start_states(checker.scenario) if starts is None else list(starts)
+    begun = start_states(checker.scenario) if starts is None else list(starts)
     without = arrival_error(certificate)
     best = Compensated(corners, certificate, Compensation(np.zeros(corners.shape[1]), without, without, ""))
     if is_on_target(certificate) or len(corners) < 2:
         return best
     is_beyond_limits = False
-    for k, way in enumerate(_corrected_ways(checker, corners, certificate, begun)):
-        moved, delta = way.corners, way.delta
-        is_beyond_limits |= _is_at_limit(checker, moved[-1], delta)
-        if not way.is_whole and best.certificate is not certificate:
+    for turn in range(ROUNDS):
+        before = best
+        told = part_of(progress, turn, ROUNDS)
+        best, is_stopped = _corrected_once(checker, before, begun, starts, told)
+        is_beyond_limits |= is_stopped
+        if best is before or is_on_target(best.certificate):
             break
-        if not checker.space.allowed(moved):
-            is_beyond_limits = True
-            continue
-        told = part_of(progress, k, MOST_WAYS)
-        checked = certify(scenario, moved, goal_test=predicted_arrives, starts=starts, restart=False, progress=told)
-        error = arrival_error(checked)
-        if checked.valid and error < best.compensation.error_with_m:
-            if settling := certificate.settling:
-                checked = replace(checked, settling=settled_again(settling, checked, len(moved) - len(corners)))
-            best = Compensated(moved, checked, Compensation(delta, without, error, ""))
-            if is_on_target(checked):
-                break
     if is_on_target(best.certificate):
         return best
     within = "the joints' limits" if is_beyond_limits else "limits, margins and the worst-case envelope"
@@ -107,6 +100,40 @@ def compensate(
     if best.certificate.arrival:
         why = f"{best.certificate.arrival.by_cause.offset_m * MM_PER_M:.2f} mm of the known offset: {why}"
     return replace(best, compensation=replace(best.compensation, note=why))
+
+
+def _corrected_once(
+    checker: MotionChecker,
+    before: Compensated,
+    begun: Sequence[FrictionStart],
+    starts: Sequence[FrictionStart] | None,
+    progress: Progress | None,
+) -> tuple[Compensated, bool]:
+    """The best certified correction of a path, itself without one; and whether a joint's limit stopped any."""
+    best, is_beyond_limits, corners = before, False, before.corners
+    for k, way in enumerate(_corrected_ways(checker, corners, before.certificate, begun)):
+        moved = way.corners
+        is_beyond_limits |= _is_at_limit(checker, moved[-1], way.delta)
+        if not way.is_whole and best is not before:
+            break
+        if not checker.space.allowed(moved):
+            is_beyond_limits = True
+            continue
+        told = part_of(progress, k, MOST_WAYS)
+        checked = certify(
+            checker.scenario, moved, goal_test=predicted_arrives, starts=starts, restart=False, progress=told
+        )
+        error = arrival_error(checked)
+        if checked.valid and error < best.compensation.error_with_m:
+            if settling := before.certificate.settling:
+                checked = replace(checked, settling=settled_again(settling, checked, len(moved) - len(corners)))
+            whole = replace(
+                best.compensation, correction=before.compensation.correction + way.delta, error_with_m=error
+            )
+            best = Compensated(moved, checked, whole)
+            if is_on_target(checked):
+                break
+    return best, is_beyond_limits
 
 
 def _is_at_limit(checker: MotionChecker, joints: Array, delta: Array) -> bool:
@@ -192,9 +219,9 @@ def _corrected_ways(
 ) -> Iterator[_Corrected]:
     """Corrected paths: in their last legs, in legs of their own at the end, by slides alone, and parts of the way."""
     if checker.scenario.goal.line_m is not None:
-        moved = _corrected_line(checker, corners, certificate, starts)
+        whole, moved = _corrected_line(checker, corners, certificate, starts)
         for share in (1.0, *SHARES):
-            yield _Corrected(corners + share * (moved - corners), share * (moved[-1] - corners[-1]), share == 1)
+            yield _Corrected(whole + share * (moved - whole), share * (moved[-1] - whole[-1]), share == 1)
         return
     legs = certificate.settling.first_leg if certificate.settling else len(corners) - 1
     places = [_Place(corners, legs), _Place(corners, legs, slides_alone=True)]
@@ -280,13 +307,55 @@ def _correction(
 
 def _corrected_line(
     checker: MotionChecker, corners: Array, certificate: Certificate, starts: Sequence[FrictionStart]
-) -> Array:
-    """The corners (K, m) of a path along a line moved, all but the first, so that predicted tips are on the line."""
+) -> tuple[Array, Array]:
+    """A path along a line, and the same with all corners but the first moved so that predicted tips are on the line.
+
+    Both (K, m). Corners are put where the tip leaves the line between those that there are: on the first way after a
+    reversal friction builds up, and the tip does not follow the joints in proportion.
+    """
+    moved = _on_line(checker, corners, certificate, starts)
+    for _ in range(MOST_INSERTED):
+        leg, share = _off_between(checker, moved, starts)
+        if not len(leg):
+            break
+        corners, moved = (
+            np.insert(path, leg + 1, path[leg] + share[:, None] * (path[leg + 1] - path[leg]), axis=0)
+            for path in (corners, moved)
+        )
+        moved = _on_line(checker, moved, certificate, starts)
+    return corners, moved
+
+
+def _line(checker: MotionChecker, corners: Array) -> TargetPose:
+    """The goal's line, where a path (K, m) follows it."""
     scenario, robot = checker.scenario, checker.scenario.robot
+    tip = robot.mechanics.tips_with_friction(*robot.drive.collars(corners[-1:]), np.zeros((1, robot.n - 1)))
+    return TargetPose.of(scenario, scenario.goal, tip.position_m[0])
+
+
+def _off_between(
+    checker: MotionChecker, corners: Array, starts: Sequence[FrictionStart]
+) -> tuple[NDArray[np.int_], Array]:
+    """Legs (L,) of a path (K, m) on which the predicted tip is off the line, and the shares (L,) of them where most."""
+    shares = np.linspace(0, 1, LOOKED_AT + 2)[1:]
+    rows = (corners[:-1, None] + shares[None, :, None] * np.diff(corners, axis=0)[:, None]).reshape(
+        -1, corners.shape[1]
+    )
+    tips = predict_end(checker.scenario.robot, np.vstack([corners[:1], rows]), starts)[0].tip_m[:, 1:]
+    line = _line(checker, corners)
+    off = np.max([line.off_m(row, is_end=False) for row in tips], axis=0).reshape(len(corners) - 1, -1)[:, :-1]
+    leg = np.flatnonzero(off.max(axis=1) > TIP_TOLERANCE_M)
+    return leg, shares[np.argmax(off[leg], axis=1)]
+
+
+def _on_line(
+    checker: MotionChecker, corners: Array, certificate: Certificate, starts: Sequence[FrictionStart]
+) -> Array:
+    """The corners (K, m) of a path along a line, all but the first moved until predicted tips there are on the line."""
+    robot, line = checker.scenario.robot, _line(checker, corners)
     tips = robot.mechanics.tips_with_friction(*robot.drive.collars(corners), np.zeros((len(corners), robot.n - 1)))
-    line = TargetPose.of(scenario, scenario.goal, tips.position_m[-1])
     wanted = np.array([line.nearest_m(tip, is_end=False) for tip in tips.position_m])
-    wanted[-1] = _aim(scenario, certificate)
+    wanted[-1] = _aim(checker.scenario, certificate)
     best, moved = (np.inf, corners), np.array(corners)
     every = np.ones(corners.shape[1], bool)
     for _ in range(ITERATIONS):

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from ctrplan.drive.drive import Drive
     from ctrplan.mechanics.core import Mechanics
     from ctrplan.mechanics.history import History, HistoryState
-    from ctrplan.mechanics.shapes import Accuracy
+    from ctrplan.mechanics.shapes import Accuracy, HistoryOptions
 
 CARRIED = 0.95  # of the probability, by the histories between whose tips an interval extends
 NORMAL_95 = 1.96  # standard deviations on both sides that hold 95 %
@@ -103,19 +103,19 @@ class ObservedHistory:
     accuracy: Accuracy  # mesh of the state
     phi: Array  # (n - 1,) circumferential friction state of each pair, averaged by normal force
 
-    def history(self, mechanics: Mechanics, accuracy: Accuracy) -> History:
-        """A history that goes on from here.
+    def history(self, mechanics: Mechanics, accuracy: Accuracy, options: HistoryOptions | None = None) -> History:
+        """A history that goes on from here, by steps as in `options`.
 
         On another mesh than that of the state friction starts uniform along each contact, at its average. Raises
         InputError for another robot.
         """
         from ctrplan.mechanics.history import History
 
-        own = History(mechanics, accuracy=self.accuracy)
+        own = History(mechanics, accuracy=self.accuracy, options=options)
         own.restore(self.state)
         if accuracy == self.accuracy:
             return own
-        other = History(mechanics, np.clip(self.phi, -1, 1), accuracy=accuracy)
+        other = History(mechanics, np.clip(self.phi, -1, 1), accuracy=accuracy, options=options)
         other.follow(self.state.theta_b[None], self.state.l_b[None])
         return other
 

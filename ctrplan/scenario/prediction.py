@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary
@@ -17,7 +17,7 @@ from ctrplan.base.arrays import Array
 from ctrplan.base.long_work import cores
 from ctrplan.errors import SolverError
 from ctrplan.mechanics.history import OSCILLATION_DEG, History, HistoryState, Start
-from ctrplan.mechanics.shapes import Status
+from ctrplan.mechanics.shapes import HistoryOptions, Status
 from ctrplan.robot.friction_calibration import friction_law
 from ctrplan.robot.observer import ObservedHistory
 
@@ -33,7 +33,14 @@ LOOK_EVERY = 5  # configurations after which a body is looked at
 # simulated to, so that what grows in passing stays below that.
 SAME_M, SAME_RAD, SAME_FRICTION = 1e-6, 1e-5, 1e-3
 TIP_TOLERANCE_M = 0.05e-3  # of simulated tips (benchmarks/history.py)
-
+_STEPS = HistoryOptions()
+QUARTER_STEPS = replace(
+    _STEPS,
+    rotation_rad=_STEPS.rotation_rad / 4,
+    translation_m=_STEPS.translation_m / 4,
+    state_change=_STEPS.state_change / 4,
+)
+SCATTER_M = 0.01e-3  # by which tips still differ whatever the steps (`arrival steps` of benchmarks/run.py: 0.007 mm)
 
 Look = Callable[["Shape"], None]
 FrictionStart = Start | ObservedHistory | HistoryState  # the last one is where the first configuration is
@@ -59,6 +66,7 @@ class PathPrediction:
     phi: Array  # (S, K, P) circumferential friction of each pair, averaged by normal force, likewise
     snaps: int  # times any of the simulated robots slid to another equilibrium
     states: tuple[tuple[int, HistoryState], ...] = ()  # of the first start at rows that were to be kept
+    accuracy: Accuracy = "search"  # mesh of the histories
 
     def errors(self, frictionless_m: Array) -> Array:
         """(K,) [m] largest distance of a simulated tip from the frictionless one (K, 3); NaN where any failed."""
@@ -151,7 +159,7 @@ def predict_end(
     States of the first start after rows `keep` are in the prediction.
     """
     histories = begun_histories(robot, starts, accuracy)
-    prediction = _follow(robot, histories, joints, look, keep)
+    prediction = replace(_follow(robot, histories, joints, look, keep), accuracy=accuracy)
     return prediction, _saved(histories) if np.all(np.isfinite(prediction.tip_m[:, -1])) else []
 
 
@@ -181,20 +189,43 @@ def goal_error(robot: Robot, joints: Array, starts: Sequence[FrictionStart]) -> 
     return error if np.isfinite(error) else np.inf
 
 
-def begun_histories(robot: Robot, starts: Sequence[FrictionStart], accuracy: Accuracy = "search") -> list[History]:
+def step_error(robot: Robot, joints: Array, prediction: PathPrediction, starts: Sequence[FrictionStart]) -> float:
+    """[m] how far off the last tips of a prediction along joints (K, m) may be by the steps of its histories.
+
+    Histories of a quarter of the steps are followed beside it, one for each of the different ends. Their tips are
+    nearer to those of endless refinement: twice the difference covers an error that falls with at least the square root
+    of the step (it falls linearly).
+    """
+    ends = np.concatenate([part[:, -1] for part in (prediction.tip_m, prediction.tangent, prediction.phi)], axis=1)
+    different = list[int]()
+    for k in range(len(ends)):
+        if not are_same(ends[k], ends[different]).any():
+            different.append(k)
+    begun = begun_histories(robot, [starts[k] for k in different], prediction.accuracy, QUARTER_STEPS)
+    finer = _follow(robot, begun, joints)
+    off = np.linalg.norm(finer.tip_m[:, -1] - prediction.tip_m[different, -1], axis=1)
+    return float(np.nan_to_num(2 * off, nan=np.inf).max()) + SCATTER_M
+
+
+def begun_histories(
+    robot: Robot,
+    starts: Sequence[FrictionStart],
+    accuracy: Accuracy = "search",
+    options: HistoryOptions | None = None,
+) -> list[History]:
     """A history for each start; one and the same for several that are one saved state."""
     known: dict[int, History] = {}
-    return [known.setdefault(id(start), _begun(robot, start, accuracy)) for start in starts]
+    return [known.setdefault(id(start), _begun(robot, start, accuracy, options)) for start in starts]
 
 
-def _begun(robot: Robot, start: FrictionStart, accuracy: Accuracy) -> History:
+def _begun(robot: Robot, start: FrictionStart, accuracy: Accuracy, options: HistoryOptions | None) -> History:
     if isinstance(start, ObservedHistory):
-        return start.history(robot.mechanics, accuracy)
+        return start.history(robot.mechanics, accuracy, options)
     if isinstance(start, HistoryState):
-        history = robot.history(accuracy=accuracy)
+        history = robot.history(accuracy=accuracy, options=options)
         history.restore(start)
         return history
-    return robot.history(start, accuracy=accuracy)
+    return robot.history(start, accuracy=accuracy, options=options)
 
 
 def _end_after(robot: Robot, q: Array, before: _End | None, starts: Sequence[FrictionStart]) -> _End:

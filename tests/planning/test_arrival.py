@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import os
 import shlex
@@ -28,10 +29,12 @@ from ctrplan.commands.terminal import ProgressBar
 from ctrplan.drive.drive import ExecutionTolerance
 from ctrplan.files.scenario_file import base_key, load_scenario
 from ctrplan.mechanics.friction import FrictionLaw
+from ctrplan.mechanics.history import HistoryOptions
 from ctrplan.motion.checker import MotionChecker
+from ctrplan.planning import compensate as compensation
 from ctrplan.planning.compensate import _Place, compensate
 from ctrplan.planning.endings import erase
-from ctrplan.scenario.prediction import TIP_TOLERANCE_M, ball_centre, predict, start_states
+from ctrplan.scenario.prediction import TIP_TOLERANCE_M, ball_centre, predict, start_states, step_error
 from ctrplan.scenario.scenario import Registration, Scenario
 
 START = np.array([0.0, 0.0, -0.03])
@@ -71,6 +74,21 @@ def test_the_set_along_the_motion_is_in_the_samples() -> None:
     assert samples.friction_spread[0, 0] == pytest.approx(1.0) and samples.friction_spread[-1, 0] < 1e-3
     assert np.all(samples.spread_m <= samples.bound_m + TIP_TOLERANCE_M)
     assert np.all(samples.spread_m[samples.leg == 1] < 1e-5)
+
+
+def test_the_share_of_steps_covers_what_finer_steps_change() -> None:
+    """Histories of a sixteenth of the steps end within it, whether the past is erased or not; it is no fixed length."""
+    case, shares = pair(), list[float]()
+    finer = HistoryOptions(rotation_rad=0.05 / 16, translation_m=0.5e-3 / 16, state_change=0.05 / 16)
+    for path in (PATH, SHORT, np.array([START, GOAL])):
+        starts = start_states(case)
+        joints = np.vstack([path[:1], *(np.linspace(a, b, 40)[1:] for a, b in itertools.pairwise(path))])
+        coarse = predict(case.robot, joints, starts)
+        shares.append(step_error(case.robot, joints, coarse, starts))
+        for start, tip in zip(starts, coarse.tip_m[:, -1], strict=True):
+            history = case.robot.history(start, options=finer)  # type: ignore[arg-type]
+            assert np.linalg.norm(history.follow(*case.robot.drive.collars(joints)).position_m[-1] - tip) <= shares[-1]
+    assert max(shares) < TIP_TOLERANCE_M
 
 
 def test_fewer_states_before_never_arrive_worse() -> None:
@@ -293,6 +311,45 @@ def test_a_correction_keeps_clear_of_what_stands_beside_the_way() -> None:
     plan = ctrplan.plan(scenario)
     found = plan.certificate.arrival
     assert found is not None and found.by_cause.offset_m < TIP_TOLERANCE_M and plan.certificate.min_clearance_m >= 0
+
+
+def test_what_the_first_correction_leaves_is_corrected_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where the first round can make but half of every correction, the second makes half of the rest."""
+    ways = compensation._corrected_ways
+
+    def halves(*given: Any) -> Any:
+        for way in ways(*given):
+            if not way.is_whole:
+                yield way
+                return
+
+    case, turned_last = pair(), np.array([START, [*START[:2], GOAL[2]], GOAL])
+    case = replace(case, goal=replace(case.goal, tolerance_m=4e-3))
+    before = certify(case, turned_last)
+    monkeypatch.setattr(compensation, "_corrected_ways", halves)
+    result = compensate(MotionChecker(case), turned_last, before)
+    found, at_first = result.certificate.arrival, before.arrival
+    assert found is not None and at_first is not None and at_first.by_cause.offset_m > 0.2e-3
+    assert found.by_cause.offset_m < 0.35 * at_first.by_cause.offset_m
+    np.testing.assert_allclose(result.corners[-1] - GOAL, result.compensation.correction, atol=1e-12)
+
+
+def test_a_line_gets_corners_where_friction_takes_the_tip_off_between_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A line that begins with a reversal: friction builds up, and the tip does not follow the joints in proportion."""
+    case, corners = pair(), np.linspace(GOAL, GOAL - [0.0, 0.4, 0.01], 3)
+    robot, start = case.robot, [(1.0,)]
+    tips = [robot.solve(*robot.drive.collars(q)).tip_m for q in corners]
+    tips[0] = predict(robot, corners[:1], start).tip_m[0, 0]
+    case = replace(case, start=GOAL, goal=replace(case.goal, tip_m=tips[-1], line_m=np.array(tips)))
+    checker, certificate = MotionChecker(case), certify(case, corners)
+    line, worst = compensation._line(checker, corners), list[float]()
+    for most in (compensation.MOST_INSERTED, 0):
+        monkeypatch.setattr(compensation, "MOST_INSERTED", most)
+        whole, moved = compensation._corrected_line(checker, corners, certificate, start)
+        assert whole.shape == moved.shape and np.array_equal(moved[0], corners[0])
+        fine = np.vstack([np.linspace(a, b, 20) for a, b in itertools.pairwise(moved)])
+        worst.append(float(line.off_m(predict(robot, fine, start).tip_m[0], is_end=False).max()))
+    assert worst[0] < worst[1] / 3
 
 
 def test_what_joints_limits_leave_of_the_offset_is_said() -> None:
