@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -112,14 +111,13 @@ def _summary(folder: Path, calibration: Calibration) -> str:
 def _next(folder: Path, calibration: Calibration) -> str:
     """What to do with it: go on, or look for what the model lacks where more is left than the tracker's noise."""
     noise = calibration.fit.chain.robot.measurement
-    left = (calibration.held_out or calibration.training).rms_m
     robot, data = folder / "robot.toml", calibration.data.file or "MEASUREMENTS.csv"
     if noise is None:
         return f"next: ctrplan check {robot}; with [measurement] in it ctrplan diagnose tells noise from faults"
-    floor = noise.position_sigma_m * math.sqrt(3)
-    if left > 1.3 * floor:
-        over = f"{left * 1e3:.2g} mm are left, {floor * 1e3:.2g} mm would be noise: something is missing in the model"
-        return f"next: {over}; ctrplan diagnose {calibration.fit.chain.robot.path or 'ROBOT.toml'} {data} -o found"
+    from ctrplan.reports.calibration_page import what_is_missing
+
+    if missing := what_is_missing(calibration):
+        return f"next: {missing}; ctrplan diagnose {calibration.fit.chain.robot.path or 'ROBOT.toml'} {data} -o found"
     return f"next: what is left is the noise of the tracker; plan with it: ctrplan check {robot}"
 
 

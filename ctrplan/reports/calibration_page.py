@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 import plotly.graph_objects as go
@@ -11,6 +12,8 @@ from ctrplan.calibration.estimates import Errors
 from ctrplan.reports import looks
 from ctrplan.reports.html_page import FIGURE_TEXT, plot, rendered
 from ctrplan.reports.words import term
+
+CHANCE_SIGMA = 3.0  # standard deviations of the rms of pure noise (1 / sqrt(6 poses) of it) that chance may add
 
 
 def calibration_report_html(calibration: Calibration) -> str:
@@ -82,10 +85,23 @@ def _sentence(calibration: Calibration) -> str:
     ended = "" if calibration.fit.converged else " The fit did not converge: its values are not the best ones."
     if not _has_helped(calibration):
         ended += " The fit has not helped: the robot of the file explains the poses as well."
+    if missing := what_is_missing(calibration):
+        ended += f" {missing[0].upper()}{missing[1:]}: ctrplan diagnose looks for it."
     return (
         f"Tips were {_mm(calibration.nominal.rms_m)} off before (rms), and are {_mm(after.rms_m)} off after, {where}, "
         f"{_mm(after.max_m)} at most.{ended}"
     )
+
+
+def what_is_missing(calibration: Calibration) -> str:
+    """A clause where more is left than the tracker's noise explains; empty where it does, or where noise is unknown."""
+    noise, errors = calibration.fit.chain.robot.measurement, calibration.held_out or calibration.training
+    if noise is None:
+        return ""
+    floor, left = noise.position_sigma_m * math.sqrt(3), errors.rms_m
+    if left <= floor * (1 + CHANCE_SIGMA / math.sqrt(6 * errors.poses)):
+        return ""
+    return f"{left * 1e3:.2g} mm are left, {floor * 1e3:.2g} mm would be noise: something is missing in the model"
 
 
 def _has_helped(calibration: Calibration) -> bool:

@@ -52,7 +52,7 @@ table {{ border-collapse: collapse; width: 100%; font-size: 0.95rem; }}
 th, td {{ text-align: left; vertical-align: top; padding: 6px 14px 6px 0; border-bottom: 1px solid {looks.GRID};
   overflow-wrap: anywhere; font-variant-numeric: tabular-nums; }}
 th {{ color: {looks.MUTED}; font-weight: 600; overflow-wrap: break-word; }}
-td.key {{ width: 30%; color: {looks.MUTED}; }}
+td.key {{ width: 30%; min-width: 7.5em; color: {looks.MUTED}; overflow-wrap: break-word; }}
 code {{ font-size: 0.85rem; }}
 .plot {{ margin: 8px -8px 0; }}
 .scene {{ height: max(340px, min(640px, 100vh - 300px)); margin: 0; border-radius: 8px; overflow: hidden;

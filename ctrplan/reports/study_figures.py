@@ -264,7 +264,7 @@ def trade_off_figure(table: StudyTable, judged: Quantity, others: list[Quantity]
         front = pareto_front(x, y, judged.is_better or -1, other.is_better)
         cloud = {"color": looks.SERIES[0], "size": 5, "opacity": 0.5}
         line = {"color": looks.BOUND, "width": 2}
-        points = go.Scattergl(x=x[rows], y=y[rows], mode="markers", marker=cloud, name="tasks", visible=k == 0)
+        points = go.Scattergl(x=x[rows], y=y[rows], mode="markers", marker=cloud, name="all", visible=k == 0)
         figure.add_trace(points)
         figure.add_trace(
             go.Scatter(x=x[front], y=y[front], mode="lines+markers", line=line, name="front", visible=k == 0)
