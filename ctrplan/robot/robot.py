@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from ctrplan.mechanics.core import Mechanics, Walker
     from ctrplan.mechanics.history import History, Start
     from ctrplan.mechanics.shapes import Accuracy, Bound, Bounds, HistoryOptions, Shape
-    from ctrplan.robot.equilibria import Equilibria
+    from ctrplan.mechanics.equilibria import Equilibria
     from ctrplan.robot.observer import Observer
     from ctrplan.robot.slow_states import SlowOffset, SlowParameter
 
@@ -214,7 +214,7 @@ class Robot:
         Whole turns of collars lead from one to another. Raises InputError for robots with loads, with oval tubes or
         such that soften, and for more than five tubes.
         """
-        from ctrplan.robot.equilibria import equilibria
+        from ctrplan.mechanics.equilibria import equilibria
 
         _warn_of_degrees(theta_b)
         return equilibria(self, theta_b, l_b)

@@ -13,3 +13,4 @@ void bind_walker(nanobind::module_& m);
 void bind_triangle_tree(nanobind::module_& m);
 void bind_friction_states(nanobind::module_& m);
 void bind_friction_cells(nanobind::module_& m);
+void bind_tip_torus(nanobind::module_& m);

@@ -23,4 +23,5 @@ NB_MODULE(_model, m) {
     bind_triangle_tree(m);
     bind_friction_states(m);
     bind_friction_cells(m);
+    bind_tip_torus(m);
 }

@@ -15,7 +15,7 @@ from ctrplan.base.arrays import Array
 from ctrplan.certificate.other_equilibria import other_start
 from ctrplan.errors import InputError
 from ctrplan.files.robot_file import robot_from_dict
-from ctrplan.robot.equilibria import equilibria, is_unique
+from ctrplan.mechanics.equilibria import equilibria, is_unique
 from ctrplan.robot.robot import Robot
 from ctrplan.scenario.joint_space import JointSpace, bare_scenario
 from ctrplan.storage.toml_document import read_document

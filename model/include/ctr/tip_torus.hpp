@@ -1,0 +1,47 @@
+// Every equilibrium of a robot without clearance and friction. At their ends tubes carry no torsion, so that an equilibrium
+// depends on the angles there alone, each tube's against that of the tube around it: a torus. From them
+//     GJ_i theta_i'' = sum_j EI_i EI_j / sum(EI) |u_i x u_j|,   u_i = R(theta_i) v_i,
+// is integrated towards the plate, and with it the derivatives by the angles at the tips. Every solution of
+//     R(psi) = alpha + 2 pi k
+// is an equilibrium at relative angles alpha of the collars. Outermost tube first, as in Python.
+#pragma once
+
+#include <vector>
+
+namespace ctr {
+
+// A stretch in front of the plate along which the tubes from number `first` on have precurvatures that vary linearly.
+struct TorusStretch {
+    double begin, end;                // [m] arc length
+    int first;                        // outermost tube that is there
+    std::vector<double> u, slope;     // (n, 2) precurvature at `begin` [1/m], and its slope [1/m^2]
+};
+
+// What the torus is made of. `behind`: [m] from the plate back to where a tube is held (negative), its shaft's compliance as a
+// length of the tube.
+struct TorusTubes {
+    std::vector<double> EI, GJ, behind;
+    std::vector<TorusStretch> stretches;
+    int count() const { return static_cast<int>(EI.size()); }
+};
+
+struct TorusRoot {
+    std::vector<double> psi;    // (n - 1,) relative angles at the tips [rad]
+    std::vector<double> twist;  // (n - 1,) of each pair from tip to collar [rad]
+    int sign;                   // of the determinant of R's derivatives
+    bool is_stable;             // no conjugate point between the tips and the collars
+    double energy;              // of bending and torsion [J]
+    double tip[3];              // where the outermost collar stands at the angle asked for [m]
+};
+
+constexpr int TORUS_MOST_TUBES = 5;
+
+// Signs of the determinants of R's derivatives at psi (Q, n - 1), steps no longer than `step`.
+std::vector<int> torus_signs(const TorusTubes& tubes, const std::vector<double>& psi, double step);
+
+// Newton's method for R = alpha + 2 pi k from each of psi (Q, n - 1), as long as the first step leads less than `reach` away;
+// roots closer together than `apart` are one. The outermost collar stands at `outermost`.
+std::vector<TorusRoot> torus_roots(const TorusTubes& tubes, const std::vector<double>& psi, const std::vector<double>& alpha,
+                                   double outermost, double reach, double apart, double step);
+
+}  // namespace ctr
