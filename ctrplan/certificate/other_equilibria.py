@@ -4,8 +4,8 @@ Nobody knows what the robot did before a plan. Corners of friction are solved fr
 corner has a second equilibrium, far from it, an approach may end there and break the bound. Approaches are simulated:
 all pairs turned by APPROACH_DEG at once, from either side each, which loads friction fully. Where whole turns of joints
 before the start are not known, the robot may be wound up: every stable equilibrium without clearance and friction is
-enumerated (`ctrplan.mechanics.equilibria`), and those that turns within the joints' limits lead to are not walked to. Of
-robots that are not enumerated, whole turns are simulated.
+enumerated (`ctrplan.mechanics.equilibria`), and those that turns within the joints' limits lead to are not walked to.
+Of robots that are not enumerated, whole turns are simulated.
 
 Corners of friction are solved from the frictionless shape. A robot may come to the same corner from another one, or by
 a turn, and stand elsewhere. Along the path each corner is solved from the shapes of all others. At the ends of legs it
@@ -34,8 +34,8 @@ from ctrplan.mechanics.walk import PathDensity
 from ctrplan.robot.robot import Robot
 
 if TYPE_CHECKING:
-    from ctrplan.mechanics.shapes import Bound
     from ctrplan.mechanics.equilibria import Equilibria
+    from ctrplan.mechanics.shapes import Bound
     from ctrplan.scenario.scenario import Scenario
 
 APPROACH_DEG = 90.0  # of Section V of Ha et al. 2019

@@ -287,19 +287,11 @@ def _bound_text(bound: Bound, play_mm: float) -> str:
 
 def _others(robot: Robot, theta_b: Array, l_b: Array, bound: Bound) -> list[str]:
     """A line for each other stable equilibrium without friction; none for robots of which they are not enumerated."""
-    from ctrplan.certificate.friction_states import SAME_BRANCH_M
+    from ctrplan.mechanics.equilibria import other_shapes
 
-    try:
-        known = robot.equilibria(theta_b, l_b)
-    except InputError:
-        return []
-    tip = bound.frictionless.tip_m.tolist()
-    apart = [(math.dist(one.tip_m.tolist(), tip), one) for one in known.stable]
-    nearest = min((distance for distance, _ in apart), default=0.0)
     return [
-        f"  another {one.headline()}, {distance * 1e3:.1f} mm from the frictionless tip: turns may lead there"
-        for distance, one in apart
-        if distance > nearest + SAME_BRANCH_M
+        f"  another {shape.headline()}, {distance * 1e3:.1f} mm from the frictionless tip: turns may lead there"
+        for distance, shape in other_shapes(robot, theta_b, l_b, bound.frictionless.tip_m)
     ]
 
 

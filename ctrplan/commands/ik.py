@@ -128,7 +128,22 @@ def _text(scenario: Scenario, reach: Reach, branches: list[int], shown: int) -> 
     rows = [_row(scenario, reach.configurations[k], branches[k]) for k in chosen]
     left = count - len(chosen)
     more = [f"and {left} more: --all lists them, -o DIR draws them"] if left else []
+    several = [apart for k in chosen if (apart := _other_shape_m(scenario, reach.configurations[k]))]
+    if several:
+        which = "one of these stands" if len(several) == 1 else f"{len(several)} of these stand"
+        more.append(
+            f"{which} in one of several stable shapes (another up to {max(several) * 1e3:.1f} mm away), where whole "
+            f"turns may lead; ctrplan bound names them"
+        )
     return "\n".join([head, *aligned([header, *rows]), *more])
+
+
+def _other_shape_m(scenario: Scenario, c: Configuration) -> float:
+    """[m] from the tip to that of the farthest other stable shape at the same joints; 0 without one."""
+    from ctrplan.mechanics.equilibria import other_shapes
+
+    others = other_shapes(scenario.robot, *scenario.robot.drive.collars(c.joints), c.tip_m)
+    return others[-1][0] if others else 0.0
 
 
 def _best(branches: list[int], shown: int) -> list[int]:
@@ -183,6 +198,7 @@ def _entry(scenario: Scenario, c: Configuration) -> dict[str, Any]:
         "bound_position_mm": finite(c.bound_m * 1e3),
         "bound_tangent_deg": finite(math.degrees(c.bound_rad)),
         "stability": finite(c.stability),
+        "other_shape_mm": _other_shape_m(scenario, c) * 1e3 or None,
         "max_strain": finite(c.max_strain),
         "clearance_mm": finite(c.clearance_m * 1e3),
         "valid": c.valid,

@@ -21,7 +21,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ctrplan import _model
-
 from ctrplan.base.arrays import Array
 from ctrplan.base.package import shown
 from ctrplan.errors import InputError
@@ -55,6 +54,7 @@ STEP_M = 4e-3  # of the integration from the tips, of fourth order: angles are w
 GRID = {1: 12, 2: 12, 3: 6, 4: 6}  # angles along each pair: none of 120 random configurations had one between them
 NEAR_CELLS, DENSER = 1.5, 4  # of the grid, within which the first step has to lead; else so many times as dense
 SAME_RAD = 1e-4  # between angles of one equilibrium
+SAME_TIP_M = 0.5e-3  # between tips of one shape, solved with and without clearance
 
 
 @shown
@@ -94,6 +94,13 @@ class Equilibria:
         """Those in which the robot can stay."""
         return tuple(equilibrium for equilibrium in self.each if equilibrium.is_stable)
 
+    def others(self, tip_m: Array) -> list[tuple[float, Equilibrium]]:
+        """Stable ones beside the one whose tip is nearest to a tip (3,), and how far [m] from it theirs are."""
+        apart = sorted(
+            ((float(np.linalg.norm(shape.tip_m - tip_m)), shape) for shape in self.stable), key=lambda pair: pair[0]
+        )
+        return [(distance, shape) for distance, shape in apart[1:] if distance > apart[0][0] + SAME_TIP_M]
+
     def headline(self) -> str:
         """How many, as it shows itself."""
         missed = "" if self.is_complete else ", and some were missed"
@@ -109,6 +116,14 @@ def equilibria(robot: Tubes, theta_b: ArrayLike, l_b: ArrayLike) -> Equilibria:
     _refuse(robot)
     each, degree = Torus(robot.tubes, l).roots(np.diff(theta), float(theta[0]))
     return Equilibria(tuple(sorted(each, key=lambda equilibrium: equilibrium.energy_J)), degree)
+
+
+def other_shapes(robot: Tubes, theta_b: ArrayLike, l_b: ArrayLike, tip_m: Array) -> list[tuple[float, Equilibrium]]:
+    """Other stable equilibria than the one with a tip (3,), and how far [m] from it; none where they are refused."""
+    try:
+        return equilibria(robot, theta_b, l_b).others(tip_m)
+    except InputError:
+        return []
 
 
 def is_unique(robot: Tubes, l_b: ArrayLike) -> bool:

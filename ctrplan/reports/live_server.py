@@ -81,6 +81,7 @@ dd {{ margin: 0 0 8px; color: {looks.MUTED}; }}
 ROWS = (
     ("bound_deg", explained("error of the direction", "By how much friction can turn the tip's direction.")),
     ("stability", term("stability")),
+    ("other_shape", explained("another stable shape", "Whole turns may have led there: the same joints, another tip.")),
     ("strain_percent", term("strain", "largest strain")),
     ("nominal_mm", term("clearance", "clearance without friction")),
     ("friction_mm", term("clearance", "clearance, worst friction")),

@@ -21,6 +21,7 @@ from ctrplan.base.surface import Surface
 from ctrplan.certificate.anatomy_distance import AnatomyDistance
 from ctrplan.certificate.friction_states import POINT_SPACING_M, UNEVEN_FRICTION_M, mesh_allowance_m
 from ctrplan.errors import InputError
+from ctrplan.mechanics.equilibria import other_shapes
 from ctrplan.mechanics.shapes import Status
 from ctrplan.motion.checker import MotionChecker, path_limits
 from ctrplan.motion.play import play_reach, play_shift
@@ -188,6 +189,9 @@ class LiveState:
             return {"refusal": "the mechanics solver found no equilibrium here"}
         shown = pose(scenario, joints)
         self.on_pose(shown)
+        robot = scenario.robot
+        tip_m = (shown.tip_m - scenario.base_position_m) @ scenario.base_R
+        others = other_shapes(robot, *robot.drive.collars(joints), tip_m)
         clearance_mm = float(samples.clearance_m[-1]) * 1e3 if placement.checker.field else None
         return {
             "traces": [_vertices(trace) for trace in [*moved_traces(shown), xyz(stand(scenario).vertices_m)]],
@@ -196,6 +200,7 @@ class LiveState:
             "bound_mm": _finite(float(samples.position_m[-1]) * 1e3),
             "bound_deg": _finite(math.degrees(float(samples.tangent_rad[-1]))),
             "stability": _finite(float(samples.stability[-1])),
+            "other_shape_mm": max((1e3 * apart for apart, _ in others), default=0.0),
             "strain_percent": _finite(100 * float(samples.max_strain[-1])),
             "clearance_mm": clearance_mm,
             **clearances_mm(scenario, joints),

@@ -25,9 +25,9 @@ if TYPE_CHECKING:
 
     from ctrplan.base.long_work import Progress
     from ctrplan.mechanics.core import Mechanics, Walker
+    from ctrplan.mechanics.equilibria import Equilibria
     from ctrplan.mechanics.history import History, Start
     from ctrplan.mechanics.shapes import Accuracy, Bound, Bounds, HistoryOptions, Shape
-    from ctrplan.mechanics.equilibria import Equilibria
     from ctrplan.robot.observer import Observer
     from ctrplan.robot.slow_states import SlowOffset, SlowParameter
 

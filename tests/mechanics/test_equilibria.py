@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import copy
+import json
+import re
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,9 +16,11 @@ from places import ROBOTS
 import ctrplan
 from ctrplan.base.arrays import Array
 from ctrplan.certificate.other_equilibria import other_start
+from ctrplan.cli import main
 from ctrplan.errors import InputError
 from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.mechanics.equilibria import equilibria, is_unique
+from ctrplan.reports.live_state import LiveState
 from ctrplan.robot.robot import Robot
 from ctrplan.scenario.joint_space import JointSpace, bare_scenario
 from ctrplan.storage.toml_document import read_document
@@ -109,3 +114,24 @@ def test_robots_of_another_kind_are_refused_in_one_sentence() -> None:
     with pytest.raises(InputError, match="has loads"):
         equilibria(loaded, [0, 0], [0, -90e-3])
     assert not is_unique(loaded, [0, -90e-3])
+
+
+def test_ik_and_view_say_that_there_are_others(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """At 170 deg the bent pair has two stable shapes; at 20 deg it has one."""
+    robot, file = bent(2.5), tmp_path / "bent.toml"
+    pair = (ROBOTS / "table_5_pair.toml").read_text("utf-8")
+    factor = re.compile(r"(curvature_y_per_m = )([\d.]+)")
+    file.write_text(factor.sub(lambda match: f"{match[1]}{2.5 * float(match[2])}", pair), "utf-8")
+    at, near = np.array([0.0, np.radians(170.0), -29.6e-3]), np.array([0.0, np.radians(20.0), -29.6e-3])
+    state = LiveState(bare_scenario(robot))
+    shown = [state.at([0.0, float(np.degrees(q[1])), float(q[2] * 1e3)]) for q in (at, near)]
+    assert shown[0]["other_shape_mm"] > 50 and shown[1]["other_shape_mm"] == 0
+    tip = robot.zero_clearance(*robot.drive.collars(at)).tip_m * 1e3
+    texts = [f"{x:.3f}" for x in tip]
+    assert main(["ik", str(file), "--tip-mm", *texts, "--tolerance-mm", "2", "--starts", "60"]) == 0
+    assert "in one of several stable shapes (another up to" in capsys.readouterr().out
+    assert main(["ik", str(file), "--tip-mm", *texts, "--tolerance-mm", "2", "--starts", "60", "--json"]) == 0
+    rows = json.loads(capsys.readouterr().out)["configurations"]
+    assert any(row["other_shape_mm"] and row["other_shape_mm"] > 5 for row in rows)
+    mild = bent(0.5).equilibria([0.0, 1.0], [0.0, -90e-3])
+    assert mild.others(mild.each[0].tip_m) == []

@@ -150,6 +150,8 @@ function say(pose) {
   byId("meter").firstElementChild.style.width = `${100 * (pose.bound_mm || 0) / largest}%`;
   byId("bound_deg").textContent = shown(pose.bound_deg, 2, "°");
   byId("stability").textContent = shown(pose.stability, 2, "");
+  byId("other_shape").parentElement.hidden = !pose.other_shape_mm;
+  byId("other_shape").textContent = `${shown(pose.other_shape_mm, 1, "mm")} away`;
   byId("strain_percent").textContent = shown(pose.strain_percent, 2, "%");
   for (const name of ["nominal_mm", "friction_mm", "sure_mm"])
     byId(name).textContent = pose.refusal ? "–" : pose[name] === null ? "free space" : shown(pose[name], 2, "mm");
