@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 import copy
+import itertools
 import json
 import re
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from made_up_input import FUZZ
 from places import ROBOTS
 
 import ctrplan
 from ctrplan.base.arrays import Array
 from ctrplan.certificate.other_equilibria import other_start
 from ctrplan.cli import main
-from ctrplan.errors import InputError
+from ctrplan.errors import InputError, SolverError
 from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.mechanics.equilibria import equilibria, is_unique
 from ctrplan.reports.live_state import LiveState
@@ -135,3 +138,21 @@ def test_ik_and_view_say_that_there_are_others(tmp_path: Path, capsys: pytest.Ca
     assert any(row["other_shape_mm"] and row["other_shape_mm"] > 5 for row in rows)
     mild = bent(0.5).equilibria([0.0, 1.0], [0.0, -90e-3])
     assert mild.others(mild.each[0].tip_m) == []
+
+
+@pytest.mark.parametrize("name", ["table_5_pair", "three_tube", "bent"])
+def test_wound_robots_end_in_one_of_them(name: str) -> None:
+    """Histories without friction that come from whole turns of every pair end in an enumerated stable shape."""
+    content = bent(2.5).content if name == "bent" else read_document(ROBOTS / f"{name}.toml").content
+    contacts = [{**contact, "friction_coefficient": 0.0, "clearance_mm": 0.01} for contact in content["contact"]]
+    robot, several = robot_from_dict({**content, "contact": contacts}, file=str(ROBOTS / "tight.toml")), 0
+    for theta, l in collars(robot, 500 if FUZZ else 3, 5):  # noqa: E741 (as in the equations)
+        known = robot.equilibria(theta, l)
+        assert known.is_complete
+        several += len(known.stable) > 1
+        for turns in itertools.product((-1, 0, 1), repeat=robot.n - 1):
+            begin = theta - 2 * np.pi * np.concatenate([[0], np.cumsum(turns)])
+            with suppress(SolverError):
+                end = robot.history().follow(np.array([begin, theta]), np.array([l, l])).position_m[-1]
+                assert min(np.linalg.norm(shape.tip_m - end) for shape in known.stable) < 3e-3
+    assert (several > 0) == (name == "bent")
