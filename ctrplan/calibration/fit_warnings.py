@@ -69,6 +69,28 @@ def symptoms(fit: Fit) -> list[Symptom]:
     return results
 
 
+OF_A_TUBE = {"precurvature": "as curved", "stiffness": "as stiff"}  # by the first word of a parameter
+
+
+def other_tubes(fit: Fit) -> list[str]:
+    """Clauses about tubes that are not those of the file: calibrated, they are farther off than such tubes differ.
+
+    "tube 2 is not the tube of the file: 1.68 times as curved (precurvature_factor_2_2 = 1.68)"
+    """
+    spread, clauses = np.sqrt(np.diag(fit.covariance)), dict[str, str]()
+    known = [(t.name, q) for t in fit.chain.terms for q in t.parameters]
+    for j, (owner, parameter) in enumerate(known):
+        kind, _, place = parameter.name.partition("_factor_")
+        factor, tube = float(fit.p[j] / parameter.si), place.partition("_")[0]
+        off = abs(factor - parameter.neutral)
+        if owner != BaseParameters.name or kind not in OF_A_TUBE or off <= CONFLICT * parameter.prior:
+            continue
+        if spread[j] / parameter.si < parameter.prior and tube not in clauses:
+            says = f"{factor:.3g} times {OF_A_TUBE[kind]} ({parameter.name} = {factor:.3g})"
+            clauses[tube] = f"tube {tube} is not the tube of the file: {says}"
+    return list(clauses.values())
+
+
 MOST_FAILED = 1 / 3  # of the poses; a model without a solution at more of them explains nothing
 
 

@@ -6,7 +6,7 @@ configurations says how much of that is chance, corrected for the number of quan
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +21,7 @@ CHANCE = 0.05
 BINS = 4
 RESOLUTION = 1000  # parts of a quantity's range: values nearer to each other are one
 TINY = 1e-300
+IN_ORDER = 0.5  # likeness of neighbours' joints, from which what changes with time may as well go along with the joints
 ROUNDED_RAD = 1e-9  # by which an angle may fall short of zero without coming out as a full turn
 LONGEST = 3.0  # of the median norm of residuals
 
@@ -30,7 +31,7 @@ class Trend:
     """How far a quantity predicts the size of the residuals or their direction."""
 
     quantity: str
-    share: float  # of the residuals' sum of squares explained by means over quarters of the quantity
+    share: float  # of the residuals' sum of squares explained by means over its quarters, or by its neighbours
     p: float  # probability of that much by chance, for the largest of all quantities
 
 
@@ -73,17 +74,26 @@ def localise(
 ) -> Place:
     """From whitened residuals (K, 5) and distances (K,) of the calibrated model, or of another that `opening` names."""
     known, r = quantities(data), _bounded(r)
-    parts = {name: _quarters(values) for name, values in known.items()}
-    observed = np.array([_share(r, part) for part in parts.values()])
+    joints = np.hstack([data.theta_commanded, data.l_commanded])[data.rows]
+    joints = (joints - joints.mean(axis=0)) / np.maximum(joints.std(axis=0), TINY)
+    own = {*data.more, "time"}  # quantities that are none of the robot's
+    ways = [
+        (_quarters(values), order[:0] if name in own and _likeness(joints[order]) > IN_ORDER else order)
+        for name, values in known.items()
+        for order in [_in_order(values)]
+    ]
     rng = np.random.default_rng(SEED)
-    chance = np.array([[_share(moved, part) for part in parts.values()] for moved in _shuffles(r, group, rng)])
-    z = (observed - chance.mean(axis=0)) / np.maximum(chance.std(axis=0), 1e-12)
-    highest = ((chance - chance.mean(axis=0)) / np.maximum(chance.std(axis=0), 1e-12)).max(axis=1)
+    observed = _shares(r, ways)
+    chance = np.array([_shares(moved, ways) for moved in _shuffles(r, group, rng)])
+    middle, spread = chance.mean(axis=0), np.maximum(chance.std(axis=0), 1e-12)
+    z = ((observed - middle) / spread).max(axis=1)
+    highest = ((chance - middle) / spread).max(axis=(1, 2))
+    beyond = (observed - middle).max(axis=1)
     trends = [
         Trend(name, float(share), float((1 + np.sum(highest >= value)) / (1 + PERMUTATIONS)))
-        for name, share, value in zip(known, observed, z, strict=True)
+        for name, share, value in zip(known, observed.max(axis=1), z, strict=True)
     ]
-    order = np.argsort(chance.mean(axis=0) - observed)
+    order = np.argsort(-beyond)
     ranked = tuple(trends[k] for k in order)
     between = _share(r, np.unique(group, return_inverse=True)[1])
     rms_m = float(np.sqrt(np.mean(error_m**2)))
@@ -133,6 +143,27 @@ def _quarters(values: Array) -> NDArray[np.int_]:
         edges = np.quantile(values[given], np.arange(1, BINS) / BINS)
         part = np.searchsorted(edges, values, side="right")
     return np.where(given, part, BINS)
+
+
+def _in_order(values: Array) -> NDArray[np.intp]:
+    """(G,) poses that have a value, the smallest first; none where it has few distinct ones."""
+    given = np.flatnonzero(np.isfinite(values))
+    few = len(np.unique(_quarters(values)[given])) < BINS or len(np.unique(values[given])) <= BINS
+    return given[:0] if few else given[np.argsort(values[given], kind="stable")]
+
+
+def _shares(r: Array, ways: Sequence[tuple[NDArray[np.int_], NDArray[np.intp]]]) -> Array:
+    """(Q, 2) of the sum of squares, what means over quarters of each quantity explain, and what neighbours do.
+
+    Neighbours in the order of a quantity are alike where errors depend on it smoothly, in whatever way: up and down
+    again as well, which leaves the means of quarters alike.
+    """
+    return np.array([[_share(r, part), _likeness(r[order])] for part, order in ways])
+
+
+def _likeness(r: Array) -> float:
+    """Correlation of neighbours (G, 5), by von Neumann's ratio."""
+    return float(1 - (np.diff(r, axis=0) ** 2).sum() / max(2 * (r**2).sum(), 1e-12)) if len(r) > 1 else 0.0
 
 
 def _share(r: Array, part: NDArray[np.int_]) -> float:

@@ -29,6 +29,7 @@ MOST_POSES = 60  # that are read again: gross faults show in every one
 LEAST_POSES = 6  # of which a frame of six numbers leaves something
 REGISTERED_RAD, REGISTERED_M = np.radians(15.0), 15e-3  # that a base may be off by as an effect, not as a reading
 ALIKE = 1.3  # times the error of the best reading, with which a plainer one is told instead
+ORDERS, CHANCE, SEED = 100, 0.01, 3  # of the rows that are tried, and the share of them that may fit as well by chance
 SAME = 0.02  # of the error, by which readings differ that no data tell apart, as mirrored tips and mirrored rotations
 POWERS = {
     10.0: "10 times too small",
@@ -52,6 +53,8 @@ class Reading:
     @property
     def sentence(self) -> str:
         """What a person should do first."""
+        if not self.columns:
+            return f"{self.what[:1].upper()}{self.what[1:]}."
         known = math.isfinite(self.rms_before_mm)
         before = f"instead of {self.rms_before_mm:.3g} mm" if known else "and as they stand no robot has such joints"
         return (
@@ -130,7 +133,36 @@ def read_again(robot: Robot, data: Measurements) -> tuple[Reading, ...]:
         one, after = fault
         file = replace(file, done=(*file.done, one))
         results.append(Reading(one.what, one.columns, 1e3 * before, 1e3 * after))
+    if not results and (unrelated := _unrelated(file, constant)):
+        results.append(unrelated)
     return tuple(results)
+
+
+def _unrelated(file: _File, constant: float) -> Reading | None:
+    """Says that the tips heed no joint: in the best frame, other orders of the rows fit the robot as well.
+
+    Asked where the joints should have moved the tips about as far as they moved.
+    """
+    measured, model = file.pairs(_Again("", ()))
+    if len(model) < max(LEAST_POSES, 0.8 * len(file.kept)):
+        return None
+    should = float(np.sqrt(np.mean(np.sum((model - model.mean(axis=0)) ** 2, axis=1))))
+    if should * BETTER < constant:
+        return None
+    rng = np.random.default_rng(SEED)
+    own = _registered_m(measured, model)
+    if own < np.quantile([_registered_m(measured, model[rng.permutation(len(model))]) for _ in range(ORDERS)], CHANCE):
+        return None
+    as_well = f"put in any other order they fit the robot as well, {1e3 * own:.3g} mm off (rms) in the best frame"
+    return Reading(
+        f"the tips heed no joint: {as_well}. These are not the joints of these poses", (), 1e3 * own, 1e3 * own
+    )
+
+
+def _registered_m(measured: Array, model: Array) -> float:
+    """Rms distance [m] of tips (M, 3) in the frame that suits them best."""
+    turn, shift = _motion(measured, model)
+    return float(np.sqrt(np.mean(np.sum((measured @ turn.T + shift - model) ** 2, axis=1))))
 
 
 def refuse_misread(robot: Robot, data: Measurements) -> None:
@@ -318,7 +350,7 @@ class _File:
             return np.inf, False, ""
         turn, shift = _motion(measured, model)
         angle = float(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1)))
-        off = float(np.sqrt(np.mean(np.sum((measured @ turn.T + shift - model) ** 2, axis=1))))
+        off = _registered_m(measured, model)
         moved = float(np.linalg.norm(shift))
         words = f"turned by {np.degrees(angle):.0f} deg and shifted by {1e3 * moved:.0f} mm"
         return off, angle > REGISTERED_RAD or moved > REGISTERED_M, words

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
 
 from ctrplan.base.package import __version__, shown
 from ctrplan.calibration.estimates import Errors, estimates
+from ctrplan.calibration.fit_warnings import other_tubes
 from ctrplan.calibration.residuals import Noise
 from ctrplan.calibration.robot_content import calibrated_content, model_error_m
 from ctrplan.diagnosis.adequacy import ChiSquare
@@ -22,6 +24,7 @@ from ctrplan.diagnosis.partial_diagnosis import PartialDiagnosis
 from ctrplan.diagnosis.reading import MisreadError, Reading
 from ctrplan.diagnosis.remainder import Remainder
 from ctrplan.diagnosis.selection import SelectionStep
+from ctrplan.diagnosis.slips import Slip
 from ctrplan.diagnosis.verdict import Judgement, Verdict
 from ctrplan.diagnosis.workbench import Scored
 from ctrplan.effects.learned.learned import Learned
@@ -74,6 +77,7 @@ class Diagnosis:
     framed_gap: Gap | None = None  # the gap with free frames alone, where something remains
     confirmations: tuple[ConfirmationResult, ...] = ()  # on other runs, asked once
     reading: tuple[Reading, ...] = ()  # how the columns should be read, where the file does not mean what it says
+    slip: Slip | None = None  # from where on a collar stands elsewhere; `data` has another homing from there
 
     def headline(self) -> str:
         """The verdict and its effects, as it shows itself."""
@@ -85,6 +89,11 @@ class Diagnosis:
         import ctrplan  # pages are of a package above, and stand in the public names
 
         return ctrplan.show(self, height=height)
+
+    @cached_property
+    def other_tubes(self) -> list[str]:
+        """Clauses about tubes that are not those of the robot file."""
+        return other_tubes(self.chosen.fit)
 
     @property
     def listed(self) -> tuple[Term, ...]:
@@ -116,6 +125,8 @@ class Diagnosis:
         """The content of diagnosis.json."""
         return {
             "reading": [reading.to_json() for reading in self.reading],
+            "other_tubes": self.other_tubes,
+            "slip": None if self.slip is None else {"row": self.slip.row, "joint": self.slip.joint.rsplit("_", 2)[0]},
             "verdict": self.verdict,
             "effects": [self._effect(k) for k in range(len(self.judgement.findings))],
             "gap": _gap(self.gap) | self._partial_gaps(),

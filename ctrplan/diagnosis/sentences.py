@@ -11,6 +11,7 @@ from ctrplan.calibration.least_squares import Fit
 from ctrplan.diagnosis.correlated_bench import FRAME
 from ctrplan.diagnosis.gap import LARGEST_REST, times_noise
 from ctrplan.diagnosis.result import Diagnosis
+from ctrplan.effects.drive.homing_shift import HomingShift
 from ctrplan.measurement.measurements import MOST_ROWS
 from ctrplan.pipeline.term import Term
 
@@ -18,7 +19,14 @@ WORTH_TELLING = 0.9  # of the error without them, which frames have to undercut
 
 
 def verdict_sentence(diagnosis: Diagnosis) -> str:
-    """One sentence a person can repeat."""
+    """What a person can repeat, a wrong tube first."""
+    tubes = " and ".join(diagnosis.other_tubes)
+    told = _verdict(diagnosis)
+    return f"{tubes[0].upper()}{tubes[1:]}. Taken for that, {told[0].lower()}{told[1:]}" if tubes else told
+
+
+def _verdict(diagnosis: Diagnosis) -> str:
+    """One sentence about effects."""
     names = " and ".join(_with_alternatives(diagnosis, k) for k in range(len(diagnosis.listed)))
     left = max(
         diagnosis.judgement.adequacy.total.ratio**0.5, times_noise(diagnosis.gap.after.rms_m, diagnosis.gap.floor_m)
@@ -154,6 +162,8 @@ def in_figures(diagnosis: Diagnosis, t: Term, fit: Fit) -> str:
     neutral = {parameter.name: parameter.neutral for parameter in t.parameters}
     sure = {name: e for name, e in every.items() if e.differs_from(neutral[name])} or every
     clause = t.effect.in_figures({name: e.value for name, e in sure.items()}, diagnosis.robot)
+    if diagnosis.slip and t.name == HomingShift.name:
+        clause = f"{clause.replace('after homing 2', f'from row {diagnosis.slip.row} on')}, as after a collar slipped"
     numbers = [f"{name} = {e.shown}" for name, e in sure.items()]
     more = f" and {len(numbers) - MOST_NUMBERS} more" if len(numbers) > MOST_NUMBERS else ""
     return f"{clause or t.effect.title} ({t.name} {', '.join(numbers[:MOST_NUMBERS])}{more})"
@@ -161,13 +171,18 @@ def in_figures(diagnosis: Diagnosis, t: Term, fit: Fit) -> str:
 
 def headline(diagnosis: Diagnosis) -> str:
     """What is missing, in a few words without names of files."""
+    tubes = [clause.partition(":")[0] for clause in diagnosis.other_tubes]
     if diagnosis.verdict == "no_missing_effect":
-        return "Nothing is missing"
-    titles = [
-        " or ".join(t.effect.title for t in (finding.term, *(a.term for a in finding.alternatives)))
+        return f"{tubes[0][:1].upper()}{tubes[0][1:]}" if tubes else "Nothing is missing"
+    titles = tubes + [
+        " or ".join(_title(diagnosis, t) for t in (finding.term, *(a.term for a in finding.alternatives)))
         for finding in diagnosis.judgement.findings
     ]
     if diagnosis.verdict in ("partial", "unexplained"):
         titles.append("something that the catalogue does not have" if not titles else "something more")
     text = " and ".join(titles)
     return text[:1].upper() + text[1:]
+
+
+def _title(diagnosis: Diagnosis, t: Term) -> str:
+    return "a collar that slipped" if diagnosis.slip and t.name == HomingShift.name else t.effect.title

@@ -18,12 +18,16 @@ from ctrplan.diagnosis.conclusion import HELD_OUT_SHARE, Conclusion, Teller, con
 from ctrplan.diagnosis.next_experiment import next_experiment
 from ctrplan.diagnosis.reading import MisreadError, read_again
 from ctrplan.diagnosis.result import Diagnosis
+from ctrplan.diagnosis.slips import after_slip, found_slip
 from ctrplan.diagnosis.test_set import Opened, opened
 from ctrplan.diagnosis.usable_poses import checked_split, usable_poses
 from ctrplan.diagnosis.workbench import candidates, reduced
+from ctrplan.effects.drive.homing_shift import HomingShift
 from ctrplan.effects.effect import CATALOGUE, Effect
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.robot.robot import Robot
+
+AFTER_SLIP = "tighten that collar, home the drive and measure some of the first poses again"
 
 
 @checked(
@@ -59,6 +63,9 @@ def diagnose(
         raise MisreadError(data, reading)
     teller = Teller(progress, interrupted)
     noise, about_noise = noise_floor(robot, data)
+    slip = found_slip(robot, data, noise)
+    if slip:
+        data = after_slip(data, slip)
     usable = usable_poses(robot, data)
     checked_split(data, usable)  # before anything is asked
     known = candidates(robot, data, allowed)
@@ -75,6 +82,8 @@ def diagnose(
     poses = _marked(result, asked, data)
     stated = replace(result.noise, discrepancy=None)
     sentence, proposed = next_experiment(result.chosen, judgement, result.bench.data, stated, list(known.not_testable))
+    if slip:
+        sentence = sentence.replace(HomingShift.experiment, AFTER_SLIP)
     return Diagnosis(
         verdict=judgement.verdict,
         judgement=judgement,
@@ -111,6 +120,7 @@ def diagnose(
         memory=_memory(result),
         framed_gap=asked.framed_gap,
         reading=reading,
+        slip=slip,
     )
 
 

@@ -114,7 +114,9 @@ def write_diagnosis_report(path: str | os.PathLike[str], diagnosis: Diagnosis, e
 
 def diagnosis_report_html(diagnosis: Diagnosis, errors: SelectionErrors) -> str:
     """The content of report.html."""
-    good = diagnosis.verdict in ("named", "no_missing_effect") and not (diagnosis.interrupted or diagnosis.reading)
+    is_settled = diagnosis.verdict in ("named", "no_missing_effect")
+    is_told = (is_settled or diagnosis.partly) and not diagnosis.interrupted
+    good = is_settled and not (diagnosis.interrupted or diagnosis.reading or diagnosis.other_tubes)
     gap, left = diagnosis.gap, diagnosis.judgement.adequacy
     return rendered(
         "diagnosis.html",
@@ -124,7 +126,7 @@ def diagnosis_report_html(diagnosis: Diagnosis, errors: SelectionErrors) -> str:
         data=diagnosis.data,
         headline=headline(diagnosis),
         verdict=verdict_sentence(diagnosis),
-        standing="good" if good else "caution" if diagnosis.partly and not diagnosis.interrupted else "bad",
+        standing="good" if good else "caution" if is_told else "bad",
         figures=[
             (millimetres(gap.before.rms_m), term("rms", "rms error, calibrated without effects")),
             (millimetres(gap.after.rms_m), term("rms", "rms error with the effects")),

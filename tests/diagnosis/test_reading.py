@@ -72,9 +72,20 @@ def test_a_base_that_is_turned_as_far_as_an_effect_has_it_is_no_fault_of_reading
     assert read_again(ROBOT, places(Rotation.from_rotvec([0.05, -0.08, 0.02]).apply(P) + [0.004, -0.005, 0.003])) == ()
 
 
-def test_tips_that_heed_no_joint_are_read_in_no_other_way() -> None:
+def test_tips_that_heed_no_joint_are_told_and_read_in_no_other_way() -> None:
     rng = np.random.default_rng(3)
-    assert read_again(ROBOT, places(P.mean(axis=0) + 0.02 * rng.normal(size=P.shape))) == ()
+    spread = np.sqrt(np.mean(np.sum((P - P.mean(axis=0)) ** 2, axis=1)) / 3)
+    for loose in (places(P.mean(axis=0) + spread * rng.normal(size=P.shape)), places(P[rng.permutation(len(P))])):
+        (told,) = read_again(ROBOT, loose)
+        assert told.what.startswith("the tips heed no joint") and not told.columns
+        assert "put in any other order" in told.sentence and "read so" not in told.sentence
+
+
+def test_tips_that_hardly_move_are_not_said_to_heed_no_joint() -> None:
+    """Where joints hardly move, any order of the rows fits as well."""
+    rng = np.random.default_rng(3)
+    still = joints(THETA[:1] + 1e-3 * rng.normal(size=THETA.shape), L[:1] + np.zeros_like(L))
+    assert read_again(ROBOT, replace(still, position_m=P[:1] + 1e-3 * rng.normal(size=P.shape))) == ()
 
 
 def test_rows_that_jump_about_are_poses_at_rest_and_dense_ones_a_motion() -> None:
