@@ -58,6 +58,8 @@ def run(query: Query, mode: str, seed: int, time_s: float | None, count_s: float
         "ended_by": plan.ended_by,
         "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,  # of the process so far
         "goal_mm": c.goal_bound_m * 1e3,
+        "arrival_mm": c.arrival.error_m * 1e3 if c.arrival else np.nan,
+        "realised_mm": realised_mm(plan, np.random.default_rng(seed)),
         "integral_mm": c.error_integral_mm,
         "length_mm": c.length_mm,
         "stops": c.stops,
@@ -75,6 +77,15 @@ def duration_ratio(plan: Plan) -> float:
     """Duration over the sum of the legs' own jerk-limited optima."""
     alone = [time_parameterise(np.array([leg.start, leg.end]), drive(plan)).duration_s for leg in plan.legs]
     return plan.trajectory.duration_s / sum(alone) if sum(alone) else 1.0
+
+
+def realised_mm(plan: Plan, rng: np.random.Generator) -> float:
+    """How far from the target a simulated history ends, friction at a random corner at its start."""
+    scenario, robot = plan.scenario, plan.scenario.robot
+    history = robot.history(rng.choice([-1.0, 1.0], robot.n - 1).tolist())
+    tip = history.follow(*robot.drive.collars(plan.waypoints)).position_m[-1]
+    target = scenario.base_R.T @ (scenario.goal.tip_m - scenario.base_position_m)
+    return float(np.linalg.norm(tip - target)) * 1e3
 
 
 def history_excess(plan: Plan, rng: np.random.Generator) -> dict[str, float]:
@@ -151,6 +162,8 @@ def print_table(rows: list[dict[str, Any]]) -> None:
         ("CPU seconds of all threads, median", f"{quantiles[1][0]:.2f} s", ""),
         ("the same, 95th percentile", f"{quantiles[1][1]:.2f} s", ""),
         ("worst-case error at the goal, aware / blind, median with a choice", ratio(pairs, "goal_mm"), "<= 0.4 x"),
+        ("arrival, median, aware / blind", medians(pairs, "arrival_mm"), ""),
+        ("from the target after a random corner of friction, median, aware / blind", medians(pairs, "realised_mm"), ""),
         ("integral of the bound along the path", ratio(pairs, "integral_mm"), "<= 0.6 x"),
         ("joint path length", ratio(pairs, "length_mm"), "<= 1.5 x"),
         ("stops per plan, aware / blind, mean", " / ".join(f"{x:.1f}" for x in stops), ""),
@@ -176,6 +189,13 @@ def paired(rows: list[dict[str, Any]]) -> list[tuple[dict[str, Any], dict[str, A
 def ratio(pairs: list[tuple[dict[str, Any], dict[str, Any]]], key: str) -> str:
     """Median of aware over blind."""
     return f"{np.median([a[key] / max(b[key], 1e-9) for a, b in pairs]):.2f} x" if pairs else "none"
+
+
+def medians(pairs: list[tuple[dict[str, Any], dict[str, Any]]], key: str) -> str:
+    """Of the aware plans and of the blind ones."""
+    if not pairs:
+        return "none"
+    return " / ".join(f"{np.median([pair[k][key] for pair in pairs]):.3f} mm" for k in (0, 1))
 
 
 def main() -> None:
