@@ -15,15 +15,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
+import msgspec
 import numpy as np
 from msgspec import Meta, Struct
 
 from ctrplan.base.arrays import Array
 from ctrplan.errors import InputError
+from ctrplan.files.ros_bag import TIP, BagTable, is_bag
 from ctrplan.robot.robot import Robot
 from ctrplan.storage.csv_table import CsvTable, file_name
 from ctrplan.storage.toml_document import Angle, Coordinate, Document, Name, Point, read_document
-from ctrplan.storage.toml_table import file_inside
+from ctrplan.storage.toml_table import file_inside, path_inside
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
@@ -84,6 +86,14 @@ class ZeroEntry(Struct, forbid_unknown_fields=True, frozen=True):
     l_mm: list[Coordinate] | None = None
 
 
+class BagEntry(Struct, forbid_unknown_fields=True, frozen=True):
+    """[bag]: topics of recordings of ROS."""
+
+    joints: str = "/joint_states"
+    poses: str = "/tip"
+    frame: str = ""  # the child of tf that is the tip
+
+
 class MappingEntry(Struct, forbid_unknown_fields=True, frozen=True):
     """A mapping file."""
 
@@ -91,6 +101,7 @@ class MappingEntry(Struct, forbid_unknown_fields=True, frozen=True):
     columns: ColumnsEntry
     units: UnitsEntry = UnitsEntry()
     zero: ZeroEntry = ZeroEntry()
+    bag: BagEntry = BagEntry()
     tubes: Literal["outermost first", "innermost first"] = "outermost first"
     values: Literal["commanded", "collars"] = "commanded"
     rotations: Literal["unwrapped", "wrapped"] | None = None
@@ -125,13 +136,18 @@ class MappedTable(CsvTable):
         self.file = self._joints.file
         self.sha256 = hashlib.sha256((self._joints.sha256 + self._poses.sha256).encode()).hexdigest()
         self.rows = self._joints.rows
+        self._columns = entry.columns
+        if isinstance(self._joints, BagTable):  # whose columns have names of their own
+            given = entry.columns
+            time, position = given.time or "time", given.position or (None if given.markers else list(TIP[:3]))
+            self._columns = msgspec.structs.replace(given, time=time, position=position)
         self._cells: dict[str, Cells] = {}
         self._numbers: dict[str, Array] = {}
         self._add_joints(robot)
         self._add_poses(robot, entry.run[k].frame)
         units = entry.units
-        if entry.columns.time is not None:
-            self._cells["time_s"] = self._cell(entry.columns.time, SI[units.time], "time")
+        if self._columns.time is not None:
+            self._cells["time_s"] = self._cell(self._columns.time, SI[units.time], "time")
         if entry.columns.sequence is not None:
             self._cells["sequence"] = self._cell(entry.columns.sequence, 1.0, "sequence")
         else:
@@ -166,7 +182,11 @@ class MappedTable(CsvTable):
         return first, last
 
     def _table(self, name: str, key: str) -> CsvTable:
-        path: Path = file_inside(name, self._document, False, *self._place, key)
+        path: Path = path_inside(name, self._document, *self._place, key)
+        if key == "file" and is_bag(path):
+            bag = self._entry.bag
+            return BagTable(path, bag.joints, bag.poses, bag.frame)
+        path = file_inside(name, self._document, False, *self._place, key)
         separator = SEPARATORS[self._entry.separator]
         return CsvTable(str(path), "file of measurements", separator=separator, header=self._entry.header)
 
@@ -230,7 +250,7 @@ class MappedTable(CsvTable):
             self._numbers[f"theta_{i + 1}_rad"], self._numbers[f"l_{i + 1}_m"] = theta[:, i], l[:, i]
 
     def _add_poses(self, robot: Robot, frame: FrameEntry | str | None) -> None:
-        columns, unit = self._entry.columns, SI[self._entry.units.position]
+        columns, unit = self._columns, SI[self._entry.units.position]
         if columns.position is None and (columns.tangent is not None or not columns.markers):
             raise self._document.fault("is missing", "columns", "position")
         for name, column in zip(POSITION, columns.position or (), strict=columns.position is not None):

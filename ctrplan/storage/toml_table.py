@@ -81,6 +81,11 @@ def file_inside(name: str, document: Document, allow_outside: bool, *path: Step)
     return _inside(name, document, allow_outside, Path.is_file, *path)
 
 
+def path_inside(name: str, document: Document, *path: Step) -> Path:
+    """As `file_inside`, of a file or a folder; nothing outside is allowed."""
+    return _inside(name, document, False, Path.exists, *path)
+
+
 def _inside(name: str, document: Document, allow_outside: bool, is_there: Callable[[Path], bool], *path: Step) -> Path:
     folder = Path(document.file or ".").parent
     try:
