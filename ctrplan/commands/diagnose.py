@@ -55,6 +55,14 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="runs that nothing reads until the verdict is given, then once: confirmed or not, effect by effect; "
         "repeatable",
     )
+    parser.add_argument(
+        "--propose", metavar="FILE.csv", help="write the poses that would tell A from B, as joint paths to be driven"
+    )
+    parser.add_argument(
+        "--decide",
+        metavar="NEW.csv",
+        help="poses that decide between A and B, those proposed or others; fitted to none",
+    )
     parser.add_argument("--as-read", action="store_true", help="fit the file as it stands, although it seems misread")
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
     add_set_option(parser, "the robot's key")
@@ -67,6 +75,7 @@ def run(arguments: argparse.Namespace) -> int:
         from ctrplan.diagnosis.confirmation import confirm
         from ctrplan.diagnosis.reading import MisreadError
         from ctrplan.diagnosis.workbench import reduced
+        from ctrplan.diagnosis.workflow import decide
         from ctrplan.files.measurement_file import load_measurements
         from ctrplan.files.robot_file import load_robot
 
@@ -74,6 +83,7 @@ def run(arguments: argparse.Namespace) -> int:
         robot = load_robot(arguments.robot, arguments.overrides)
         data = load_measurements(arguments.measurements, robot)
         others = [load_measurements(path, robot) for path in arguments.confirm]
+        deciding = load_measurements(arguments.decide, robot) if arguments.decide is not None else None
         folder = output_folder(arguments.output, OUTPUTS)
         warn([*robot.warnings, *data.warnings])
         with ProgressBar(quiet=arguments.quiet) as bar:
@@ -89,10 +99,14 @@ def run(arguments: argparse.Namespace) -> int:
             except MisreadError as error:
                 _write_misread(folder, error, robot)
                 raise
+            if deciding is not None and not result.interrupted:
+                result = decide(result, deciding, bar.show, interrupted=interrupted)
             confirmed = tuple(confirm(result, other) for other in others if not result.interrupted)
             result = replace(result, confirmations=confirmed)
         _write(folder, result)
         print(summary(folder, result))
+        if arguments.propose is not None:
+            _propose(Path(arguments.propose), result)
         tell_next(f"open {folder}/report.html; ctrplan check {folder}/robot.toml, the model with what was found in it")
         return INTERRUPTED if result.interrupted else 0
 
@@ -109,6 +123,24 @@ def _write(folder: Path, diagnosis: Diagnosis) -> None:
         write_atomically(made / "diagnosis.json", json.dumps(diagnosis.to_json(), indent=1, allow_nan=False) + "\n")
         write_robot(made / "robot.toml", diagnosis.robot_content())
         write_diagnosis_report(made / "report.html", diagnosis, errors)
+
+
+def _propose(file: Path, diagnosis: Diagnosis) -> None:
+    """The proposed poses as `ctrplan simulate` reads joint paths."""
+    from ctrplan.diagnosis.next_experiment import proposed_waypoints
+    from ctrplan.storage.output_folder import write_atomically
+
+    if not diagnosis.proposals:
+        print("  nothing to propose: no two explanations are left, nothing was written")
+        return
+    n, (sequence, theta, places) = diagnosis.robot.n, proposed_waypoints(diagnosis.proposals)
+    names = [*(f"theta_{i}_rad" for i in range(1, n + 1)), *(f"l_{i}_m" for i in range(1, n + 1))]
+    rows = [
+        ",".join([str(run), *(f"{x:.6f}" for x in angles), *(f"{x:.7f}" for x in lengths)])
+        for run, angles, lengths in zip(sequence.tolist(), theta.tolist(), places.tolist(), strict=True)
+    ]
+    write_atomically(file, "\n".join([",".join(["sequence", *names]), *rows]) + "\n")
+    print(f"  written to {file}: drive it, measure every second row, and ask again with --decide")
 
 
 def _write_misread(folder: Path, error: MisreadError, robot: Robot) -> None:
@@ -133,6 +165,7 @@ def summary(folder: Path, diagnosis: Diagnosis) -> str:
         f"{gap.after.rms_m * 1e3:.2f} mm with the effects, noise {gap.floor_m * 1e3:.2f} mm"
     )
     lines += [f"  {diagnosis.place.sentence}", f"  next: {diagnosis.next_experiment}"]
+    lines += [f"  {decision.sentence}" for decision in diagnosis.decisions]
     lines += [f"  {confirmation.sentence}" for confirmation in diagnosis.confirmations]
     lines += [f"  note: {note}" for note in diagnosis.notes]
     lines.append(f"  written to {folder}/{', '.join(OUTPUTS)}")

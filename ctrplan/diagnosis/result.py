@@ -19,7 +19,7 @@ from ctrplan.diagnosis.built_term import Built
 from ctrplan.diagnosis.correlated_bench import FRAMES
 from ctrplan.diagnosis.gap import Gap
 from ctrplan.diagnosis.localise import Place
-from ctrplan.diagnosis.next_experiment import Proposal
+from ctrplan.diagnosis.next_experiment import Decision, Proposal
 from ctrplan.diagnosis.partial_diagnosis import PartialDiagnosis
 from ctrplan.diagnosis.reading import MisreadError, Reading
 from ctrplan.diagnosis.remainder import Remainder
@@ -77,6 +77,7 @@ class Diagnosis:
     framed_gap: Gap | None = None  # the gap with free frames alone, where something remains
     confirmations: tuple[ConfirmationResult, ...] = ()  # on other runs, asked once
     reading: tuple[Reading, ...] = ()  # how the columns should be read, where the file does not mean what it says
+    decisions: tuple[Decision, ...] = ()  # between explanations, by poses measured to decide
     slip: Slip | None = None  # from where on a collar stands elsewhere; `data` has another homing from there
 
     def headline(self) -> str:
@@ -146,6 +147,7 @@ class Diagnosis:
             | {"vault": _chi_square(self.gap.chi_square)},
             "path": [asdict(step) for step in self.path],
             "proposals": [_proposal(p) for p in self.proposals],
+            "decisions": [decision.to_json() for decision in self.decisions],
             "confirmations": [confirmation.to_json() for confirmation in self.confirmations],
             "notes": list(self.notes),
             "coverage": self.coverage,

@@ -15,7 +15,7 @@ from ctrplan.base.long_work import StageProgress
 from ctrplan.calibration.fit_warnings import excused, outlier_sentences, unsolved_sentence
 from ctrplan.diagnosis.adequacy import ignored, noise_floor
 from ctrplan.diagnosis.conclusion import HELD_OUT_SHARE, Conclusion, Teller, conclude
-from ctrplan.diagnosis.next_experiment import next_experiment
+from ctrplan.diagnosis.next_experiment import decision, next_experiment
 from ctrplan.diagnosis.reading import MisreadError, read_again
 from ctrplan.diagnosis.result import Diagnosis
 from ctrplan.diagnosis.slips import after_slip, found_slip
@@ -24,6 +24,7 @@ from ctrplan.diagnosis.usable_poses import checked_split, usable_poses
 from ctrplan.diagnosis.workbench import candidates, reduced
 from ctrplan.effects.drive.homing_shift import HomingShift
 from ctrplan.effects.effect import CATALOGUE, Effect
+from ctrplan.errors import InputError
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.robot.robot import Robot
 
@@ -122,6 +123,40 @@ def diagnose(
         reading=reading,
         slip=slip,
     )
+
+
+def decide(
+    diagnosis: Diagnosis,
+    data: Measurements,
+    progress: StageProgress | None = None,
+    *,
+    catalogue: Mapping[str, Effect] = CATALOGUE,
+    interrupted: threading.Event | None = None,
+) -> Diagnosis:
+    """The diagnosis with what new poses decide between a finding and its alternatives, best those that it proposed.
+
+    Where they decide, the others are taken out of the catalogue and the diagnosis is made again. Poses that were not
+    proposed decide as well as they can. Raises InputError where nothing is ambiguous.
+    """
+    finding = next((f for f in diagnosis.judgement.findings if f.alternatives), None)
+    if finding is None:
+        raise InputError("has nothing to decide: the verdict is not ambiguous", file=data.file, key="decide")
+    taken = decision(diagnosis.chosen, finding, data, diagnosis.noise)
+    decisions = (*diagnosis.decisions, taken)
+    if not taken.is_decided:
+        return replace(diagnosis, decisions=decisions)
+    others = taken.explanations[1:]
+    again = diagnose(
+        diagnosis.robot,
+        diagnosis.data,
+        progress,
+        catalogue=catalogue,
+        without=(*diagnosis.without, *others),
+        interrupted=interrupted,
+    )
+    said = _left_out(again.without)
+    notes = [*_left_out(diagnosis.without), f"Left out, as new poses decided against it: {', '.join(others)}."]
+    return replace(again, decisions=decisions, notes=(*(n for n in again.notes if n not in said), *notes))
 
 
 def _memory(conclusion: Conclusion) -> float | None:
