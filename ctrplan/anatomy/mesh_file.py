@@ -13,12 +13,11 @@ from typing import BinaryIO, Literal, TypeVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrplan.anatomy.image import packed_by
 from ctrplan.anatomy.mesh_repair import Indices, MeshRefusal, turned_outward, welded
 from ctrplan.anatomy.patient_frame import Frame
 from ctrplan.base.arrays import Array
 from ctrplan.errors import InputError
-from ctrplan.storage.csv_table import file_name
+from ctrplan.storage.csv_table import file_name, packed_by
 
 Number = TypeVar("Number", np.float64, np.int64)
 

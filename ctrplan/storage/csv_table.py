@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import csv
 import hashlib
 import os
@@ -27,8 +28,38 @@ def file_name(path: str | os.PathLike[str], what: str) -> str:
     return name
 
 
+PACKED = {b"\x1f\x8b": "gzip", b"BZh": "bzip2", b"PK\x03\x04": "zip", b"\xfd7zXZ": "xz", b"\x28\xb5\x2f\xfd": "zstd"}
+HEAD_BYTES = 64  # by which a file is told that is not what its name says
+
+
+def packed_by(head: bytes) -> str | None:
+    """The program that packed a file with these first bytes; None for one that is not packed."""
+    return next((name for mark, name in PACKED.items() if head.startswith(mark)), None)
+
+
+def other_than_named(head: bytes) -> str | None:
+    """What a file with these first bytes is, whatever its name, as the end of a sentence; None where they may be it.
+
+    Nothing, a page that a server sent in the place of a file, a pointer to a file that was not fetched, text of two
+    bytes a letter.
+    """
+    start = head.removeprefix(codecs.BOM_UTF8).lstrip().lower()
+    if not start:
+        return "is empty"
+    if start.startswith((b"<!doctype html", b"<html")):
+        return "is a web page, not the file itself: was it downloaded without signing in?"
+    if start.startswith(b"version https://git-lfs"):
+        return "is a pointer of Git LFS in the place of the file: git lfs pull fetches it"
+    if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return "is not UTF-8 text, but UTF-16: save it as UTF-8"
+    return None
+
+
 def file_bytes(file: str, largest_bytes: int, kind: str, what: str) -> bytes:
-    """Everything in `file`; its kind is "CSV" or so. Raises InputError if it is unreadable or too large a `what`."""
+    """Everything in `file`; its kind is "CSV" or so.
+
+    Raises InputError if it is unreadable, too large a `what`, or by its first bytes something else.
+    """
     try:
         with open(file, "rb") as stream:
             size = os.fstat(stream.fileno()).st_size  # a file that is much too large is not read at all
@@ -41,6 +72,11 @@ def file_bytes(file: str, largest_bytes: int, kind: str, what: str) -> bytes:
         raise InputError(f"can't be read ({getattr(error, 'strerror', None) or error})", file=file) from None
     if max(size, len(data)) > largest_bytes:
         raise InputError(f"is larger than {largest_bytes // 10**6} MB, no {what}", file=file)
+    if (program := packed_by(data)) is not None:
+        more = " (a spreadsheet is exported as CSV)" if (program, kind) == ("zip", "CSV") else ""
+        raise InputError(f"is packed by {program}: unpack it first{more}", file=file)
+    if (other := other_than_named(data[:HEAD_BYTES])) is not None:
+        raise InputError(other, file=file)
     return data
 
 
