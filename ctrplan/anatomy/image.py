@@ -199,12 +199,7 @@ def check_packed(path: Path) -> None:
                 pass
 
 
-def first_bytes(path: Path, count: int) -> bytes:
-    """Those of a file, unpacked. Raises ImageRefusal for one that is damaged."""
-    return unpacked_bytes(path, 0, count)
-
-
-def unpacked_bytes(path: Path, start: int, count: int) -> bytes:
+def first_bytes(path: Path, count: int, start: int = 0) -> bytes:
     """At most so many bytes of a file, unpacked, from `start`. Raises ImageRefusal for one that is damaged."""
     with opened(path) as stream:
         stream.seek(start)
@@ -371,13 +366,17 @@ def _nrrd(fields: dict[str, str]) -> Header:
     return Header(SPACES.get(space), corners, unit, notes=notes)
 
 
+def unit_mm(word: str) -> float | None:
+    """Millimetres in a unit that is written out or not, in the plural or not; None for no unit of length."""
+    singular = (word, word.removesuffix("s"), word.removesuffix("es")) if len(word) > 3 else (word,)  # "ms" is a time
+    return next((UNITS_MM[name] for name in singular if name in UNITS_MM), None)
+
+
 def _unit(fields: dict[str, str], key: str) -> float:
     """Millimetres in the unit that a field names for each axis. Raises ImageRefusal for several and unknown ones."""
     said = [word.strip() for word in re.findall(r'"([^"]*)"', fields.get(key, ""))] or fields.get(key, "").split()
-    named = {word.lower() for word in said if word not in ("", "???", "none")}
-    if not named:
-        return 1.0
-    units = {UNITS_MM.get(word, UNITS_MM.get(re.sub(r"e?s$", "", word))) for word in named}
+    named = {word.lower() for word in said if word not in ("", "???", "none")} or {"mm"}
+    units = {unit_mm(word) for word in named}
     if None in units or len(units) > 1:
         rule = f"has places in {', '.join(sorted(named))} ({key})"
         raise ImageRefusal(f"{rule}: must be one of mm, cm, m, um for all axes")

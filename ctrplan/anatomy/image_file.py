@@ -29,7 +29,6 @@ from ctrplan.anatomy.image import (
     readable,
     segments_of,
     text_header,
-    unpacked_bytes,
     voxel_bytes,
 )
 from ctrplan.anatomy.patient_frame import TURNED, Frame
@@ -135,7 +134,7 @@ def nifti_voxels(path: Path, header: NiftiHeader) -> NDArray[Any]:
     """(nz, ny, nx) values as the header scales them. Raises ImageRefusal for a file that is cut short."""
     count = int(np.prod(header.shape))
     due, slices = count * header.kind.itemsize, header.shape[-1]
-    data = unpacked_bytes(path, header.offset, due + due // slices)
+    data = first_bytes(path, due + due // slices, header.offset)
     check_length(len(data), due, slices, ("dim", "datatype"))
     values = np.frombuffer(data, header.kind, count).reshape(header.shape[::-1])
     return scaled(values.astype(header.kind.newbyteorder("=")), header.slope, header.intercept)
