@@ -79,19 +79,6 @@ class Image:
         return float(np.prod(self.spacing_m * MM_PER_M))
 
 
-def segments_of(metadata: Mapping[str, str]) -> tuple[Segment, ...]:
-    """The segments that the keys of a file name, in their order there; none for any other file."""
-    numbers = sorted(int(match[1]) for key in metadata if (match := re.fullmatch(r"Segment(\d+)_LabelValue", key)))
-    return tuple(
-        Segment(
-            metadata.get(f"Segment{k}_Name", metadata.get(f"Segment{k}_ID", str(k))),
-            int(metadata[f"Segment{k}_LabelValue"]),
-            int(metadata.get(f"Segment{k}_Layer", "0")),
-        )
-        for k in numbers
-    )
-
-
 MOST_KEPT_BYTES = 600_000_000  # of voxels that are kept; what was read last stays
 Key = tuple[Path, int, int]  # with size and time of writing
 _KEPT: ContextVar[dict[Key, Image] | None] = ContextVar("kept", default=None)
@@ -300,12 +287,25 @@ def voxel_bytes(kind: str) -> int | None:
     return next((count for name, count in VOXEL_BYTES.items() if name in kind.lower()), None)
 
 
+def _data_file(fields: Mapping[str, str], keys: VoxelKeys) -> str:
+    return fields.get(keys.data_file.lower()) or fields.get("datafile") or "LOCAL"
+
+
+def data_files(path: Path) -> list[Path]:
+    """Files with the voxels of a header (.mhd, .nhdr), in its folder or below; nothing of any other file."""
+    mark, keys = {".mhd": ("=", META_VOXELS), ".nhdr": (":", NRRD_VOXELS)}.get(path.suffix.lower(), ("", None))
+    if keys is None or (name := _data_file(_fields(first_bytes(path, HEADER_BYTES), mark), keys)).upper() == "LOCAL":
+        return []
+    there = [path.parent / name] if (path.parent / name).is_file() else sorted(path.parent.iterdir())
+    return [part for part in there if part.is_file() and part != path]
+
+
 def check_voxel_bytes(path: Path, end: int, fields: Mapping[str, str], keys: VoxelKeys) -> None:
     """Raises ImageRefusal where a header that ends at `end` is followed by other voxels than it states.
 
     Its readers take as many bytes as the header makes, whatever there is, and of slices in several files what is there.
     """
-    named = fields.get(keys.data_file.lower()) or fields.get("datafile") or "LOCAL"
+    named = _data_file(fields, keys)
     if named.upper().startswith("LIST") or "%" in named:
         if keys is META_VOXELS:
             raise ImageRefusal(f"has its slices in several files ({keys.data_file} = {named}): save it as one file")

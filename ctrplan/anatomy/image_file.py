@@ -5,9 +5,10 @@ from __future__ import annotations
 import importlib
 import locale
 import os
+import re
 import struct
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,13 +22,13 @@ from ctrplan.anatomy.image import (
     Header,
     Image,
     ImageRefusal,
+    Segment,
     UnfitImageRefusal,
     check_length,
     check_packed,
     first_bytes,
     other_kind,
     readable,
-    segments_of,
     text_header,
     voxel_bytes,
 )
@@ -284,6 +285,19 @@ FINEST_M, COARSEST_M = 1e-6, 50e-3
 ROUNDING, LARGEST_WHOLE = 1e-6, 1e9  # of single precision, with room for a scaling; what is taken for whole numbers
 SAMPLED = 10_000  # voxels by which most images that are no whole numbers are told: a budget
 SKEW = 1e-3
+
+
+def segments_of(metadata: Mapping[str, str]) -> tuple[Segment, ...]:
+    """The segments that the keys of a file name, in their order there; none for any other file."""
+    numbers = sorted(int(match[1]) for key in metadata if (match := re.fullmatch(r"Segment(\d+)_LabelValue", key)))
+    return tuple(
+        Segment(
+            metadata.get(f"Segment{k}_Name", metadata.get(f"Segment{k}_ID", str(k))),
+            int(metadata[f"Segment{k}_LabelValue"]),
+            int(metadata.get(f"Segment{k}_Layer", "0")),
+        )
+        for k in numbers
+    )
 
 
 def is_image(path: Path) -> bool:
