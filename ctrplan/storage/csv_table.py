@@ -6,6 +6,7 @@ import codecs
 import csv
 import hashlib
 import os
+import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
@@ -82,6 +83,7 @@ def file_bytes(file: str, largest_bytes: int, kind: str, what: str) -> bytes:
 
 LARGEST_FILE_BYTES = 200_000_000
 LARGEST_NUMBER = 1e20  # stamps in nanoseconds are smaller
+UNIT_WORDS = ("rad", "deg", "m", "mm", "cm", "s", "ms", "-")
 MISSING = ("nan", "na", "n/a", "null", "none", "-", "--", "missing", "#n/a", "-nan", "nan(ind)", "-nan(ind)", "1.#qnan")
 
 
@@ -119,7 +121,9 @@ class CsvTable:
             if [cell.strip() for cell in cells] == self.header:
                 raise self.fault("repeats the header, were files joined?", row)
             if len(cells) != len(self.header):
-                raise self.fault(f"has {len(cells)} values, the header has {len(self.header)} columns", row)
+                there = f"has {len(cells)} values, the header has {len(self.header)} columns"
+                title = len(self.header) == 1 and row == 0
+                raise self.fault(there + (": is its line a title? One begins with #" if title else ""), row)
 
     def fault(self, rule: str, row: int | None = None, column: str | None = None, value: object = ...) -> InputError:
         """The error that a cell, row (from 0) or column breaks `rule`."""
@@ -157,7 +161,8 @@ class CsvTable:
         if not np.isfinite(value):
             raise self.fault("must be a finite number", row, name, text)
         if abs(value) > LARGEST_NUMBER:
-            raise self.fault(f"must be from {-LARGEST_NUMBER:g} to {LARGEST_NUMBER:g}", row, name, text)
+            rule = f"must be from {-LARGEST_NUMBER:g} to {LARGEST_NUMBER:g}, left empty where nothing was measured"
+            raise self.fault(rule, row, name, text)
         return value
 
 
@@ -165,11 +170,15 @@ def _likely(text: str) -> str:
     """What a text that is no number most likely is."""
     if in_plain_digits(text.replace(",", ".")) is not None:
         return ", with a point for the decimal comma"
+    if text.strip("[]() ").lower() in UNIT_WORDS:
+        return ", a row of units begins with #"
     return ", left empty where nothing was measured" if text.lower() in MISSING else ""
 
 
 def _uncommented(lines: Sequence[str], separator: str, *, header: bool) -> list[str]:
     """The lines without comments, which begin with #; a header that does is one, as numpy.savetxt writes it."""
+    if lines and re.fullmatch(r"sep=.", lines[0].strip()):  # which spreadsheets write
+        lines = lines[1:]
     kept = [line for line in lines if not line.lstrip().startswith("#")]
     first = next((k for k, line in enumerate(lines) if line.strip() and not line.lstrip().startswith("#")), 0)
     before = [line.lstrip("# ") for line in lines[:first] if line.strip()]
