@@ -5,8 +5,8 @@ What is said of a figure is in the table of figures, the class `Certificate`; al
 
 from __future__ import annotations
 
+import argparse
 import json
-import sys
 from dataclasses import fields
 from pathlib import Path
 from textwrap import fill
@@ -57,8 +57,10 @@ def laid_out(value: Any, indent: int = 0, before: int = 0) -> str:
 
 def main() -> None:
     """Renews the schema in its place, or writes it to the file that is named."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("file", nargs="?", type=Path, default=SCHEMA)
     schema = renewed(json.loads(SCHEMA.read_text(encoding="utf-8")))
-    Path(sys.argv[1] if len(sys.argv) > 1 else SCHEMA).write_text(laid_out(schema) + "\n", encoding="utf-8")
+    parser.parse_args().file.write_text(laid_out(schema) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

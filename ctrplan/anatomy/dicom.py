@@ -70,9 +70,11 @@ def pydicom() -> Any:
 def read_series(folder: Path, series: str | None) -> Image:
     """The series of a folder by its UID, which may be left out where there is one. Raises ImageRefusal."""
     simpleitk()
-    result = _series(folder)
+    result, others = _series(folder)
     if not result:
-        raise ImageRefusal("holds no DICOM images")
+        below = [part.name for part in sorted(folder.iterdir()) if part.is_dir() and _series(part)[0]]
+        hint = f": {', '.join(below[:SHOWN])} in it does, name that folder" if below else ""
+        raise ImageRefusal(f"holds no DICOM images{hint}{_named(', but files that are none', others)}")
     if series is None and len(result) > 1:
         raise ImageRefusal(
             f"holds {len(result)} series: say which by its UID (key series, or --series), {_listed(result)}"
@@ -92,21 +94,43 @@ def read_series(folder: Path, series: str | None) -> Image:
     gap_mm = float(np.linalg.norm(last - first)) / (len(order) - 1)
     axes = np.column_stack([*order[0].axes, (last - first) / np.linalg.norm(last - first)])
     spacing = np.array([*order[0].spacing, gap_mm]) * 1e-3
-    header = Header("LPS", notes=(*notes, *_gap_notes(order, gap_mm)))
+    header = Header("LPS", notes=(*notes, *_gap_notes(order, gap_mm), *_count_notes(order), *_left_out(others)))
     return placed(voxels, spacing, first * 1e-3, axes, header)
 
 
-def _series(folder: Path) -> dict[str, list[tuple[Path, Any]]]:
-    """The files with pixels of each series, by its UID, in the order of their names."""
-    package, result = pydicom(), dict[str, list[tuple[Path, Any]]]()
-    for path in sorted(path for path in folder.iterdir() if path.is_file()):
+def _series(folder: Path) -> tuple[dict[str, list[tuple[Path, Any]]], list[str]]:
+    """The files with pixels of each series, by its UID, in the order of their names; names of files without any.
+
+    Hidden files and the folder's list DICOMDIR are neither.
+    """
+    package, result, others = pydicom(), dict[str, list[tuple[Path, Any]]](), list[str]()
+    for path in sorted(path for path in folder.iterdir() if path.is_file() and not path.name.startswith(".")):
         try:
             tags = package.dcmread(path, stop_before_pixels=True, force=not _is_dicom(path) and _may_be(path))
         except Exception:  # whatever the damage leads it to: no DICOM file
-            continue
-        if "Rows" in tags and "Columns" in tags and "SeriesInstanceUID" in tags:
-            result.setdefault(str(tags.SeriesInstanceUID), []).append((path, tags))
-    return result
+            tags = {}
+        if "Rows" in tags and "Columns" in tags:
+            result.setdefault(str(tags.get("SeriesInstanceUID", "")), []).append((path, tags))
+        elif path.name.upper() != "DICOMDIR":
+            others.append(path.name)
+    return result, others
+
+
+def _named(what: str, names: Sequence[str]) -> str:
+    more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
+    return f"{what}: {', '.join(names[:SHOWN])}{more}" if names else ""
+
+
+def _left_out(others: Sequence[str]) -> tuple[str, ...]:
+    """A slice that is damaged at an end of the stack leaves no gap: what was not read is said by name."""
+    said = _named("is read without files that are no DICOM image, or a damaged one", others)
+    return (said,) if said else ()
+
+
+def _count_notes(order: Sequence[Slice]) -> Iterator[str]:
+    stated = order[0].tags.get("ImagesInAcquisition")
+    if stated is not None and str(stated).isdigit() and int(stated) != len(order):
+        yield f"says {int(stated)} images (ImagesInAcquisition), and {len(order)} are read: are some missing?"
 
 
 def _is_dicom(path: Path) -> bool:
@@ -141,6 +165,9 @@ def _one_stack(files: Sequence[tuple[Path, Any]]) -> tuple[list[Slice], tuple[st
     if count < 2:
         raise ImageRefusal("holds one image of that series: a volume needs several slices")
     check_bytes((count, int(first.Rows), int(first.Columns)), 2)
+    frames = {str(tags.get("FrameOfReferenceUID", "")) for _, tags in files} - {""}
+    if len(frames) > 1:
+        raise ImageRefusal(f"holds slices of {len(frames)} frames of reference, whose places do not go together")
     slices = [part for path, tags in files for part in _parts(path, tags)]
     stacks = _stacks(slices)
     main = max(stacks, key=len)
@@ -313,6 +340,8 @@ def _values(part: Slice, kept: dict[Path, tuple[Any, Any]]) -> NDArray[Any]:
             kept[part.file] = whole, _stored(whole, part.file)
         whole, stored = kept[part.file]
         if part.frame is None:
+            if float(whole.get("RescaleSlope", 1) or 0) == 0:
+                raise ImageRefusal(f"holds {part.file.name}, whose RescaleSlope is 0: all its values would be the same")
             result = package.pixels.apply_modality_lut(stored, whole)
         else:
             result = np.asarray(stored).reshape(-1, *part.shape)[part.frame] * part.scaling[0] + part.scaling[1]

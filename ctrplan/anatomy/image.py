@@ -9,15 +9,17 @@ from __future__ import annotations
 
 import bz2
 import gzip
+import math
 import re
 import tempfile
 import zlib
+from codecs import BOM_UTF8
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +27,7 @@ from numpy.typing import NDArray
 from ctrplan.anatomy.patient_frame import Frame
 from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.base.package import shown
+from ctrplan.storage.csv_table import HEAD_BYTES, other_than_named, packed_by
 
 
 class ImageRefusal(Exception):
@@ -76,45 +79,6 @@ class Image:
         return float(np.prod(self.spacing_m * MM_PER_M))
 
 
-SHOWN = 12
-
-
-def segments_of(metadata: Mapping[str, str]) -> tuple[Segment, ...]:
-    """The segments that the keys of a file name, in their order there; none for any other file."""
-    numbers = sorted(int(match[1]) for key in metadata if (match := re.fullmatch(r"Segment(\d+)_LabelValue", key)))
-    return tuple(
-        Segment(
-            metadata.get(f"Segment{k}_Name", metadata.get(f"Segment{k}_ID", str(k))),
-            int(metadata[f"Segment{k}_LabelValue"]),
-            int(metadata.get(f"Segment{k}_Layer", "0")),
-        )
-        for k in numbers
-    )
-
-
-def listed(image: Image) -> str:
-    """What there is to choose from: names, labels and their volumes."""
-    if image.segments:
-        return _joined([f"{s.name!r} ({_volume(image, s.label, s.layer)})" for s in image.segments])
-    values, counts = np.unique(image.voxels, return_counts=True)
-    results = [
-        f"{value:g} ({count * image.voxel_mm3 / 1e3:.3g} ml)"
-        for value, count in zip(values.tolist(), counts.tolist(), strict=True)
-        if value != 0
-    ]
-    return _joined(results)
-
-
-def _joined(results: list[str]) -> str:
-    more = f" and {len(results) - SHOWN} more" if len(results) > SHOWN else ""
-    return (", ".join(results[:SHOWN]) or "nothing but 0") + more
-
-
-def _volume(image: Image, label: int, layer: int) -> str:
-    voxels = image.voxels if image.voxels.ndim == 3 else image.voxels[..., layer]
-    return f"{np.count_nonzero(voxels == label) * image.voxel_mm3 / 1e3:.3g} ml"
-
-
 MOST_KEPT_BYTES = 600_000_000  # of voxels that are kept; what was read last stays
 Key = tuple[Path, int, int]  # with size and time of writing
 _KEPT: ContextVar[dict[Key, Image] | None] = ContextVar("kept", default=None)
@@ -147,7 +111,7 @@ def image_of(path: Path, read: Callable[[Path], Image]) -> Image:
     return images[key]
 
 
-HEADER_BYTES, PIECE = 1 << 16, 1 << 24
+HEADER_BYTES, PIECE, LARGEST_SIZE = 1 << 16, 1 << 24, 1 << 40
 SPACES: dict[str, Frame] = {
     **{"right-anterior-superior": "RAS", "ras": "RAS", "left-posterior-superior": "LPS", "lps": "LPS"},
     **{"left-anterior-superior": "LPS", "las": "LPS"},  # which its reader turns
@@ -157,9 +121,9 @@ APART_MM = 0.05  # by which two statements of one place may differ
 UNITS_MM = {"mm": 1.0, "millimeter": 1.0, "millimetre": 1.0, "cm": 10.0, "centimeter": 10.0, "centimetre": 10.0}
 UNITS_MM |= {"m": 1e3, "meter": 1e3, "metre": 1e3, "um": 1e-3, "\u00b5m": 1e-3, "\u03bcm": 1e-3, "micron": 1e-3}
 UNITS_MM |= {"micrometer": 1e-3, "micrometre": 1e-3, "nm": 1e-6, "in": 25.4, "inch": 25.4}
-PACKED = {b"\x1f\x8b": "gzip", b"BZh": "bzip2", b"PK\x03\x04": "zip", b"\xfd7zXZ": "xz", b"\x28\xb5\x2f\xfd": "zstd"}
-KINDS = {b"NRRD": (".nrrd", "a NRRD file"), b"ObjectType": (".mha", "a MetaImage file")}
-KINDS |= {b"NDims": (".mha", "a MetaImage file"), b"\x89HDF": ("", "an HDF5 file (MINC?)")}
+META, MINC = ((".mha", ".mhd"), "a MetaImage file"), ((), "an HDF5 file (MINC?)")
+KINDS: dict[bytes, tuple[tuple[str, ...], str]] = {b"NRRD": ((".nrrd", ".nhdr"), "a NRRD file")}
+KINDS |= {b"ObjectType": META, b"NDims": META, b"\x89HDF": MINC}
 
 
 @dataclass(frozen=True)
@@ -180,9 +144,23 @@ class Header:
 
 def text_header(path: Path) -> Header:
     """The header of a NRRD, MHA or MHD file. Raises ImageRefusal where it leaves open where voxels are."""
+    head = first_bytes(path, HEADER_BYTES)
+    if (other := other_kind(path, head)) is not None:
+        raise ImageRefusal(other)
+    if head.startswith(BOM_UTF8):
+        raise ImageRefusal("begins with a byte order mark, which an editor wrote: save its header without")
     if path.name.lower().endswith((".nrrd", ".nhdr")):
-        return _nrrd(_fields(path, ":", b""))
-    return _meta(_fields(path, "=", b"ElementDataFile"))
+        if not head.startswith(b"NRRD"):
+            raise ImageRefusal("is no NRRD file: its first line does not say so")
+        end = _nrrd_end(head)
+        fields = _fields(head[:end], ":")
+        check_voxel_bytes(path, end, fields, NRRD_VOXELS)
+        return _nrrd(fields)
+    match = re.search(rb"(?m)^[ \t]*ElementDataFile.*\r?\n?", head)
+    end = match.end() if match else len(head)
+    fields = _fields(head[:end], "=")
+    check_voxel_bytes(path, end, fields, META_VOXELS)
+    return _meta(fields)
 
 
 @contextmanager
@@ -200,11 +178,6 @@ def opened(path: Path) -> Iterator[IO[bytes]]:
         raise ImageRefusal(f"is damaged or cut short ({' '.join(str(error).split())})") from error
 
 
-def packed_by(head: bytes) -> str | None:
-    """The program that packed a file with these first bytes; None for one that is not packed."""
-    return next((name for mark, name in PACKED.items() if head.startswith(mark)), None)
-
-
 def check_packed(path: Path) -> None:
     """Raises ImageRefusal for a packed file that is cut short or damaged, of which readers return what there is."""
     with opened(path) as stream:
@@ -213,12 +186,7 @@ def check_packed(path: Path) -> None:
                 pass
 
 
-def first_bytes(path: Path, count: int) -> bytes:
-    """Those of a file, unpacked. Raises ImageRefusal for one that is damaged."""
-    return unpacked_bytes(path, 0, count)
-
-
-def unpacked_bytes(path: Path, start: int, count: int) -> bytes:
+def first_bytes(path: Path, count: int, start: int = 0) -> bytes:
     """At most so many bytes of a file, unpacked, from `start`. Raises ImageRefusal for one that is damaged."""
     with opened(path) as stream:
         stream.seek(start)
@@ -269,32 +237,120 @@ def _without_bzip2(path: Path, whole: bytes, end: int, encoding: tuple[int, int]
         raise ImageRefusal(f"is damaged or cut short: bzip2 says {' '.join(str(error).split())}") from error
 
 
-def other_kind(head: bytes) -> str | None:
-    """What a file with these first bytes is, and what it must be called; None where they say nothing."""
+def other_kind(path: Path, head: bytes) -> str | None:
+    """What a file with these first bytes is, and what it must be called; None where they may be what its name says."""
+    if (other := other_than_named(head[:HEAD_BYTES])) is not None:
+        return other
     if head[128:132] == b"DICM":
         return "is a DICOM file by its first bytes: name the folder of its series"
-    for mark, (suffix, what) in KINDS.items():
-        if head.lstrip().startswith(mark):
-            return f"is {what} by its first bytes" + (f": its name must end in {suffix}" if suffix else "")
+    start, name = head.removeprefix(BOM_UTF8).lstrip(), path.name.lower()
+    for mark, (suffixes, what) in KINDS.items():
+        if start.startswith(mark) and not name.endswith(suffixes):
+            return f"is {what} by its first bytes" + (f": its name must end in {suffixes[0]}" if suffixes else "")
     return None
 
 
-def _fields(path: Path, mark: str, last: bytes) -> dict[str, str]:
-    """Lines "name mark value" of a text header, which ends with the line `last` or an empty one."""
+def _fields(head: bytes, mark: str) -> dict[str, str]:
+    """Lines "name mark value" of a text header; "name:=value" of a NRRD file is a remark of its writer, no field."""
+    try:
+        text = head.decode()
+    except UnicodeDecodeError:
+        text = head.decode("latin-1")
     results: dict[str, str] = {}
-    for line in first_bytes(path, HEADER_BYTES).split(b"\n"):
-        name, there, value = line.decode("latin-1").strip().partition(mark)
-        if there and not name.startswith("#"):
-            results[name.strip().lower()] = value.strip(" =\t")
-        if (last and line.startswith(last)) or (not last and not line.strip()):
-            break
+    for line in text.split("\n"):
+        name, there, value = line.strip().partition(mark)
+        if there and not name.startswith("#") and not (mark == ":" and value.startswith("=")):
+            results[name.strip().lower()] = value.strip()
     return results
+
+
+class VoxelKeys(NamedTuple):
+    """Fields of a text header that say how many bytes its voxels are."""
+
+    sizes: str
+    kind: str
+    data_file: str
+    plain: Mapping[str, tuple[str, ...]]  # values by which the bytes are the voxels, one by one; "": left out
+
+
+SKIPS: dict[str, tuple[str, ...]] = {name: ("", "0") for name in ("byte skip", "byteskip", "line skip", "lineskip")}
+NRRD_VOXELS = VoxelKeys("sizes", "type", "data file", {"encoding": ("raw",)} | SKIPS)
+META_PLAIN: dict[str, tuple[str, ...]] = {"compresseddata": ("false", ""), "binarydata": ("true", "")}
+META_PLAIN |= {"headersize": ("",), "elementnumberofchannels": ("1", "")}
+META_VOXELS = VoxelKeys("DimSize", "ElementType", "ElementDataFile", META_PLAIN)
+VOXEL_BYTES = {"8": 1, "16": 2, "32": 4, "64": 8, "char": 1, "short": 2, "double": 8, "float": 4}
+VOXEL_BYTES |= {"longlong": 8, "long_long": 8, "long long": 8, "int": 4}  # in this order: "short int" is short
+
+
+def voxel_bytes(kind: str) -> int | None:
+    """Bytes of a number by the words that a header has for its type; None for words of another kind."""
+    return next((count for name, count in VOXEL_BYTES.items() if name in kind.lower()), None)
+
+
+def _data_file(fields: Mapping[str, str], keys: VoxelKeys) -> str:
+    return fields.get(keys.data_file.lower()) or fields.get("datafile") or "LOCAL"
+
+
+def data_files(path: Path) -> list[Path]:
+    """Files with the voxels of a header (.mhd, .nhdr), in its folder or below; nothing of any other file."""
+    mark, keys = {".mhd": ("=", META_VOXELS), ".nhdr": (":", NRRD_VOXELS)}.get(path.suffix.lower(), ("", None))
+    if keys is None or (name := _data_file(_fields(first_bytes(path, HEADER_BYTES), mark), keys)).upper() == "LOCAL":
+        return []
+    there = [path.parent / name] if (path.parent / name).is_file() else sorted(path.parent.iterdir())
+    return [part for part in there if part.is_file() and part != path]
+
+
+def check_voxel_bytes(path: Path, end: int, fields: Mapping[str, str], keys: VoxelKeys) -> None:
+    """Raises ImageRefusal where a header that ends at `end` is followed by other voxels than it states.
+
+    Its readers take as many bytes as the header makes, whatever there is, and of slices in several files what is there.
+    """
+    named = _data_file(fields, keys)
+    if named.upper().startswith("LIST") or "%" in named:
+        if keys is META_VOXELS:
+            raise ImageRefusal(f"has its slices in several files ({keys.data_file} = {named}): save it as one file")
+        return
+    file, start = (path, end) if named.upper() == "LOCAL" else (path.parent / named, 0)
+    if not file.resolve().is_relative_to(path.parent.resolve()):
+        raise ImageRefusal(f"has its voxels outside its folder, in {named} ({keys.data_file}): put both side by side")
+    if not file.is_file():
+        raise ImageRefusal(f"has its voxels in another file, {named}, which is not beside it ({keys.data_file})")
+    plain = all(fields.get(name, "").lower() in values for name, values in keys.plain.items())
+    each = voxel_bytes(fields.get(keys.kind.lower(), ""))
+    with file.open("rb") as stream:
+        is_packed = packed_by(stream.read(8)) is not None
+    if not plain or each is None or is_packed:
+        return
+    sizes = np.minimum(_numbers(fields, keys.sizes), LARGEST_SIZE).astype(int).tolist()
+    check_length(file.stat().st_size - start, each * math.prod(sizes), sizes[-1], (keys.sizes, keys.kind))
+
+
+def check_length(there: int, due: int, slices: int, keys: tuple[str, ...]) -> None:
+    """Raises ImageRefusal for fewer bytes than a header makes of `keys`, or more by a slice: some may fill a block."""
+    if there < due:
+        raise ImageRefusal(f"is damaged or cut short: it has {there} bytes of voxels, {due} are due")
+    if there >= due + max(1, due // max(1, slices)):
+        what = " and ".join(keys)
+        raise ImageRefusal(f"has {there} bytes of voxels or more, its header makes {due} of {what}: they must agree")
+
+
+def _numbers(fields: Mapping[str, str], key: str, count: int | None = None) -> Array:
+    """Finite numbers of a field. Raises ImageRefusal that names it."""
+    said = fields.get(key.lower(), "")
+    try:
+        result = np.array(said.split(), dtype=np.float64)
+    except ValueError:
+        result = np.array([np.nan])
+    if not len(result) or not np.isfinite(result).all() or count not in (None, len(result)):
+        rule = f"must be {count or ''}{' ' if count else ''}numbers with a decimal point, and blanks between them"
+        raise ImageRefusal(f"says {key} = {said[:60]}: {rule}")
+    return result
 
 
 def _nrrd(fields: dict[str, str]) -> Header:
     if "space directions" not in fields and "spacings" not in fields:
         raise ImageRefusal("does not say the size of its voxels (no space directions, no spacings)")
-    if "space directions" in fields and "space origin" not in fields:
+    if "space origin" not in fields and ("space directions" in fields or "axis mins" not in fields):
         raise ImageRefusal("does not say where its first voxel is (no space origin)")
     space = fields.get("space", "").lower()
     unit = _unit(fields, "space units" if "space directions" in fields else "units")
@@ -310,13 +366,17 @@ def _nrrd(fields: dict[str, str]) -> Header:
     return Header(SPACES.get(space), corners, unit, notes=notes)
 
 
+def unit_mm(word: str) -> float | None:
+    """Millimetres in a unit that is written out or not, in the plural or not; None for no unit of length."""
+    singular = (word, word.removesuffix("s"), word.removesuffix("es")) if len(word) > 3 else (word,)  # "ms" is a time
+    return next((UNITS_MM[name] for name in singular if name in UNITS_MM), None)
+
+
 def _unit(fields: dict[str, str], key: str) -> float:
     """Millimetres in the unit that a field names for each axis. Raises ImageRefusal for several and unknown ones."""
     said = [word.strip() for word in re.findall(r'"([^"]*)"', fields.get(key, ""))] or fields.get(key, "").split()
-    named = {word.lower() for word in said if word not in ("", "???", "none")}
-    if not named:
-        return 1.0
-    units = {UNITS_MM.get(word) for word in named}
+    named = {word.lower() for word in said if word not in ("", "???", "none")} or {"mm"}
+    units = {unit_mm(word) for word in named}
     if None in units or len(units) > 1:
         rule = f"has places in {', '.join(sorted(named))} ({key})"
         raise ImageRefusal(f"{rule}: must be one of mm, cm, m, um for all axes")
@@ -330,11 +390,20 @@ def _nrrd_corners(fields: dict[str, str]) -> Array | None:
         axes = np.array([[float(x) for x in v.split(",")] for v in vectors if v])
         sizes = [int(n) for n, v in zip(fields["sizes"].split(), vectors, strict=True) if v]
         origin = np.array([float(x) for x in fields["space origin"].strip("() ").split(",")])
-    except (KeyError, ValueError):
+        finite = np.isfinite(axes).all() and np.isfinite(origin).all()
+    except KeyError:
         return None
+    except ValueError:
+        finite = False
+    if not finite:
+        said = f"says space directions = {fields['space directions'][:60]}, and an origin"
+        raise ImageRefusal(f"{said}: must be three finite numbers each, as (0.5,0,0)")
     if axes.shape != (3, 3) or origin.shape != (3,):
         return None
     return np.stack([origin, origin + (np.array(sizes) - 1) @ axes])
+
+
+META_SLOPE, META_OFFSET = "ElementToIntensityFunctionSlope", "ElementToIntensityFunctionOffset"
 
 
 def _meta(fields: dict[str, str]) -> Header:
@@ -345,20 +414,18 @@ def _meta(fields: dict[str, str]) -> Header:
     letters = fields.get("anatomicalorientation", "").upper()
     matrix = fields.get("transformmatrix") or fields.get("rotation") or fields.get("orientation") or "1 0 0 0 1 0 0 0 1"
     unit = _unit(fields, "distanceunits")
-    try:
-        slope = float(fields.get("elementtointensityfunctionslope", "1"))
-        intercept = float(fields.get("elementtointensityfunctionoffset", "0"))
-        axes = np.array(matrix.split(), dtype=float).reshape(3, 3)
-        place = next(fields[name] for name in ("offset", "position", "origin") if name in fields)
-        origin = np.array(place.split(), dtype=float)
-        sizes = np.array(fields["dimsize"].split(), dtype=float)
-        spacing, size = (
-            np.array((fields.get(name) or fields[other]).split(), dtype=float)
-            for name, other in (("elementspacing", "elementsize"), ("elementsize", "elementspacing"))
-        )
-        corners = np.stack([origin, origin + ((sizes - 1) * spacing) @ axes]) * unit
-    except (KeyError, ValueError):
+    if len(sizes := _numbers(fields, "DimSize")) != 3:  # which is refused as it is
         return Header(None, unit_mm=unit)
+    known = {"slope": "1", "intercept": "0"} | {"matrix": matrix} | fields
+    slope = _numbers(known, META_SLOPE if META_SLOPE.lower() in fields else "slope", 1)[0]
+    intercept = _numbers(known, META_OFFSET if META_OFFSET.lower() in fields else "intercept", 1)[0]
+    axes = _numbers(known, "matrix", 9).reshape(3, 3)
+    origin = _numbers(fields, next(name for name in ("Offset", "Position", "Origin") if name.lower() in fields), 3)
+    spacing, size = (
+        _numbers(fields, name if name.lower() in fields else other, 3)
+        for name, other in (("ElementSpacing", "ElementSize"), ("ElementSize", "ElementSpacing"))
+    )
+    corners = np.stack([origin, origin + ((sizes - 1) * spacing) @ axes]) * unit
     said = len(letters) == 3 and not set(letters) - set("RLAPIS")
     frame: Frame | None = "LPS" if said and _runs_from(axes) == letters else None
     notes = (

@@ -5,9 +5,10 @@ from __future__ import annotations
 import importlib
 import locale
 import os
+import re
 import struct
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,14 +22,15 @@ from ctrplan.anatomy.image import (
     Header,
     Image,
     ImageRefusal,
+    Segment,
     UnfitImageRefusal,
+    check_length,
     check_packed,
     first_bytes,
     other_kind,
     readable,
-    segments_of,
     text_header,
-    unpacked_bytes,
+    voxel_bytes,
 )
 from ctrplan.anatomy.patient_frame import TURNED, Frame
 from ctrplan.base.arrays import Array
@@ -58,16 +60,18 @@ NIFTI_1 = _Layout(
     348,
     344,
     {
-        **{"dim": ("8h", 40), "type": ("h", 70), "pixdim": ("8f", 76), "offset": ("f", 108), "scaling": ("2f", 112)},
-        **{"unit": ("B", 123), "codes": ("2h", 252), "quaternion": ("6f", 256), "affine": ("12f", 280)},
+        **{"dim": ("8h", 40), "type": ("h", 70), "bits": ("h", 72), "pixdim": ("8f", 76), "offset": ("f", 108)},
+        **{"scaling": ("2f", 112), "unit": ("B", 123), "codes": ("2h", 252), "quaternion": ("6f", 256)},
+        **{"affine": ("12f", 280)},
     },
 )
 NIFTI_2 = _Layout(
     540,
     4,
     {
-        **{"type": ("h", 12), "dim": ("8q", 16), "pixdim": ("8d", 104), "offset": ("q", 168), "scaling": ("2d", 176)},
-        **{"codes": ("2i", 344), "quaternion": ("6d", 352), "affine": ("12d", 400), "unit": ("i", 500)},
+        **{"type": ("h", 12), "bits": ("h", 14), "dim": ("8q", 16), "pixdim": ("8d", 104), "offset": ("q", 168)},
+        **{"scaling": ("2d", 176), "codes": ("2i", 344), "quaternion": ("6d", 352), "affine": ("12d", 400)},
+        **{"unit": ("i", 500)},
     },
 )
 LAYOUTS = {layout.size: layout for layout in (NIFTI_1, NIFTI_2)}
@@ -99,6 +103,8 @@ def is_nifti(path: Path) -> bool:
 def nifti_header(path: Path) -> NiftiHeader:
     """The header of a file. Raises ImageRefusal where it is damaged or leaves open where voxels are."""
     head = first_bytes(path, NIFTI_2.size)
+    if (other := other_kind(path, head)) is not None:
+        raise ImageRefusal(other)
     if len(head) < NIFTI_1.size:
         raise ImageRefusal("is damaged or cut short: it has no whole NIfTI header")
     order = "<" if struct.unpack("<i", head[:4])[0] in LAYOUTS else ">"
@@ -110,10 +116,17 @@ def nifti_header(path: Path) -> NiftiHeader:
     values = {name: struct.unpack_from(order + kind, head, at) for name, (kind, at) in layout.fields.items()}
     _check_magic(head[layout.magic : layout.magic + 3])
     affine, notes = _affine_mm(values)
+    if (code := _standard(values["codes"])) is not None:
+        notes += (f"says places in a standard brain ({code}), which are the patient's only where it was warped back",)
     slope, intercept = _scaling(*values["scaling"], is_single=layout is NIFTI_1)
     code = values["type"][0]
     if code not in TYPES:
         raise UnfitImageRefusal(f"has {NO_NUMBERS.get(code, f'values of an unknown type, NIfTI code {code}')}")
+    bits, due = values["bits"][0], 8 * np.dtype(TYPES[code]).itemsize
+    if bits not in (0, due):
+        raise ImageRefusal(f"says {bits} bits a voxel (bitpix), and a type of {due} (datatype {code}): they must agree")
+    if not np.isfinite(values["offset"][0]):
+        raise ImageRefusal("is damaged: it does not say where its voxels begin (vox_offset)")
     start = max(int(values["offset"][0]), layout.size + 4)
     return NiftiHeader(_shape(values["dim"]), np.dtype(order + TYPES[code]), start, slope, intercept, affine, notes)
 
@@ -121,10 +134,9 @@ def nifti_header(path: Path) -> NiftiHeader:
 def nifti_voxels(path: Path, header: NiftiHeader) -> NDArray[Any]:
     """(nz, ny, nx) values as the header scales them. Raises ImageRefusal for a file that is cut short."""
     count = int(np.prod(header.shape))
-    data = unpacked_bytes(path, header.offset, count * header.kind.itemsize)
-    if len(data) < count * header.kind.itemsize:
-        due = f"it has {len(data)} bytes of voxels, {count * header.kind.itemsize} are due"
-        raise ImageRefusal(f"is damaged or cut short: {due}")
+    due, slices = count * header.kind.itemsize, header.shape[-1]
+    data = first_bytes(path, due + due // slices, header.offset)
+    check_length(len(data), due, slices, ("dim", "datatype"))
     values = np.frombuffer(data, header.kind, count).reshape(header.shape[::-1])
     return scaled(values.astype(header.kind.newbyteorder("=")), header.slope, header.intercept)
 
@@ -192,6 +204,12 @@ def _affine_mm(values: dict[str, tuple[Any, ...]]) -> tuple[Array, tuple[str, ..
     if apart > max(APART_MM, 1e-4 * np.ptp(corners[1])):
         raise ImageRefusal(f"says two places that lie {apart:.3g} mm apart (qform, sform): save it with one")
     return s_form, ()
+
+
+def _standard(codes: tuple[int, ...]) -> str | None:
+    """The code by which the form that is taken is one of Talairach's or MNI's space; None where it is of a scanner."""
+    name, code = ("sform_code", codes[1]) if codes[1] > 0 else ("qform_code", codes[0])
+    return f"{name} {code}" if code in (3, 4) else None
 
 
 def _size_note(affine: Array, pixdim: Array) -> tuple[str, ...]:
@@ -267,7 +285,19 @@ FINEST_M, COARSEST_M = 1e-6, 50e-3
 ROUNDING, LARGEST_WHOLE = 1e-6, 1e9  # of single precision, with room for a scaling; what is taken for whole numbers
 SAMPLED = 10_000  # voxels by which most images that are no whole numbers are told: a budget
 SKEW = 1e-3
-VOXEL_BYTES = {"8": 1, "16": 2, "32": 4, "64": 8}
+
+
+def segments_of(metadata: Mapping[str, str]) -> tuple[Segment, ...]:
+    """The segments that the keys of a file name, in their order there; none for any other file."""
+    numbers = sorted(int(match[1]) for key in metadata if (match := re.fullmatch(r"Segment(\d+)_LabelValue", key)))
+    return tuple(
+        Segment(
+            metadata.get(f"Segment{k}_Name", metadata.get(f"Segment{k}_ID", str(k))),
+            int(metadata[f"Segment{k}_LabelValue"]),
+            int(metadata.get(f"Segment{k}_Layer", "0")),
+        )
+        for k in numbers
+    )
 
 
 def is_image(path: Path) -> bool:
@@ -292,7 +322,7 @@ def read_image(path: Path) -> Image:
         try:
             reader.ReadImageInformation()
         except RuntimeError as error:
-            raise ImageRefusal(other_kind(first_bytes(path, 512)) or f"can't be read: {reason(error)}") from error
+            raise ImageRefusal(f"can't be read: {reason(error)}") from error
         names = {key: reader.GetMetaData(key) for key in reader.GetMetaDataKeys()}
         segments = segments_of(names)
         _check_kind(sitk, reader, bool(segments))
@@ -305,9 +335,6 @@ def read_image(path: Path) -> Image:
 
 
 def _nifti(path: Path) -> Image:
-    head = first_bytes(path, 512)
-    if (other := other_kind(head)) is not None:
-        raise ImageRefusal(other)
     header = nifti_header(path)
     _check_shape(header.shape)
     check_bytes(header.shape, header.kind.itemsize)
@@ -334,7 +361,7 @@ def _check_kind(sitk: Any, reader: Any, is_segmentation: bool) -> None:
         raise UnfitImageRefusal(f"has {reader.GetNumberOfComponents()} values a voxel (colour?): must have one")
     if "complex" in pixel:
         raise UnfitImageRefusal("has complex values: must have real ones")
-    check_bytes(size, reader.GetNumberOfComponents() * _bytes(pixel))
+    check_bytes(size, reader.GetNumberOfComponents() * (voxel_bytes(pixel) or 4))
 
 
 def check_bytes(size: tuple[int, ...], voxel_bytes: int) -> None:
@@ -344,10 +371,6 @@ def check_bytes(size: tuple[int, ...], voxel_bytes: int) -> None:
         shown = " x ".join(map(str, size))
         rule = f"crop it to the structure and what the robot reaches, at most {MOST_BYTES / 1e9:g} GB"
         raise UnfitImageRefusal(f"holds {shown} voxels, {total / 1e9:.3g} GB: {rule}")
-
-
-def _bytes(pixel: str) -> int:
-    return next((count for bits, count in VOXEL_BYTES.items() if pixel.split("-")[0].split(" ")[0] == bits), 4)
 
 
 def checked(sitk: Any, image: Any, header: Header, segments: tuple[Any, ...] = ()) -> Image:

@@ -4,6 +4,7 @@ import codecs
 import io
 import json
 import logging
+import math
 import re
 import warnings
 from os import PathLike
@@ -13,12 +14,12 @@ from typing import BinaryIO, Literal, TypeVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrplan.anatomy.image import packed_by
+from ctrplan.anatomy.image import unit_mm
 from ctrplan.anatomy.mesh_repair import Indices, MeshRefusal, turned_outward, welded
 from ctrplan.anatomy.patient_frame import Frame
 from ctrplan.base.arrays import Array
 from ctrplan.errors import InputError
-from ctrplan.storage.csv_table import file_name
+from ctrplan.storage.csv_table import HEAD_BYTES, file_name, other_than_named, packed_by
 
 Number = TypeVar("Number", np.float64, np.int64)
 
@@ -30,6 +31,13 @@ WITH_GROUPS = (".obj", ".glb")
 MAX_BYTES = 500_000_000
 HEADER_BYTES = 4096
 LARGEST_M, SMALLEST_M = 2.0, 1e-4
+VTK = (".vtk", ".vtp", ".vtu")
+MARKS: dict[tuple[str, ...], re.Pattern[bytes]] = {  # first bytes of formats, by how the names of their files end
+    **{(".ply",): re.compile(rb"ply\s"), (".glb",): re.compile(b"glTF"), VTK: re.compile(b"# vtk DataFile|<VTKFile")},
+    **{(".stl",): re.compile(rb"solid\b[^\n]*\n\s*facet"), (".obj",): re.compile(rb"(?:[#\n][^\n]*\n)*v[ \t]+[-+.\d]")},
+}
+COMMAS = re.compile(rb"(?m)^\s*(?:v|vertex)?(?:\s*[-+]?\d+,\d+\b){3}", re.I)  # three numbers in a row
+UNIT = re.compile(r"\b(?:units?\b[\s=:\"']*(?:are|is|in)?|in)[\s=:\"']+([a-z]+)", re.I)  # of a remark
 
 
 def load_mesh(
@@ -77,8 +85,26 @@ def read_triangles(
 
 
 def usual_unit(path: Path) -> Unit:
-    """The unit of a file where nobody says another one: metres of glTF, by its specification."""
-    return "m" if is_gltf(path) else "mm"
+    """The unit of a file where nobody says another one: metres of glTF, by its specification, else what it states."""
+    return "m" if is_gltf(path) else stated_unit(path) or "mm"
+
+
+def stated_unit(path: Path) -> Unit | None:
+    """The unit that a remark near the beginning of a file names; None where none does."""
+    try:
+        with path.open("rb") as stream:
+            head = stream.read(HEADER_BYTES)
+    except (OSError, ValueError):  # which whoever reads the mesh says
+        return None
+    kind, lines = path.suffix.lower(), head.decode("latin-1").splitlines()
+    remarks = [line for line in lines if line.startswith(("#", "comment", "obj_info"))]
+    remarks = lines[1:2] if kind in VTK else [*(line[:80] for line in lines[:1])] if kind == ".stl" else remarks
+    for match in filter(None, map(UNIT.search, remarks)):
+        size = unit_mm(match[1].lower())
+        for unit, metres in UNITS_M.items():
+            if size is not None and math.isclose(metres, size * 1e-3):
+                return unit
+    return None
 
 
 def usual_up(path: Path) -> Up:
@@ -92,7 +118,10 @@ def is_gltf(path: Path) -> bool:
 
 
 def axes_notes(path: Path, unit: str | None, up: str | None) -> tuple[str, ...]:
-    """What was made of a file's axes and unit by its specification, where nobody says them."""
+    """What was made of a file's axes and unit by what it states and by its specification, where nobody says them."""
+    stated = None if is_gltf(path) else stated_unit(path)
+    if stated is not None and unit != stated:
+        return (f"says that its unit is {stated}" + (", which is taken" if unit is None else f", is read in {unit}"),)
     said = [
         *(["in metres"] if is_gltf(path) and unit is None else []),
         *(["with y up, and was turned so that z is up (key up)"] if is_gltf(path) and up is None else []),
@@ -117,12 +146,11 @@ def _read(path: Path, group: str | None) -> tuple[Array, Indices]:
         if size > MAX_BYTES:
             raise MeshRefusal(f"is {size / 1e6:.0f} MB large: must be at most {MAX_BYTES / 1e6:.0f} MB")
         with path.open("rb") as stream:
-            packed = packed_by(stream.read(8))
+            head = stream.read(HEADER_BYTES)
     except (OSError, ValueError) as error:  # ValueError: a name that no file can have
         reason = getattr(error, "strerror", None) or str(error)
         raise MeshRefusal(f"can't be read: {reason.lower()}") from error
-    if packed is not None:
-        raise MeshRefusal(f"is packed by {packed}: unpack it first")
+    _check_head(path, head)
     if group is not None and path.suffix.lower() not in WITH_GROUPS:
         raise MeshRefusal(f"has no groups: leave the key group out, {' and '.join(WITH_GROUPS)} may have them")
     vertices, faces = _parsed(path, group)
@@ -131,6 +159,20 @@ def _read(path: Path, group: str | None) -> tuple[Array, Indices]:
     if faces.min() < 0 or faces.max() >= len(vertices):
         raise MeshRefusal(f"is damaged: a triangle refers to a vertex beyond the {len(vertices)} there are")
     return vertices, faces
+
+
+def _check_head(path: Path, head: bytes) -> None:
+    """Raises MeshRefusal for a file that by its first bytes is not what its name says, or has decimal commas."""
+    if (packed := packed_by(head)) is not None:
+        raise MeshRefusal(f"is packed by {packed}: unpack it first")
+    if (other := other_than_named(head[:HEAD_BYTES])) is not None:
+        raise MeshRefusal(other)
+    kind = next((kind for kind, mark in MARKS.items() if mark.match(head.removeprefix(codecs.BOM_UTF8))), None)
+    if kind is not None and path.suffix.lower() not in kind:
+        raise MeshRefusal(f"is {kind[0][1:].upper()} by its first bytes: its name must end in {' or '.join(kind)}")
+    if b"\0" not in head and COMMAS.search(head):
+        rule = "its numbers have decimal commas, must have points"
+        raise MeshRefusal(f"can't be read as {path.suffix[1:].upper()}: {rule}")
 
 
 def _parsed(path: Path, group: str | None) -> tuple[Array, Indices]:
@@ -155,7 +197,11 @@ def _parsed(path: Path, group: str | None) -> tuple[Array, Indices]:
             _check_gltf(path)
         with warnings.catch_warnings(), path.open("rb") as stream:
             warnings.simplefilter("ignore")
-            text = io.BytesIO(stream.read().removeprefix(codecs.BOM_UTF8)) if kind == "stl" else stream
+            text: BinaryIO = stream
+            if kind in ("stl", "ply"):  # of text, with line ends of any kind
+                data = stream.read().removeprefix(codecs.BOM_UTF8).replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+                _check_rows(data)
+                text = io.BytesIO(data)
             return _by_trimesh(text, kind, group)
     except (MemoryError, MeshRefusal):
         raise
@@ -164,6 +210,18 @@ def _parsed(path: Path, group: str | None) -> tuple[Array, Indices]:
     except Exception as error:  # its readers raise whatever the damage leads them to
         reason = " ".join(str(error).split())[:120] or type(error).__name__
         raise MeshRefusal(f"can't be read as {kind.upper()}: {reason}") from error
+
+
+def _check_rows(text: bytes) -> None:
+    """Raises MeshRefusal for text of STL that ends within a triangle, of PLY with other rows than its header states."""
+    begun, ended = (len(re.findall(word, text)) for word in (rb"(?im)^\s*facet\b", rb"(?im)^\s*endfacet\b"))
+    if begun != ended:
+        raise MeshRefusal(f"is damaged or cut short: of {begun} triangles {ended} end")
+    header, mark, body = text.partition(b"end_header")
+    due = sum(map(int, re.findall(rb"(?m)^element\s+\S+\s+(\d{1,9})\s*$", header)))
+    there = sum(bool(row.strip()) for row in body.splitlines())
+    if mark and due != there:
+        raise MeshRefusal(f"is damaged: its header promises {due} rows, it has {there}")
 
 
 GLTF_PLAIN = ("KHR_materials_", "KHR_texture_", "KHR_lights_", "EXT_texture_")  # extensions that move no vertex

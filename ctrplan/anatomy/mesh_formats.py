@@ -33,7 +33,7 @@ NUMBERS = {
     **{"int64": "i8", "uint64": "u8", "double": "f8", "float64": "f8", "long": "i8", "unsigned_long": "u8"},
     **{"unsigned_char": "u1", "unsigned_short": "u2", "unsigned_int": "u4", "vtkidtype": "i4", "vtktypeint64": "i8"},
 }
-STL_HEAD = 1024  # bytes by which text and decimal commas are told
+STL_HEAD = 1024  # bytes by which text is told
 STL_REST = 134 / 50  # triangles' worth of bytes, in which no further solid would have room
 STL_TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 BYTE_ORDER_MARK = "\xef\xbb\xbf"  # of UTF-8, read byte by byte
@@ -75,8 +75,6 @@ def read_binary_stl(path: Path) -> tuple[Array, Indices] | None:
         promised, room = int.from_bytes(head[80:84], "little"), (path.stat().st_size - 84) / 50
         if promised != room:
             if len(head) < 84 or (b"\0" not in head and head.removeprefix(BOM_UTF8)[:5].lower() == b"solid"):
-                if re.search(rb"vertex\s+[-+\d]+,\d", head, re.I):
-                    raise MeshRefusal("can't be read as STL: its numbers have decimal commas, must have points")
                 return None
             if not 0 < promised < room < promised + STL_REST:
                 _damaged(f"its header promises {promised} triangles, its size is that of {room:.10g}")
@@ -269,7 +267,7 @@ def _ply_faces(element: _Element, body: bytes, starts: Indices, counts: Indices)
 
 def read_vtk(path: Path) -> tuple[Array, Indices]:
     """The surface of a legacy .vtk (text or binary, cells old or new), a .vtp or a .vtu. Raises MeshRefusal."""
-    data = path.read_bytes()
+    data = path.read_bytes().removeprefix(BOM_UTF8)
     try:
         legacy = data.startswith(b"# vtk DataFile")
         points, (offsets, corners) = (_LegacyVtk(data) if legacy else _XmlVtk(data)).surface()
@@ -297,8 +295,9 @@ class _LegacyVtk:
 
     def surface(self) -> tuple[Array, Polygons]:
         points, cells, types = np.zeros(0), (np.zeros(1, np.int64), np.zeros(0, np.int64)), None
-        while words := self.line().split():
-            word = words[0].upper()
+        while (words := self.line().split()) and (word := words[0].upper()) not in ("POINT_DATA", "CELL_DATA"):
+            if word == "DATASET" and words[1].upper() not in ("POLYDATA", "UNSTRUCTURED_GRID"):
+                raise ValueError(f"it holds {words[1]}, no surface")
             if word == "POINTS":
                 points = self.numbers(3 * int(words[1]), words[2]).astype(np.float64)
             elif word in VTK_CELLS:
@@ -308,8 +307,6 @@ class _LegacyVtk:
                 cells = polygons if word in ("POLYGONS", "CELLS") else cells
             elif word == "CELL_TYPES":
                 types = self.numbers(int(words[1]), "int").astype(np.int64)
-            elif word in ("POINT_DATA", "CELL_DATA"):
-                break
         return points, cells if types is None else _of_faces(*cells, types)
 
     def row(self) -> bytes:
@@ -396,11 +393,15 @@ class _XmlVtk:
                 raise ValueError("it has triangle strips: save it as triangles")
             cells = piece.find("Polys" if grid == "PolyData" else "Cells")
             starts, at = np.append(0, self.named(cells, "offsets")), self.named(cells, "connectivity")
+            points.append(self.values(piece.find("Points/DataArray")).astype(np.float64))
+            named = "NumberOfPolys" if grid == "PolyData" else "NumberOfCells"
+            for name, there in (("NumberOfPoints", len(points[-1]) / 3), (named, len(starts) - 1)):
+                if float(piece.get(name, there)) != there:
+                    raise ValueError(f"it says {name} = {piece.get(name)}, and has {there:g}")
             if grid == "UnstructuredGrid":
                 starts, at = _of_faces(starts, at, self.named(cells, "types"))
             offsets.append(starts[1:] + sum(map(len, corners)))
-            corners.append(at + sum(map(len, points)) // 3)
-            points.append(self.values(piece.find("Points/DataArray")).astype(np.float64))
+            corners.append(at + sum(map(len, points[:-1])) // 3)
         return np.concatenate(points), (np.concatenate(offsets), np.concatenate(corners))
 
     def named(self, cells: ElementTree.Element | None, name: str) -> Indices:

@@ -14,10 +14,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrplan.anatomy.image import Image, ImageRefusal, listed
+from ctrplan.anatomy.image import Image, ImageRefusal
 from ctrplan.base.arrays import Array
 
 PAD = 2  # voxels around what is chosen, outside it
+
+SHOWN = 12  # labels in a sentence
 
 Mask = NDArray[np.bool_]
 
@@ -238,3 +240,26 @@ def _edge_keys(vertices: Array, shape: tuple[int, ...]) -> Indices:
     node = base.astype(np.int64) @ np.array([1, nx, nx * ny])
     key: Indices = node * 3 + share.argmax(axis=1)
     return key
+
+
+def listed(image: Image) -> str:
+    """What there is to choose from: names, labels and their volumes."""
+    if image.segments:
+        return _joined([f"{s.name!r} ({_volume(image, s.label, s.layer)})" for s in image.segments])
+    values, counts = np.unique(image.voxels, return_counts=True)
+    results = [
+        f"{value:g} ({count * image.voxel_mm3 / 1e3:.3g} ml)"
+        for value, count in zip(values.tolist(), counts.tolist(), strict=True)
+        if value != 0
+    ]
+    return _joined(results)
+
+
+def _joined(results: list[str]) -> str:
+    more = f" and {len(results) - SHOWN} more" if len(results) > SHOWN else ""
+    return (", ".join(results[:SHOWN]) or "nothing but 0") + more
+
+
+def _volume(image: Image, label: int, layer: int) -> str:
+    voxels = image.voxels if image.voxels.ndim == 3 else image.voxels[..., layer]
+    return f"{np.count_nonzero(voxels == label) * image.voxel_mm3 / 1e3:.3g} ml"

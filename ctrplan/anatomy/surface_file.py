@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ctrplan.anatomy.mesh_file import axes_notes, is_gltf, read_triangles, stated_frame
+from ctrplan.anatomy.mesh_file import axes_notes, is_gltf, read_triangles, stated_frame, stated_unit
 from ctrplan.anatomy.mesh_repair import (
     Indices,
     MeshDefect,
@@ -210,8 +210,8 @@ def read_sheet(table: TomlTable, path: Path, choice: MeshChoice) -> SurfaceFile:
 
 
 def _check_unit(table: TomlTable, path: Path, choice: MeshChoice) -> None:
-    """Raises InputError where neither the table nor the format says a unit."""
-    if choice.unit is None and not is_gltf(path):
+    """Raises InputError where neither the table nor the file or its format says a unit."""
+    if choice.unit is None and not is_gltf(path) and stated_unit(path) is None:
         raise table.fault("is missing: the file does not say whether its numbers are in mm, cm, m or in", "unit")
 
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import fields, is_dataclass
+from decimal import Decimal
 from typing import Any
 
 import numpy as np
@@ -103,6 +104,29 @@ def are_degrees(theta: ArrayLike) -> bool:
     if largest > MOST_DEGREES:
         return False
     return largest > MOST_WINDING_RAD or (largest > WINDING_RAD and bool((angles == np.round(angles)).all()))
+
+
+CHANCE = 0.01  # by which digits that say radians would be a coincidence: about how often people mix the two up
+
+
+def are_radians(angles_deg: Iterable[float]) -> bool:
+    """Whether angles that are meant to be degrees are most likely radians.
+
+    Where all of them that are not 0 are, in radians, whole multiples of 90, 45, 30, 15 or 5 degrees, to all digits that
+    were written: 3.1416, or 0.349 and -1.047 together. What chance leaves of that is counted by the digits.
+    """
+    given = [round(float(angle), 9) for angle in angles_deg if angle]
+    if not given or not all(math.isfinite(x) and abs(x) <= WINDING_RAD * 2 for x in given):
+        return False
+    for step in (math.pi / 2, math.pi / 4, math.pi / 6, math.pi / 12, math.pi / 36):
+        chance = 1.0
+        for x in given:
+            rounding = 0.5 * 10.0 ** int(Decimal(repr(x)).as_tuple().exponent)
+            fits = round(x / step) and abs(x - step * round(x / step)) <= rounding * 1.01
+            chance *= min(1.0, 2 * rounding / step) if fits else math.inf
+        if chance < CHANCE:
+            return True
+    return False
 
 
 def content_sha256(value: object) -> str:

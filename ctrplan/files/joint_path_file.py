@@ -15,7 +15,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrplan.base.arrays import Array
+from ctrplan.base.arrays import Array, are_degrees
 from ctrplan.drive.drive import Drive
 from ctrplan.files.mapping_file import Source, sources
 from ctrplan.measurement.joint_path import JointPath, joined_paths, jumps, looks_wrapped, unwrapped
@@ -63,6 +63,9 @@ def joint_path(source: Source, robot: Robot, needed: Sequence[str] = (), known: 
     time_s = table.numbers("time_s") if "time_s" in table.header else None
     _check_order(table, sequence, time_s)
     theta, notes = _whole_turns(source, theta, sequence.astype(int))
+    if not source.is_mapped and are_degrees(theta):
+        largest = float(np.abs(theta).max())
+        notes += (f"{table.file}: rotations go to {largest:g} rad, in whole numbers: are these degrees?",)
     _check_joints(table, theta, l, robot, of_collars=source.of_collars)
     read = {"sequence", "time_s", *rotations, *translations, *needed, *known}
     others = table.others(read)
@@ -111,7 +114,8 @@ def _nearest(name: str, header: Sequence[str]) -> str:
     others = [given for given in header if not KNOWN.fullmatch(given)]
     axis = re.fullmatch(r"t?([xyz])(?:_m)?", name)
     same = [given for given in others if axis and re.fullmatch(rf".*[_. ]{axis[1]}|{axis[1]}[_. ].*", given, re.I)]
-    close = same or difflib.get_close_matches(name, others, n=1, cutoff=0.5)
+    lower = {given.lower(): given for given in reversed(others)}
+    close = same or [lower[key] for key in difflib.get_close_matches(name, lower, n=1, cutoff=0.5)]
     meant = f" (is {close[0][:LONGEST_NAME]} meant?)" if close else ""
     return f"{meant}: the columns are {shown}; a mapping file says what each of them is (ctrplan init mapping)"
 

@@ -190,6 +190,9 @@ def _check_positions(
     if not len(position):
         return
     what = "tip" if columns[0] == POSITION[0] else "marker"
+    for k in np.flatnonzero((position == 0).all(axis=1)).tolist():
+        rule = f"{what} is 0 in all coordinates, as trackers write what they do not see: leave it empty there"
+        raise table.fault(rule, int(rows[k]), columns[0], position[k, 0])
     position = position[:, np.isfinite(position).all(axis=0)]
     with np.errstate(over="ignore"):  # what is beyond all numbers is too far
         far = np.linalg.norm(position - (np.median(position, axis=0) if anywhere else 0.0), axis=1)

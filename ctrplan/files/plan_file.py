@@ -247,18 +247,18 @@ def load_plan(
     those that files were planned with. Raises InputError, one sentence, for what is malformed, of an older version, or
     of another scenario or robot; and for a trajectory that leaves the legs.
     """
-    file = plan_json_of(file_name(path, "a plan.json"))
-    content = _json_object(file)
-    entry = Document(content, file).to(PlanEntry)
-    if isinstance(scenario, Scenario):
-        result = scenario
-    elif scenario is None and not overrides and (within := scenario_within(Path(file).parent)) is not None:
-        result = within
-    else:
-        result = load_scenario(scenario or _scenario_file(entry, file), overrides, allow_outside=allow_outside)
-    _check_origin(entry, result, file)
-    beside = Path(file).parent / "trajectory.csv"
-    return _checked(result, content, file, played_samples(trajectory or beside, result.robot.drive))
+    with plan_json_of(file_name(path, "a plan.json")) as file:
+        content = _json_object(file)
+        entry = Document(content, file).to(PlanEntry)
+        if isinstance(scenario, Scenario):
+            result = scenario
+        elif scenario is None and not overrides and (within := scenario_within(Path(file).parent)) is not None:
+            result = within
+        else:
+            result = load_scenario(scenario or _scenario_file(entry, file), overrides, allow_outside=allow_outside)
+        _check_origin(entry, result, file)
+        beside = Path(file).parent / "trajectory.csv"
+        return _checked(result, content, file, played_samples(trajectory or beside, result.robot.drive))
 
 
 def _json_object(file: str) -> dict[str, Any]:
@@ -292,9 +292,8 @@ def _scenario_file(entry: PlanEntry, file: str) -> str:
     for place in [] if named is None else [Path(named), Path(file).parent / named]:
         if place.is_file():
             return str(place)
-    raise InputError(
-        "is not here, name the scenario's file after the plan", file=file, key="scenario.path", value=named
-    )
+    rule = "is not here, nor inputs.zip, which would hold it: name the scenario's file after the plan"
+    raise InputError(rule, file=file, key="scenario.path", value=named)
 
 
 def check_origin(plan: WrittenPlan) -> None:

@@ -37,33 +37,33 @@ def open_plan(
     Its figures are those of plan.json; its trajectory is made anew and must be the one in trajectory.csv. Raises
     InputError for anything malformed, of another scenario or robot, or that does not belong together.
     """
-    file = plan_json_of(os.fspath(folder))
-    place = Path(file).parent
-    written = load_plan(file, scenario, overrides)
-    content, drive = written.content, written.scenario.robot.drive
-    try:
-        return Plan(
-            scenario=written.scenario,
-            seed=int(content["seed"]),
-            planner=content["planner"],
-            style=content["style"],
-            legs=tuple(Leg(a, b, leg_kind(drive, a, b)) for a, b in pairwise(written.waypoints)),
-            certificate=_certificate(written),
-            trajectory=_trajectory(written, place / "trajectory.csv"),
-            reorder=_made(ReorderReport, content["reorder"]),
-            search_time_s=content["search_time_s"],
-            first_found_s=content["first_found_s"],
-            first_certified_s=content["first_certified_s"],
-            notes=tuple(content["notes"]),
-            compensation=_compensation(written),
-            interrupted=content["interrupted"],
-            ended_by=content["search_ended_by"],
-            follow_the_leader_m=content["follow_the_leader_m"],
-            uncertainty=None if content["uncertainty"] is None else _made(Uncertainty, content["uncertainty"]),
-        )
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        said = f"has no {error.args[0]}" if isinstance(error, KeyError) else f"can't be read as a plan ({error})"
-        raise InputError(said, file=str(place / "plan.json")) from None
+    with plan_json_of(os.fspath(folder)) as file:
+        place = Path(file).parent
+        written = load_plan(file, scenario, overrides)
+        content, drive = written.content, written.scenario.robot.drive
+        try:
+            return Plan(
+                scenario=written.scenario,
+                seed=int(content["seed"]),
+                planner=content["planner"],
+                style=content["style"],
+                legs=tuple(Leg(a, b, leg_kind(drive, a, b)) for a, b in pairwise(written.waypoints)),
+                certificate=_certificate(written),
+                trajectory=_trajectory(written, place / "trajectory.csv"),
+                reorder=_made(ReorderReport, content["reorder"]),
+                search_time_s=content["search_time_s"],
+                first_found_s=content["first_found_s"],
+                first_certified_s=content["first_certified_s"],
+                notes=tuple(content["notes"]),
+                compensation=_compensation(written),
+                interrupted=content["interrupted"],
+                ended_by=content["search_ended_by"],
+                follow_the_leader_m=content["follow_the_leader_m"],
+                uncertainty=None if content["uncertainty"] is None else _made(Uncertainty, content["uncertainty"]),
+            )
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            said = f"has no {error.args[0]}" if isinstance(error, KeyError) else f"can't be read as a plan ({error})"
+            raise InputError(said, file=str(place / "plan.json")) from None
 
 
 def _certificate(written: WrittenPlan) -> Certificate:

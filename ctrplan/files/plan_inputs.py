@@ -9,13 +9,16 @@ from __future__ import annotations
 import copy
 import io
 import json
+import os
 import tempfile
 import zipfile
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 from typing import Any
 
+from ctrplan.anatomy.image import data_files
 from ctrplan.errors import InputError
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.scenario.scenario import Scenario
@@ -26,7 +29,7 @@ INPUTS, MANIFEST, SCENARIO = "inputs.zip", "manifest.json", "scenario.toml"
 SUFFIX = ".ctrplan"  # of a plan's folder as one file
 MOST_BYTES = 2_000_000_000  # of all that is unpacked
 MOST_PACKED = 300_000_000  # of all that is packed: a plan in larger images opens where they are
-_OPENED: list[tempfile.TemporaryDirectory[str]] = []  # folders of this process, removed when it ends
+_OPENED: dict[tempfile.TemporaryDirectory[str], Path] = {}  # what was unpacked into folders that end with this process
 
 
 def inputs_of(scenario: Scenario) -> bytes | None:
@@ -73,8 +76,11 @@ def _packed(path: Path, place: str) -> dict[str, bytes]:
     """The bytes of a file, or of the files of a folder, such as a DICOM series; with the data file of a header."""
     if path.is_dir():
         return {f"{place}/{part.name}": part.read_bytes() for part in sorted(path.iterdir()) if part.is_file()}
-    beside = [part for part in path.parent.glob(f"{path.stem}.*") if path.suffix.lower() in (".mhd", ".nhdr")]
-    others = {str(PurePosixPath(place).with_name(part.name)): part.read_bytes() for part in beside if part != path}
+    beside = data_files(path)
+    others = {
+        (PurePosixPath(place).parent / part.relative_to(path.parent).as_posix()).as_posix(): part.read_bytes()
+        for part in beside
+    }
     return {place: path.read_bytes(), **others}
 
 
@@ -102,7 +108,7 @@ def scenario_within(folder: Path) -> Scenario | None:
 def unpacked(path: Path) -> Path:
     """A folder with the content of an archive, there until this process ends. Raises InputError."""
     folder = tempfile.TemporaryDirectory(prefix="ctrplan-")
-    _OPENED.append(folder)
+    _OPENED[folder] = path
     try:
         with zipfile.ZipFile(path) as archive:
             members = archive.infolist()
@@ -121,11 +127,32 @@ def unpacked(path: Path) -> Path:
     return Path(folder.name)
 
 
-def plan_json_of(path: str) -> str:
-    """The plan.json that a path stands for: itself, within a folder, or within a plan's folder as one file."""
-    if path.lower().endswith(SUFFIX):
-        return str(unpacked(Path(path)) / "plan.json")
-    return str(Path(path) / "plan.json") if Path(path).is_dir() else path
+@contextmanager
+def plan_json_of(path: str) -> Iterator[str]:
+    """The plan.json that a path stands for: itself, within a folder, or within a plan's folder as one file.
+
+    Raises InputError where there is none. Faults within the block are told by names of files as they were given.
+    """
+    packed = path.lower().endswith(SUFFIX)
+    file = (unpacked(Path(path)) if packed else Path(path)) / "plan.json"
+    if not packed and not Path(path).is_dir():
+        file = Path(path)
+    elif not file.is_file():
+        raise InputError("holds no plan.json: is it what ctrplan plan wrote?", file=path)
+    try:
+        yield str(file)
+    except InputError as error:
+        if (named := _as_given(error.file)) == error.file:
+            raise
+        raise InputError(error.rule, file=named, key=error.key, value=error.value, unit=error.unit) from None
+
+
+def _as_given(file: str | os.PathLike[str] | None) -> str | os.PathLike[str] | None:
+    """The name of a file in a folder that was unpacked, by that of the archive, which may be in another one."""
+    for folder, archive in reversed(_OPENED.items()):
+        if file is not None and Path(file).is_relative_to(folder.name):
+            file = str(archive / Path(file).relative_to(folder.name))
+    return file
 
 
 def write_as_one(folder: Path, path: Path) -> None:

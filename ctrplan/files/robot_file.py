@@ -15,13 +15,14 @@ from ctrplan.files.drive_file import ExecutionEntry, HomeEntry, JointEntry, buil
 from ctrplan.files.robot_intervals import UncertaintyEntry, build_intervals
 from ctrplan.measurement.measurements import Marker, SensorNoise
 from ctrplan.mechanics.tube import RANGES, SOFTEST_NM2, STIFFEST_NM2, Contact, Tube, TubeSection
-from ctrplan.robot.magnitudes import one_sentence, robot_doubts
+from ctrplan.robot.magnitudes import bend_readings, one_sentence, robot_doubts
 from ctrplan.robot.robot import Robot, diametral_gap_m, never_nests
 from ctrplan.robot.tube_keys import (
     BENDING,
     CURVATURES,
     MOST_RATIO,
     POISSON,
+    RADIUS,
     SHEAR,
     TORSIONAL,
     YOUNG,
@@ -200,7 +201,9 @@ def _tube(entry: TubeEntry, i: int, document: Document) -> Tube:
     for k, section in enumerate(sections):
         if section.curvature_per_m * tube.outer_diameter_m / 2 >= 1:
             bend = f"bends by a radius of {1e3 / section.curvature_per_m:.3g} mm"
-            rule = f"{bend}, must be more than the tube's own outer radius"
+            readings = bend_readings(tube, section)[entry.section[k].radius_mm is not None]
+            hint = f": is it {' or '.join(readings)}?" if readings else ""
+            rule = f"{bend}, must be more than the tube's own outer radius{hint}"
             raise document.fault(rule, "tube", i, "section", k)
     if tube.length_m * 1e3 > LONGEST_TUBE_MM:
         rule = f"sections add up to {tube.length_m * 1e3:g} mm, must be at most 5000 mm, are they in millimetres?"
@@ -337,7 +340,12 @@ def _measurement(entry: MeasurementEntry | None) -> SensorNoise | None:
 
 def doubtful_numbers(robot: Robot, document: Document) -> list[str]:
     """A sentence for each number of a robot's file that is most likely in another unit."""
-    return [str(document.fault(doubt.rule, *_key_in_file(doubt.key, document))) for doubt in robot_doubts(robot)]
+    told = []
+    for doubt in robot_doubts(robot):
+        key = _key_in_file(doubt.key, document)
+        rule = doubt.otherwise if key[-1] in (YOUNG, SHEAR, RADIUS) and doubt.otherwise else doubt.rule
+        told += [str(document.fault(rule, *key))] if rule else []
+    return told
 
 
 def _key_in_file(key: tuple[str | int, ...], document: Document) -> tuple[str | int, ...]:
@@ -345,11 +353,12 @@ def _key_in_file(key: tuple[str | int, ...], document: Document) -> tuple[str | 
     table: Any = document.content
     for step in key if isinstance(key[-1], int) else key[:-1]:
         table = table[step]
-    if key[-1] == BENDING and BENDING not in table:
-        return (*key[:-1], YOUNG)
+    for plain, others in ((BENDING, (YOUNG,)), (POISSON, (SHEAR, TORSIONAL))):
+        if key[-1] == plain and plain not in table:
+            return (*key[:-1], next(name for name in others if name in table))
     if len(key) == 4 and key[2] == "section":
         bent = max(CURVATURES, key=lambda name: abs(table.get(name) or 0.0))
-        return (*key, "radius_mm" if "radius_mm" in table else bent)
+        return (*key, RADIUS if RADIUS in table else bent)
     return key
 
 

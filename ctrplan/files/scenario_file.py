@@ -33,7 +33,7 @@ from ctrplan.scenario.scenario import (
     StartFriction,
     StartTurns,
 )
-from ctrplan.scenario.sizes import SizeDoubt, base_doubt, part_doubts, place_doubt
+from ctrplan.scenario.sizes import SizeDoubt, base_doubt, joint_doubts, part_doubts, place_doubt
 from ctrplan.storage.toml_document import (
     Angle,
     Document,
@@ -287,6 +287,13 @@ def _refuse_wrong_units(
             found.append((doubt, document.fault(doubt.rule, *steps)))
     for k, doubt in part_doubts(robot, anatomy, tips):
         found.append((doubt, document.fault(doubt.rule, "anatomy", k, doubt.key)))
+    tables: list[tuple[Step, ...]] = [("start",), ("goal", "joints")]
+    tables += [("target", k, "joints") for k in range(len(document.content.get("target", ())))]
+    for place in tables:
+        table: Any = document.content
+        for step in place:
+            table = (table[step] if isinstance(step, int) else table.get(step)) or {}
+        found += [(doubt, document.fault(doubt.rule, *place, name)) for name, doubt in joint_doubts(robot, table)]
     for doubt, fault in found:
         if doubt.is_sure:
             raise fault

@@ -21,6 +21,7 @@ from ctrplan.drive.legs import Collars
 from ctrplan.errors import InputError
 from ctrplan.files.measurement_file import load_measurements
 from ctrplan.files.plan_file import WrittenPlan, load_plan
+from ctrplan.files.plan_inputs import SUFFIX
 from ctrplan.files.robot_file import doubtful_numbers, load_robot
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.measurement.measurements import Measurements
@@ -39,6 +40,8 @@ if TYPE_CHECKING:
 
 SAMPLES = 64  # configurations whose bounds are looked at, a second or so of three tubes
 SHOWN = {"m": (1e3, " mm"), "rad": (180 / math.pi, " deg"), "mm": (1.0, " mm"), "number": (1.0, "")}
+HOUR_S = 3600.0
+FAR_TURNED_DEG = 60.0  # a median error of tangents that no effect explains, where positions agree
 FAR_OFF = 0.1  # of the robot's length: a median error that no effect explains, where no other reading does
 
 
@@ -107,9 +110,7 @@ def _read(subject: Any, robot: Any, allow_outside: bool) -> Any:
     if not isinstance(subject, (str, os.PathLike)):
         return subject
     path = Path(subject)
-    if path.is_dir() and (path / "plan.json").is_file():
-        path = path / "plan.json"
-    if path.suffix.lower() == ".json":
+    if path.is_dir() or path.suffix.lower() in (".json", SUFFIX):
         return load_plan(path, allow_outside=allow_outside)
     if path.suffix.lower() == ".csv":
         return _measurements(path, robot)
@@ -294,6 +295,13 @@ def _of_measurements(data: Measurements, robot: Robot) -> Check:
     collars = (theta_b, l_b) if data.of_collars else robot.collars(theta_b, l_b)
     table = point_table(robot, data, Collars(*collars), np.zeros((data.count, robot.n - 1)))
     off = np.linalg.norm(table.position_m - data.position_m, axis=1)[table.sound]
+    if data.time_s is not None:
+        span = float(np.ptp(data.time_s))
+        lines.append(
+            f"they took {span:.3g} s (time_s)" if span < HOUR_S else f"they took {span / HOUR_S:.3g} h (time_s)"
+        )
+    along = np.sum(table.tangent * data.tangent, axis=1)[table.sound]  # NaN where a component was not measured
+    turned = np.degrees(np.arccos(np.clip(along[np.isfinite(along)], -1, 1)))
     readings = read_again(robot, data)
     facts: dict[str, Any] = {"poses": data.count, "reading": [reading.to_json() for reading in readings]}
     flags = [f"{data.file}: {reading.sentence}" for reading in readings]
@@ -308,6 +316,9 @@ def _of_measurements(data: Measurements, robot: Robot) -> Check:
             flags.append(
                 f'{data.file}: {np.median(off) * 1e3:.3g} mm {rule}? frame = "unknown" in a mapping file finds it.'
             )
+        elif not flags and len(turned) and np.median(turned) > FAR_TURNED_DEG:
+            hint = "do they point to the base?" if np.median(turned) > 135 else "are their columns in another order?"
+            flags.append(f"{data.file}: tangents are {np.median(turned):.3g} deg off those of the robot: {hint}")
     notes = (*data.warnings, *how_taken(data))
     return Check(str(data.file), "measurements", tuple(lines), tuple(flags), notes, facts, robot)
 

@@ -10,33 +10,49 @@ import math
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
+import numpy as np
+
+from ctrplan.base.arrays import are_radians
+
 if TYPE_CHECKING:
-    from ctrplan.mechanics.tube import Tube
+    from ctrplan.mechanics.tube import Tube, TubeSection
     from ctrplan.robot.robot import Robot
 
 UNITS_M = {"m": 1.0, "mm": 1e-3, "in": 25.4e-3, "cm": 1e-2, "um": 1e-6}  # the likeliest mistake first
 IN_WORDS = {"m": "metres", "mm": "millimetres", "in": "inches", "cm": "centimetres", "um": "micrometres"}
-YOUNG_PA = 5e7, 1e13  # a soft polymer, and ten diamonds: wrong units are off by a thousand and more
-LEAST_ARC_RAD, MOST_ARC_RAD = math.radians(0.3), 4 * math.pi  # of a section that is meant to be bent
-WIDE_ARC_RAD = math.radians(225)  # that is doubted where the number makes a radius
+YOUNG_PA = 5e7, 1.2e12  # a soft polymer, and diamond, the stiffest that there is
+WALL = 10.0  # times by which rounded diameters of thin walls may make an implied modulus greater
+USUAL_YOUNG_PA = 1e9, 3e11  # of a reading that explains a number
+MOST_ARC_RAD = 4 * math.pi  # of a section
+USUAL_ARC_RAD = math.radians(10), math.radians(225)  # of a reading that explains a number
+MOST_ELASTIC = 0.12  # strain from which no stiff tube comes back: superelastic ones bear a tenth
 OUTER_M = 1e-4, 0.04  # outer diameters
 SLENDER = 8.0  # length over outer diameter of the shortest tube
 DENSITY = 200.0, 25_000.0  # kg/m^3, foam to platinum
 NOISE_M = 2e-6, 0.02  # standard deviation of a tracker
-TRAVEL = 0.01  # share of the longest tube that a translation has to span
+TRAVEL, MOST_TRAVEL = 0.01, 20.0  # lengths of the longest tube that a translation spans
+GREATER_SHEAR = -0.5 + 1e-9  # Poisson's ratio from which on the shear modulus is Young's and more
 
 
 class Doubt(NamedTuple):
-    """A number and what speaks against its unit: the steps of its key, and the rule as the end of a sentence."""
+    """A number and what speaks against its unit: the steps of its key, and the rule as the end of a sentence.
+
+    otherwise: the rule where the file says the same by a Young's or shear modulus, or by a radius. No rule: no doubt.
+    """
 
     key: tuple[str | int, ...]
     rule: str
+    otherwise: str | None = None
 
 
 def likely_unit(value_m: float, read_in: str, low_m: float, high_m: float) -> str | None:
     """The unit in which the number that was read as `value_m` would be a length from low to high; None for none."""
+    return next(iter(_likely_units(value_m, read_in, low_m, high_m)), None)
+
+
+def _likely_units(value_m: float, read_in: str, low_m: float, high_m: float) -> list[str]:
     number = value_m / UNITS_M[read_in]
-    return next((u for u, si in UNITS_M.items() if u != read_in and low_m <= number * si <= high_m), None)
+    return [unit for unit, si in UNITS_M.items() if unit != read_in and low_m <= number * si <= high_m]
 
 
 def reach_m(robot: Robot) -> float:
@@ -62,77 +78,142 @@ def robot_doubts(robot: Robot) -> Iterator[Doubt]:
     if robot.measurement is not None:
         sigma = robot.measurement.position_sigma_m
         if not NOISE_M[0] <= sigma <= NOISE_M[1]:
-            unit = likely_unit(sigma, "mm", 2e-5, 5e-3)
-            yield Doubt(("measurement", "position_sigma_mm"), f"is no noise of a tracker{_asked(unit)}")
+            units = _likely_units(sigma, "mm", 2e-5, 5e-3)
+            yield Doubt(("measurement", "position_sigma_mm"), f"is no noise of a tracker{_asked(units)}")
+    if robot.model_error_m > 0.1 * reach_m(robot):
+        rule = f"is more than a tenth of the robot's {reach_m(robot) * 1e3:.3g} mm"
+        yield Doubt(("model_error_mm",), rule + _asked(_likely_units(robot.model_error_m, "mm", 0, 0.01)))
 
 
 def _tube_doubts(tube: Tube, i: int) -> Iterator[Doubt]:
     outer = tube.outer_diameter_m
     if not OUTER_M[0] <= outer <= OUTER_M[1]:
-        yield Doubt(("tube", i, "outer_diameter_mm"), f"is no tube{_asked(likely_unit(outer, 'mm', 3e-4, 0.02))}")
+        yield Doubt(("tube", i, "outer_diameter_mm"), f"is no tube{_asked(_likely_units(outer, 'mm', 3e-4, 0.02))}")
         return
     if tube.length_m < SLENDER * outer:
-        unit = likely_unit(tube.length_m, "mm", 20e-3, 1.0)
         rule = f"is {tube.length_m * 1e3:.3g} mm long, {tube.length_m / outer:.2g} times its diameter"
-        yield Doubt(("tube", i), f"{rule}: are its lengths in {IN_WORDS[unit]}?" if unit else rule)
-    young = implied_young_Pa(tube)
-    if not YOUNG_PA[0] <= young <= YOUNG_PA[1]:
-        factors = {"N mm^2": 1e-6, "N cm^2": 1e-4, "kN m^2": 1e3, "MPa m^4": 1e6}
-        unit = next((u for u, f in factors.items() if 1e9 <= young * f <= 3e11), None)
-        hint = f": is it in {unit}?" if unit else ": are the diameters right?"
-        yield Doubt(("tube", i, "bending_stiffness_Nm2"), f"Young's modulus would be {young:.2g} Pa{hint}")
+        units = _likely_units(tube.length_m, "mm", 20e-3, 1.0)
+        yield Doubt(("tube", i), rule + _asked(units, "are its lengths in"))
+    yield from _stiffness_doubts(tube, i)
+    straight = _aside_m(tube) < outer
     for k, section in enumerate(tube.sections):
-        if doubt := _bend_doubt(tube, section.curvature_per_m, section.length_m):
-            yield Doubt(("tube", i, "section", k), doubt)
+        if doubt := _bend_doubt(tube, section, straight=straight):
+            yield Doubt(("tube", i, "section", k), *doubt)
     density = tube.density_kg_m3
     if density and not DENSITY[0] <= density <= DENSITY[1]:
         hint = ": is it in g/cm^3?" if DENSITY[0] <= density * 1e3 <= DENSITY[1] else ""
         yield Doubt(("tube", i, "density_kg_m3"), f"is no density of a tube{hint}")
 
 
-def _bend_doubt(tube: Tube, curvature: float, length_m: float) -> str | None:
+def _stiffness_doubts(tube: Tube, i: int) -> Iterator[Doubt]:
+    young, outer = implied_young_Pa(tube), tube.outer_diameter_m
+    low, high = USUAL_YOUNG_PA
+    if not YOUNG_PA[0] <= young <= YOUNG_PA[1]:
+        of_EI = {"N mm^2": 1e-6, "N cm^2": 1e-4, "lb in^2": 2.87e-3, "kN m^2": 1e3, "MPa m^4": 1e6}
+        of_E = {"MPa": 1e-3, "N/cm^2": 1e-5, "ksi": 6.895e-3, "Pa": 1e-9, "TPa": 1e3}
+        sizes = {"in inches": 25.4, "in centimetres": 10.0, "in metres": 1e3, "radii": 2.0}
+        bore = [word for word, k in sizes.items() if low <= young / k**4 <= high and 3e-4 <= outer * k <= 0.02]
+        rules = []
+        for factors in (of_EI, of_E):
+            units = [unit for unit, factor in factors.items() if low <= young * factor <= high]
+            asked = [f"is it in {_or(units)}"] if units else []
+            asked += [f"are the diameters {_or(bore)}"] if bore else []
+            hint = ", or ".join(asked) or "are the diameters right"
+            rules.append(f"Young's modulus would be {young:.2g} Pa: {hint}?")
+        thin = YOUNG_PA[1] < young <= WALL * YOUNG_PA[1]
+        yield Doubt(("tube", i, "bending_stiffness_Nm2"), "" if thin else rules[0], rules[1])
+    if tube.poisson_ratio <= GREATER_SHEAR:
+        times = 0.5 / (1 + tube.poisson_ratio)  # of Young's modulus
+        units = [unit for unit, factor in {"MPa": 1e-3, "ksi": 6.895e-3}.items() if 0.2 <= times * factor <= 0.7]
+        rule = f"shear modulus would be {times:.3g} times Young's, of materials it is a third to a half"
+        yield Doubt(("tube", i, "poisson_ratio"), rule, f"{rule}: is it in {_or(units)}?" if units else rule)
+    if tube.max_strain > MOST_ELASTIC and young > low:
+        rule = f"no material of {young / 1e9:.2g} GPa bears {100 * tube.max_strain:.3g} % and comes back: is it in %?"
+        yield Doubt(("tube", i, "max_strain"), rule)
+
+
+def _aside_m(tube: Tube) -> float:
+    """How far [m] the free tip of a tube is from the straight on at its base, for small angles."""
+    aside = turned = 0.0
+    for section in tube.sections:
+        aside += turned * section.length_m + section.curvature_per_m * section.length_m**2 / 2
+        turned += section.curvature_per_m * section.length_m
+    return aside
+
+
+def bend_readings(tube: Tube, section: TubeSection) -> tuple[list[str], list[str]]:
+    """What the number of a bend would be, given as a curvature [1/m] or as a radius [mm], for its arc to be usual."""
+    curvature, radius_mm = section.curvature_per_m, 1e3 / section.curvature_per_m
+    as_curvature = {f"its curvature in 1/{unit}": curvature / UNITS_M[unit] for unit in ("mm", "cm", "in")}
+    as_curvature |= {"its radius in mm (radius_mm)": 1e3 / curvature}
+    as_curvature |= {f"its radius in {IN_WORDS[unit]}": 1 / (curvature * UNITS_M[unit]) for unit in ("cm", "in")}
+    as_radius = {f"its radius in {IN_WORDS[unit]}": 1 / (radius_mm * UNITS_M[unit]) for unit in ("cm", "in", "m")}
+    as_radius["its curvature in 1/m (curvature_y_per_m)"] = radius_mm
+    usual = [
+        [word for word, per_m in words.items() if _is_usual(tube, section, per_m)]
+        for words in (as_curvature, as_radius)
+    ]
+    return usual[0], usual[1]
+
+
+def _is_usual(tube: Tube, section: TubeSection, curvature: float) -> bool:
+    arc = curvature * section.length_m
+    return USUAL_ARC_RAD[0] <= arc <= USUAL_ARC_RAD[1] and curvature * tube.outer_diameter_m / 2 <= tube.max_strain
+
+
+def _bend_doubt(tube: Tube, section: TubeSection, *, straight: bool) -> tuple[str, str] | None:
+    """Two rules, for a curvature and for a radius; straight: of a tube that goes aside by less than its diameter."""
+    curvature, most = section.curvature_per_m, tube.max_strain
     if curvature <= 0:
         return None
-    outer_m, most = tube.outer_diameter_m / 2, tube.max_strain
-    arc, strain = curvature * length_m, curvature * outer_m
-    bends = f"bends by a radius of {1e3 / curvature:.4g} mm"
-    if arc < LEAST_ARC_RAD:
-        times = {"mm": 1e3, "cm": 1e2, "in": 1 / 25.4e-3}
-        unit = next((u for u, f in times.items() if math.radians(3) <= arc * f <= 7 and strain * f <= most), None)
-        rule = f"{bends}, {math.degrees(arc):.2g} deg over its length"
-        return f"{rule}: is its curvature in 1/{unit}?" if unit else rule
-    as_radius = 1e3 / curvature  # the number read as a radius in mm
-    is_radius = as_radius * outer_m <= most and math.radians(3) <= as_radius * length_m <= WIDE_ARC_RAD
-    if not (strain > most or arc > MOST_ARC_RAD or (arc > WIDE_ARC_RAD and is_radius)):
+    arc, strain = curvature * section.length_m, curvature * tube.outer_diameter_m / 2
+    readings, wide = bend_readings(tube, section), arc > USUAL_ARC_RAD[1]
+    is_explained = (straight or wide) and any(readings)
+    if not (is_explained or strain > most or arc > MOST_ARC_RAD):
         return None
-    rule = f"{bends}, straightened it is strained by {100 * strain:.3g} % of at most {100 * most:.3g} %"
-    if arc > WIDE_ARC_RAD:
-        rule = f"{bends}, {math.degrees(arc):.3g} deg over its length"
-    return f"{rule}: is {curvature:.4g} its radius in mm (radius_mm)?" if is_radius else rule
+    rule = f"bends by a radius of {1e3 / curvature:.4g} mm"
+    if straight or wide:
+        rule += f", {math.degrees(arc):{'.2g' if straight else '.3g'}} deg over its length"
+    else:
+        rule += f", straightened it is strained by {100 * strain:.3g} % of at most {100 * most:.3g} %"
+    numbers = ("", "") if straight else (f"{curvature:.4g} ", f"{1e3 / curvature:.4g} ")
+    first, second = (
+        f"{rule}: is {n}{_or(words)}?" if words else rule for n, words in zip(numbers, readings, strict=True)
+    )
+    return first, second
+
+
+def _or(words: Sequence[str]) -> str:
+    return " or ".join(words)
 
 
 def _drive_doubts(robot: Robot) -> Iterator[Doubt]:
-    longest = reach_m(robot)
-    for k, joint in enumerate(robot.drive.joints):
-        low, high = float(robot.drive.lower[k]), float(robot.drive.upper[k])
+    longest, drive = reach_m(robot), robot.drive
+    if are_radians(np.degrees(drive.home_theta_rad)):
+        yield Doubt(("home", "theta_deg"), "are whole parts of a turn in radians: are they in radians?")
+    moved = float(np.abs(drive.home_l_m).max())
+    if 0 < moved < TRAVEL / 10 * longest and likely_unit(moved, "mm", 0.05 * longest, longest) == "m":
+        yield Doubt(("home", "l_mm"), f"moves bases by {moved * 1e3:.3g} mm at most: are these in metres?")
+    for k, joint in enumerate(drive.joints):
+        low, high = float(drive.lower[k]), float(drive.upper[k])
         if not math.isfinite(low) or not math.isfinite(high):
             continue
         span = high - low
-        if joint.kind == "translation" and 0 < span < TRAVEL * longest:
-            unit = likely_unit(span, "mm", 0.05 * longest, 1.5 * longest)
-            if unit is not None:
-                yield Doubt(("joint", k), f"travels {span * 1e3:.3g} mm: are its limits in {IN_WORDS[unit]}?")
-        if joint.kind == "rotation" and _is_in_radians(math.degrees(span)):
+        travel = span * float(np.abs(joint.moves).max())  # of the tube that it moves most
+        if joint.kind == "translation" and 0 < travel < TRAVEL * longest:
+            units = _likely_units(travel, "mm", 0.05 * longest, 1.5 * longest)
+            if units:
+                rule = f"travels {travel * 1e3:.3g} mm"
+                yield Doubt(("joint", k), rule + _asked(units, "are its limits in"))
+        if joint.kind == "translation" and travel > MOST_TRAVEL * longest:
+            rule = f"moves a tube by {travel:.3g} m within its limits, the robot is {longest * 1e3:.3g} mm long"
+            yield Doubt(("joint", k, "moves"), f"{rule}: are these m per m?")
+        if joint.kind == "rotation" and are_radians(np.degrees([low, high])):
             yield Doubt(("joint", k), f"turns by {math.degrees(span):.4g} deg: are its limits in radians?")
 
 
-def _is_in_radians(span_deg: float) -> bool:
-    """Whether a span of degrees is a half turn, or one or two whole ones, in radians."""
-    return any(math.isclose(span_deg, turns * math.pi, rel_tol=5e-3) for turns in (1, 2, 4, 8))
-
-
-def _asked(unit: str | None) -> str:
-    return f": is it in {IN_WORDS[unit]}?" if unit else ""
+def _asked(units: Sequence[str], question: str = "is it in") -> str:
+    return f": {question} {' or '.join(IN_WORDS[unit] for unit in units)}?" if units else ""
 
 
 def one_sentence(sentences: Sequence[str], check: str) -> tuple[str, ...]:

@@ -6,13 +6,13 @@ numbers in another unit are where they can be, that unit is named.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from ctrplan.anatomy.parts import AnatomyPart
-from ctrplan.base.arrays import Array
+from ctrplan.base.arrays import Array, are_radians
 from ctrplan.robot.magnitudes import IN_WORDS, UNITS_M, reach_m
 from ctrplan.robot.robot import Robot
 
@@ -55,6 +55,21 @@ def place_doubt(
         where = " and outside all lumens" if outside else ""
         return SizeDoubt(unit, _away(away, length, f"are these in {IN_WORDS[unit]}?", where), sure)
     return None
+
+
+def joint_doubts(robot: Robot, values: Mapping[str, object]) -> Iterator[tuple[str, SizeDoubt]]:
+    """Values of joints, by name in deg or mm, that are most likely in radians or in metres: names and doubts."""
+    joints = {joint.name: joint for joint in robot.drive.joints}
+    given = {name: float(x) for name, x in values.items() if name in joints and isinstance(x, (int, float))}
+    angles = {name: x for name, x in given.items() if joints[name].kind == "rotation" and x}
+    if are_radians(angles.values()):
+        rule = "is a whole part of a turn in radians, as its neighbours are: are these in radians?"
+        yield next(iter(angles)), SizeDoubt("rad", rule, False)
+    ways = {name: x for name, x in given.items() if joints[name].kind == "translation" and x}
+    most, length = max(map(abs, ways.values()), default=0.0), reach_m(robot)
+    if 0 < most * UNITS_M["mm"] < NEAR / 10 * length and PLAUSIBLE[0] * length <= most <= length:
+        rule = f"moves by {most:.3g} mm, the robot is {length * 1e3:.3g} mm long: are these in metres?"
+        yield max(ways, key=lambda name: abs(ways[name])), SizeDoubt("m", rule, False)
 
 
 def base_doubt(robot: Robot, tips_m: Sequence[Array], base_m: Array) -> SizeDoubt | None:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import codecs
 import csv
 import hashlib
 import os
+import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
@@ -27,8 +29,38 @@ def file_name(path: str | os.PathLike[str], what: str) -> str:
     return name
 
 
+PACKED = {b"\x1f\x8b": "gzip", b"BZh": "bzip2", b"PK\x03\x04": "zip", b"\xfd7zXZ": "xz", b"\x28\xb5\x2f\xfd": "zstd"}
+HEAD_BYTES = 64  # by which a file is told that is not what its name says
+
+
+def packed_by(head: bytes) -> str | None:
+    """The program that packed a file with these first bytes; None for one that is not packed."""
+    return next((name for mark, name in PACKED.items() if head.startswith(mark)), None)
+
+
+def other_than_named(head: bytes) -> str | None:
+    """What a file with these first bytes is, whatever its name, as the end of a sentence; None where they may be it.
+
+    Nothing, a page that a server sent in the place of a file, a pointer to a file that was not fetched, text of two
+    bytes a letter.
+    """
+    start = head.removeprefix(codecs.BOM_UTF8).lstrip().lower()
+    if not start:
+        return "is empty"
+    if start.startswith((b"<!doctype html", b"<html")):
+        return "is a web page, not the file itself: was it downloaded without signing in?"
+    if start.startswith(b"version https://git-lfs"):
+        return "is a pointer of Git LFS in the place of the file: git lfs pull fetches it"
+    if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return "is not UTF-8 text, but UTF-16: save it as UTF-8"
+    return None
+
+
 def file_bytes(file: str, largest_bytes: int, kind: str, what: str) -> bytes:
-    """Everything in `file`; its kind is "CSV" or so. Raises InputError if it is unreadable or too large a `what`."""
+    """Everything in `file`; its kind is "CSV" or so.
+
+    Raises InputError if it is unreadable, too large a `what`, or by its first bytes something else.
+    """
     try:
         with open(file, "rb") as stream:
             size = os.fstat(stream.fileno()).st_size  # a file that is much too large is not read at all
@@ -41,11 +73,17 @@ def file_bytes(file: str, largest_bytes: int, kind: str, what: str) -> bytes:
         raise InputError(f"can't be read ({getattr(error, 'strerror', None) or error})", file=file) from None
     if max(size, len(data)) > largest_bytes:
         raise InputError(f"is larger than {largest_bytes // 10**6} MB, no {what}", file=file)
+    if (program := packed_by(data)) is not None:
+        more = " (a spreadsheet is exported as CSV)" if (program, kind) == ("zip", "CSV") else ""
+        raise InputError(f"is packed by {program}: unpack it first{more}", file=file)
+    if (other := other_than_named(data[:HEAD_BYTES])) is not None:
+        raise InputError(other, file=file)
     return data
 
 
 LARGEST_FILE_BYTES = 200_000_000
 LARGEST_NUMBER = 1e20  # stamps in nanoseconds are smaller
+UNIT_WORDS = ("rad", "deg", "m", "mm", "cm", "s", "ms", "-")
 MISSING = ("nan", "na", "n/a", "null", "none", "-", "--", "missing", "#n/a", "-nan", "nan(ind)", "-nan(ind)", "1.#qnan")
 
 
@@ -83,7 +121,9 @@ class CsvTable:
             if [cell.strip() for cell in cells] == self.header:
                 raise self.fault("repeats the header, were files joined?", row)
             if len(cells) != len(self.header):
-                raise self.fault(f"has {len(cells)} values, the header has {len(self.header)} columns", row)
+                there = f"has {len(cells)} values, the header has {len(self.header)} columns"
+                title = len(self.header) == 1 and row == 0
+                raise self.fault(there + (": is its line a title? One begins with #" if title else ""), row)
 
     def fault(self, rule: str, row: int | None = None, column: str | None = None, value: object = ...) -> InputError:
         """The error that a cell, row (from 0) or column breaks `rule`."""
@@ -121,7 +161,8 @@ class CsvTable:
         if not np.isfinite(value):
             raise self.fault("must be a finite number", row, name, text)
         if abs(value) > LARGEST_NUMBER:
-            raise self.fault(f"must be from {-LARGEST_NUMBER:g} to {LARGEST_NUMBER:g}", row, name, text)
+            rule = f"must be from {-LARGEST_NUMBER:g} to {LARGEST_NUMBER:g}, left empty where nothing was measured"
+            raise self.fault(rule, row, name, text)
         return value
 
 
@@ -129,11 +170,15 @@ def _likely(text: str) -> str:
     """What a text that is no number most likely is."""
     if in_plain_digits(text.replace(",", ".")) is not None:
         return ", with a point for the decimal comma"
+    if text.strip("[]() ").lower() in UNIT_WORDS:
+        return ", a row of units begins with #"
     return ", left empty where nothing was measured" if text.lower() in MISSING else ""
 
 
 def _uncommented(lines: Sequence[str], separator: str, *, header: bool) -> list[str]:
     """The lines without comments, which begin with #; a header that does is one, as numpy.savetxt writes it."""
+    if lines and re.fullmatch(r"sep=.", lines[0].strip()):  # which spreadsheets write
+        lines = lines[1:]
     kept = [line for line in lines if not line.lstrip().startswith("#")]
     first = next((k for k, line in enumerate(lines) if line.strip() and not line.lstrip().startswith("#")), 0)
     before = [line.lstrip("# ") for line in lines[:first] if line.strip()]

@@ -212,3 +212,48 @@ def test_the_other_order_of_bytes(tmp_path: Path) -> None:
         made.PixelData = np.frombuffer(made.PixelData, "<i2").astype(">i2").tobytes()
         made.save_as(tmp_path / f"{k}.dcm", implicit_vr=False, little_endian=False, enforce_file_format=True)
     check(read_series(tmp_path, None), TURNED)
+
+
+@pytest.mark.parametrize("content", [b"", b"\x1f\x8b packed", b"\0" * 128 + b"DICM cut"])
+def test_a_damaged_slice_at_an_end_is_said_by_name(content: bytes, tmp_path: Path) -> None:
+    series(tmp_path)
+    (tmp_path / "I3.dcm").write_bytes(content)  # k = 9, the last
+    (tmp_path / ".hidden").write_bytes(b"")
+    (tmp_path / "DICOMDIR").write_bytes(b"")
+    image = read_series(tmp_path, None)
+    assert image.voxels.shape[0] == SIZE[2] - 1
+    assert image.notes == ("is read without files that are no DICOM image, or a damaged one: I3.dcm",)
+
+
+def test_a_folder_of_folders_names_the_one_that_is_meant(tmp_path: Path) -> None:
+    (tmp_path / "ct").mkdir()
+    series(tmp_path / "ct")
+    (tmp_path / "report.pdf").write_bytes(b"%PDF")
+    with pytest.raises(ImageRefusal, match=r"DICOM images: ct in it does, name that folder, but .*: report.pdf"):
+        read_series(tmp_path, None)
+
+
+def test_files_without_a_series_are_one(tmp_path: Path) -> None:
+    series(tmp_path)
+    for path in tmp_path.iterdir():
+        made = pydicom.dcmread(path)
+        del made.SeriesInstanceUID
+        made.save_as(path)
+    check(read_series(tmp_path, None), TURNED)
+
+
+def test_a_number_of_images_that_is_stated_and_not_there_is_said(tmp_path: Path) -> None:
+    (note,) = read_series(series(tmp_path, lambda k: {"ImagesInAcquisition": 12}), None).notes
+    assert note == "says 12 images (ImagesInAcquisition), and 10 are read: are some missing?"
+
+
+@pytest.mark.parametrize(
+    ("change", "phrase"),
+    [
+        (lambda k: {"FrameOfReferenceUID": f"1.2.{k // 5}"}, "slices of 2 frames of reference"),
+        (lambda k: {"RescaleSlope": "0", "RescaleIntercept": "5"}, r"I\d.dcm, whose RescaleSlope is 0"),
+    ],
+)
+def test_tags_that_contradict_a_volume_are_refused(change: Any, phrase: str, tmp_path: Path) -> None:
+    with pytest.raises(ImageRefusal, match=phrase):
+        read_series(series(tmp_path, change), None)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import bz2
 import gzip
 import struct
+from codecs import BOM_UTF8
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -27,9 +28,11 @@ def nifti(
     head = bytearray(352)
     struct.pack_into(order + "i", head, 0, 348)
     struct.pack_into(order + "8h", head, 40, 3, *SIZE, 1, 1, 1, 1)
-    struct.pack_into(order + "2h", head, 70, kind, 8 * values.itemsize)
+    struct.pack_into(order + "2h", head, 70, kind, keys.get("bits", 8 * values.itemsize))
     struct.pack_into(order + "8f", head, 76, *keys.get("pixdim", (1, *SPACING, 1, 1, 1, 1)))
-    struct.pack_into(order + "3f", head, 108, 352, keys.get("slope", 1.0), keys.get("intercept", 0.0))
+    struct.pack_into(
+        order + "3f", head, 108, keys.get("start", 352), keys.get("slope", 1.0), keys.get("intercept", 0.0)
+    )
     head[123] = keys.get("unit", 2)
     struct.pack_into(order + "2h", head, 252, *keys.get("codes", (1, 1)))
     x, y, z, _ = Rotation.from_matrix(TURN).as_quat(canonical=True)
@@ -89,6 +92,11 @@ def test_a_size_that_is_passed_over_is_said(tmp_path: Path) -> None:
     )
 
 
+def test_places_of_a_standard_brain_are_said(tmp_path: Path) -> None:
+    (note,) = read_image(nifti(tmp_path / "a.nii", codes=(0, 4))).notes
+    assert "in a standard brain (sform_code 4)" in note
+
+
 def zipped(data: bytes) -> bytes:
     return b"PK\x03\x04" + data
 
@@ -112,6 +120,53 @@ REFUSED: dict[str, tuple[Callable[[Path], Path], str]] = {
         lambda p: nrrd(p / "a.nrrd", "bzip2", lambda data: bz2.compress(data)[:-9]),
         "is damaged or cut",
     ),
+    "a type of half the bytes": (
+        lambda p: nifti(p / "a.nii", type=2),
+        r"says 16 bits a voxel \(bitpix\), and a type of 8",
+    ),
+    "twice the voxels": (
+        lambda p: nifti(p / "a.nii", np.concatenate([VOXELS, VOXELS], axis=2)),
+        "bytes of voxels or more, its header makes 3360 of dim and datatype: they must agree",
+    ),
+    "no beginning": (lambda p: nifti(p / "a.nii", start=float("nan")), r"where its voxels begin \(vox_offset\)"),
+    "no place beside spacings": (
+        lambda p: nrrd(p / "a.nrrd", without="space", extra="spacings: 1 1 1"),
+        "does not say where its first voxel is",
+    ),
+    "a NRRD of a byte order mark": (lambda p: begun(nrrd(p / "a.nrrd"), BOM_UTF8), "begins with a byte order mark"),
+    "a NRRD that its reader refuses": (
+        lambda p: nrrd(p / "a.nrrd", space="right-posterior-superior"),
+        "can't be read: .*couldn't parse space",
+    ),
+    "no numbers of directions": (lambda p: nrrd(p / "a.nrrd", size=float("nan")), "three finite numbers each"),
+    "a NRRD of fewer bytes": (lambda p: nrrd(p / "a.nrrd", pack=lambda d: d[:-400]), "has 2960 bytes .* 3360 are due"),
+    "a NRRD of more bytes": (lambda p: nrrd(p / "a.nrrd", pack=lambda d: d + d), "makes 3360 of sizes and type"),
+    "a MetaImage of another type": (
+        lambda p: mha(p / "a.mha", ElementType="MET_UCHAR"),
+        "has 3360 bytes of voxels or more, its header makes 1680 of DimSize and ElementType: they must agree",
+    ),
+    "decimal commas": (
+        lambda p: mha(p / "a.mha", ElementSpacing="0,8 0,9 1,1"),
+        "says ElementSpacing = 0,8 0,9 1,1: must be 3 numbers with a decimal point",
+    ),
+    "voxels that are not there": (
+        lambda p: mha(p / "a.mhd", ElementDataFile="b.raw"),
+        r"has its voxels in another file, b.raw, which is not beside it \(ElementDataFile\)",
+    ),
+    "voxels of elsewhere": (
+        lambda p: mha(p / "a.mhd", ElementDataFile="../b.raw"),
+        "has its voxels outside its folder",
+    ),
+    "slices by themselves": (lambda p: mha(p / "a.mhd", ElementDataFile="LIST"), "has its slices in several files"),
+    **{
+        f"{what} called {suffix}": (lambda p, s=suffix, c=content: written(p / f"a.{s}", c), phrase)
+        for suffix in ("nii", "nii.gz", "nrrd", "mha", "mhd")
+        for what, content, phrase in (
+            ("nothing", b"", "is empty"),
+            ("a web page", b"\n<!DOCTYPE html><p>404", "is a web page"),
+            ("a pointer", b"version https://git-lfs.github.com/spec/v1\n", "is a pointer of Git LFS"),
+        )
+    },
     "qform and sform": (lambda p: nifti(p / "a.nii", quaternion=(0, 0, 0)), r"says two places .* \(qform, sform\)"),
 }
 
@@ -122,6 +177,15 @@ def test_what_is_in_the_way_is_one_sentence(name: str, tmp_path: Path) -> None:
     with pytest.raises(ImageRefusal, match=phrase) as caught:
         read_image(make(tmp_path))
     assert "\n" not in str(caught.value) and "sitk" not in str(caught.value)
+
+
+def written(path: Path, content: bytes) -> Path:
+    path.write_bytes(content)
+    return path
+
+
+def begun(path: Path, mark: bytes) -> Path:
+    return written(path, mark + path.read_bytes())
 
 
 def named(path: Path, name: str) -> Path:
@@ -167,6 +231,9 @@ NRRD: dict[str, Callable[[Path], Path]] = {
     "bzip2": lambda p: nrrd(p / "a.nrrd", "bzip2", bz2.compress),
     "bzip2 apart": lambda p: nrrd(p / "a.nhdr", "bzip2", bz2.compress, data_file="a.raw.bz2"),
     "gzip": lambda p: nrrd(p / "a.nrrd", "gzip", gzip.compress),
+    "units spelt out": lambda p: nrrd(p / "a.nrrd", units=("centimeters",) * 3, size=0.1),
+    "units as a remark": lambda p: nrrd(p / "a.nrrd", extra='space units:="cm" "cm" "cm"'),
+    "bytes that fill a block": lambda p: nrrd(p / "a.nrrd", pack=lambda data: data + bytes(64)),
     "packed as a whole": lambda p: packed_whole(nrrd(p / "a.nrrd")),
 }
 
@@ -205,10 +272,10 @@ def mha(
         "ElementSpacing": f"{SPACING[0] * size!r} {SPACING[1] * size * flip!r} {SPACING[2] * size!r}".replace(
             "np.float64", ""
         ),
-        **keys,
         "DimSize": "12 14 10",
         "ElementType": "MET_SHORT",
-        "ElementDataFile": "LOCAL",
+        **keys,
+        "ElementDataFile": keys.get("ElementDataFile", "LOCAL"),
     }
     head = "".join(f"{name} = {value}\n" for name, value in fields.items() if name != without)
     path.write_bytes(head.replace("(", "").replace(")", "").encode() + values.tobytes(order="F"))

@@ -251,11 +251,11 @@ def test_the_place_of_a_hole_is_named(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "content", "phrase"),
     [
-        ("empty.stl", b"", "no triangles"),
+        ("empty.stl", b"", "is empty"),
         ("latin.stl", "solid Gefäß\n".encode("latin-1"), "UTF-8"),
         ("short.stl", b"abc", "no triangles"),
-        ("empty.ply", b"", "as PLY"),
-        ("empty.obj", b"", "no triangles"),
+        ("empty.ply", b"", "is empty"),
+        ("empty.obj", b"", "is empty"),
         ("none.obj", b"# nothing\n", "no triangles"),
         ("points.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\n", "no triangles"),
         ("solid.stl", b"solid a\nendsolid a\n", "no triangles"),

@@ -164,7 +164,9 @@ def vtu(arrays: dict[str, Any], points: int, faces: int, packed: bool, form: str
     corners = np.concatenate([arrays["connectivity"].reshape(-1), [0, 1], [0, 1, 2, 3]])
     ends = np.concatenate([arrays["offsets"], arrays["offsets"][-1] + np.array([2, 6])])
     kinds = np.array([5] * faces + [3, 10])
-    content = vtp({"Points": arrays["Points"], "connectivity": corners, "offsets": ends}, points, faces, packed, form)
+    content = vtp(
+        {"Points": arrays["Points"], "connectivity": corners, "offsets": ends}, points, faces + 2, packed, form
+    )
     text = content.replace(b"PolyData", b"UnstructuredGrid").replace(b"NumberOfPolys", b"NumberOfCells")
     coded = " ".join(map(str, kinds)).encode()
     types = b'<DataArray type="UInt8" Name="types" format="ascii">' + coded + b"</DataArray>"

@@ -183,7 +183,12 @@ def test_faults_are_one_sentence(name: str, table: Table, tmp_path: Path) -> Non
 
 @pytest.mark.parametrize(
     ("content", "sentence"),
-    [(b"", "must have a header"), (b"\xff\xfe", "is not UTF-8"), (b"x_m;y_m\n0;0", "by semicolons")],
+    [
+        (b"", "is empty"),
+        (b"x_m,y_m\n", "must have a header"),
+        (b"\xff\xfe", "is not UTF-8"),
+        (b"x_m;y_m\n0;0", "by semicolons"),
+    ],
 )
 def test_files_that_are_none(content: bytes, sentence: str, tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_bytes(content)

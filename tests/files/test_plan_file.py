@@ -144,7 +144,8 @@ def test_a_spoiled_plan_is_refused_in_a_sentence(what: str, copied: Path) -> Non
 @pytest.mark.parametrize(
     "text, sentence",
     [
-        ("", r"is no JSON \(line 1"),
+        ("", "is empty"),
+        ("nothing", r"is no JSON \(line 1"),
         ("{", "is no JSON"),
         ("[]", "is no plan"),
         ('{"schema_version": NaN}', "holds NaN, all numbers must be finite"),

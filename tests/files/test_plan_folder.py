@@ -46,7 +46,7 @@ def test_a_plan_survives_its_folder(written: tuple[ctrplan.Plan, Path], tmp_path
 
 def test_what_is_no_plan_is_refused(written: tuple[ctrplan.Plan, Path], tmp_path: Path) -> None:
     _, folder = written
-    with pytest.raises(InputError, match="does not exist"):
+    with pytest.raises(InputError, match="holds no plan.json"):
         ctrplan.Plan.load(tmp_path, overrides=QUICK)
     content = json.loads((folder / "plan.json").read_text(encoding="utf-8"))
     (tmp_path / "trajectory.csv").write_bytes((folder / "trajectory.csv").read_bytes())

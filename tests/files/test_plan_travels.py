@@ -18,7 +18,7 @@ from places import ROBOTS
 import ctrplan
 from ctrplan.cli import main
 from ctrplan.errors import InputError
-from ctrplan.files.plan_inputs import INPUTS, MANIFEST, unpacked
+from ctrplan.files.plan_inputs import INPUTS, MANIFEST, _packed, unpacked
 
 START = {"rotate outer": 0.0, "rotate inner": 0.0, "translate inner": 0.0}
 
@@ -171,3 +171,35 @@ def test_two_plans_side_by_side(saved: Path, tmp_path: Path, capsys: pytest.Capt
     assert main([*said, "--json"]) == 0
     rows = json.loads(capsys.readouterr().out)
     assert all(row["a"] == row["b"] for row in rows.values()) and len(rows) > 6
+
+
+@pytest.mark.parametrize("missing", ["plan.json", "trajectory.csv", INPUTS])
+def test_a_member_that_is_missing_is_named_by_the_file_that_was_given(
+    missing: str, saved: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(saved / "out", tmp_path / "out")
+    (tmp_path / "out" / missing).unlink()
+    one = tmp_path / "one.ctrplan"
+    with zipfile.ZipFile(saved / "plan.ctrplan") as whole, zipfile.ZipFile(one, "w") as archive:
+        for member in whole.infolist():
+            if member.filename != missing:
+                archive.writestr(member, whole.read(member))
+    for given in (tmp_path / "out", one):
+        for command in ("check", "verify"):
+            assert main([command, str(given), *(["--quiet"] if command == "verify" else [])]) == 2
+            told = capsys.readouterr().err
+            assert told.startswith(f"ctrplan: {given}") and missing in told, told
+
+
+def test_check_takes_one_file_as_well(saved: Path) -> None:
+    assert ctrplan.check(saved / "plan.ctrplan").lines == ctrplan.check(saved / "out").lines
+
+
+def test_voxels_beside_a_header_are_packed_whatever_they_are_called(tmp_path: Path) -> None:
+    header = "NDims = 3\nDimSize = 2 2 2\nElementType = MET_UCHAR\nOffset = 0 0 0\nElementSpacing = 1 1 1\n"
+    (tmp_path / "scan.mhd").write_text(header + "ElementDataFile = voxels/other.raw\n")
+    (tmp_path / "voxels").mkdir()
+    (tmp_path / "voxels" / "other.raw").write_bytes(bytes(8))
+    (tmp_path / "scan.txt").write_text("notes of a person")
+    packed = _packed(tmp_path / "scan.mhd", "scans/scan.mhd")
+    assert set(packed) == {"scans/scan.mhd", "scans/voxels/other.raw"}

@@ -15,7 +15,7 @@ from measured_data import measured, pair_robot, waypoints, write_csv
 from places import ROBOTS, SCENARIOS
 
 import ctrplan
-from ctrplan.base.arrays import are_degrees
+from ctrplan.base.arrays import are_degrees, are_radians
 from ctrplan.cli import main
 from ctrplan.errors import InputError
 from ctrplan.files.measurement_file import load_measurements
@@ -44,6 +44,15 @@ def test_no_shipped_scenario_is_in_doubt(file: Path) -> None:
         ("joint.4.min_mm=-0.0864", "travels 0.0864 mm: are its limits in metres"),
         ("measurement={position_sigma_mm=0.0004}", "is no noise of a tracker: is it in metres"),
         ("tube.1.density_kg_m3=6.45", r"is no density of a tube: is it in g/cm\^3\?"),
+        ("tube.1.section.1.curvature_y_per_m=0.0377", r"is its curvature in 1/cm or its curvature in 1/in\?"),
+        ("tube.3.section.2.curvature_y_per_m=0.1818", r"0.9 deg over its length: is its curvature in 1/cm"),
+        ("tube.1.section.1.curvature_y_per_m=26.5", r"228 deg over its length: is 26.5 its radius in centimetres"),
+        ("tube.1.bending_stiffness_Nm2=17.67", r"is it in N cm\^2 or lb in\^2\?"),
+        ("tube.1.max_strain=0.8", r"no material of 65 GPa bears 80 % and comes back: is it in %\?"),
+        ("model_error_mm=500", r"is more than a tenth of the robot's 270 mm: is it in micrometres\?"),
+        ("home.theta_deg=[0, 3.14159, 1.5708]", r"home.theta_deg = .*: are they in radians\?"),
+        ("joint.1.min_deg=-1.5708;joint.1.max_deg=1.5708", "are its limits in radians"),
+        ("joint.4.moves={l=[0,0,1000]}", r"moves a tube by 86.4 m within its limits, .*: are these m per m\?"),
         ("model_error_mm=0", ""),
     ],
 )
@@ -55,6 +64,71 @@ def test_numbers_of_a_robot_by_what_they_would_mean(said: str, phrase: str) -> N
     (warning,) = told
     assert str(THREE) in warning and "\n" not in warning
     assert re.search(phrase, warning)
+
+
+@pytest.mark.parametrize(
+    ("said", "phrase"),
+    [
+        ("youngs_modulus_GPa=6000,poisson_ratio=0.3", r"youngs_modulus_GPa = 6000: Young's .*: is it in MPa or ksi\?"),
+        (
+            "youngs_modulus_GPa=60,shear_modulus_GPa=60",
+            "shear_modulus_GPa = 60: shear modulus would be 1 times Young's",
+        ),
+        (
+            "youngs_modulus_GPa=20,shear_modulus_GPa=8000",
+            "shear_modulus_GPa = 8000: .* a third to a half: is it in MPa",
+        ),
+        ("youngs_modulus_GPa=60,poisson_ratio=0.3", ""),
+    ],
+)
+@pytest.mark.parametrize(
+    ("bend", "hint"),
+    [
+        ("radius_mm=26.5", r"radius_mm = 26.5 mm: .* is 26.5 its radius in centimetres or its radius in inches\?"),
+        ("radius_mm=3.77", r"is 3.77 its radius in inches or its curvature in 1/m \(curvature_y_per_m\)\?"),
+        ("radius_mm=265", ""),
+    ],
+)
+def test_moduli_and_radii_are_doubted_as_they_were_said(said: str, phrase: str, bend: str, hint: str) -> None:
+    tube = f"outer_diameter_mm=2.64,inner_diameter_mm=2.39,{said},section=[{{length_mm=150,{bend}}}]"
+    robot = load_robot(THREE, [f"tube.1={{{tube}}}"])
+    told = " ".join(ctrplan.check(robot).flags)
+    assert bool(told) == bool(phrase or hint)
+    assert re.search(phrase, told) and re.search(hint, told)
+
+
+def test_a_radius_in_metres_is_refused_by_name() -> None:
+    tube = "outer_diameter_mm=2.64,inner_diameter_mm=2.39,youngs_modulus_GPa=60,poisson_ratio=0.3"
+    with pytest.raises(InputError, match="own outer radius: is it its radius in metres"):
+        load_robot(THREE, [f"tube.1={{{tube},section=[{{length_mm=150,radius_mm=0.265}}]}}"])
+
+
+def test_a_tube_that_is_straight_in_any_unit_is_in_no_doubt() -> None:
+    assert load_robot(THREE, ["tube.1.section.1.curvature_y_per_m=1e-5"]).warnings == ()
+    assert load_robot(THREE, ["tube.1.section.1.curvature_y_per_m=0"]).warnings == ()
+
+
+@pytest.mark.parametrize(
+    ("start", "phrase"),
+    [
+        (
+            {"rotate outer": 0.349, "rotate middle": -1.047, "rotate inner": 1.396},
+            "start.rotate outer = 0.349: is a whole",
+        ),
+        (
+            {"rotate outer": 0.0, "rotate middle": 3.1416, "rotate inner": 0.0},
+            "start.rotate middle = 3.1416: is a whole",
+        ),
+        ({"translate inner": -0.0864}, "start.translate inner = -0.0864: moves by 0.0864 mm, .*are these in metres"),
+        ({"rotate outer": 3.0, "rotate middle": -1.5, "rotate inner": 0.5}, ""),
+        ({"translate inner": -0.5}, ""),
+    ],
+)
+def test_a_start_in_radians_or_metres_is_named(start: dict[str, float], phrase: str, tmp_path: Path) -> None:
+    told = scenario(tmp_path, start=START | start).warnings
+    assert len(told) == bool(phrase) and all(re.search(phrase, text) for text in told)
+    there = scenario(tmp_path, goal={"joints": START | start}).warnings
+    assert len(there) == bool(phrase) and all(re.search(phrase.replace("start", "goal.joints"), t) for t in there)
 
 
 def test_many_doubts_are_one_line_that_says_how_many_more_there_are() -> None:
@@ -160,5 +234,7 @@ def test_measured_tips_by_the_length_of_the_robot(factor: float, word: str, tmp_
 def test_the_rules_themselves() -> None:
     assert likely_unit(200.0, "m", 0.1, 0.3) == "mm" and likely_unit(7.9, "m", 0.1, 0.3) == "in"
     assert likely_unit(0.2e-3, "mm", 0.1, 0.3) == "m" and likely_unit(0.5, "m", 0.1, 0.3) is None
+    assert are_radians([3.1416]) and are_radians([0, -6.283]) and are_radians([0.349, -1.047, 1.396])
+    assert not any(map(are_radians, ([], [0.0], [3], [1.5], [3.1], [0.35, 20], [2.0, -2.0], [90.0], [np.inf])))
     assert are_degrees([0, 30.0]) and not are_degrees([6.0]) and not are_degrees([6.5]) and not are_degrees([])
     assert not are_degrees([np.nan]) and are_degrees([400.3])

@@ -248,7 +248,7 @@ def test_damaged_files_are_refused_by_their_names(
     whole = (folder / "ras.nii.gz").read_bytes()
     (tmp_path / "cut.nii.gz").write_bytes(whole[: len(whole) // 2])
     unpacked = bytearray(gzip.decompress(whole))
-    unpacked[70:72] = (64).to_bytes(2, "little")  # doubles
+    unpacked[70:74] = (64).to_bytes(2, "little") * 2  # doubles, of 64 bits
     unpacked[40:48] = b"".join(n.to_bytes(2, "little") for n in (3, 1500, 1500, 600))
     (tmp_path / "huge.nii").write_bytes(unpacked)
     trimesh.creation.icosphere(radius=0.06).export(tmp_path / "metres.stl")

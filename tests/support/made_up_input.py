@@ -23,6 +23,10 @@ HANG_S = 10.0
 # Rules about a file as a whole: there is no key or value to name.
 OF_THE_FILE = (
     "is not UTF-8 text",
+    "is empty",
+    "is a web page",
+    "is a pointer of Git LFS",
+    "is packed by",
     "is not valid TOML",
     "is nested too deeply",
     "is no readable CSV file",
