@@ -13,15 +13,17 @@ that of the point before it, which is near along a body. Other threads work mean
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ctrplan import _model
 from ctrplan.anatomy.shape import PartShape, Role
+from ctrplan.base.arguments import Made, require
 from ctrplan.base.arrays import Array, content_sha256
 from ctrplan.base.package import shown
 from ctrplan.errors import CtrplanError, InputError
@@ -41,9 +43,11 @@ class AnatomyPart:
     shape: PartShape
     role: Role = "avoid"
     margin_m: float = 0.0
+    said: Mapping[str, Any] | None = None  # the table of a scenario file that it was read from, files as paths
 
     def __post_init__(self) -> None:
         """Checks role and margin; the shape has checked itself."""
+        require("shape", self.shape, Made("PartShape"))
         if self.role not in ("avoid", "inside"):
             raise InputError("must be 'avoid' or 'inside'", key="role", value=self.role)
         if not (np.isfinite(self.margin_m) and self.margin_m >= 0):

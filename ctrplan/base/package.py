@@ -15,7 +15,8 @@ __version__ = "0.1.0"
 
 
 def lazy_names(package: str, homes: Mapping[str, str]) -> Callable[[str], Any]:
-    """The `__getattr__` of a package: `homes` gives the module of each name, without "ctrplan." before it.
+    """The `__getattr__` of a package: `homes` gives the module of each name, without "ctrplan." before it, and
+    after a colon the name there where it is another one.
 
     Modules of the package are imported on first use as well. Raises AttributeError for any other name.
     """
@@ -25,7 +26,8 @@ def lazy_names(package: str, homes: Mapping[str, str]) -> Callable[[str], Any]:
             if not name.startswith("_") and find_spec(f"{package}.{name}") is not None:
                 return importlib.import_module(f"{package}.{name}")
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        value = getattr(importlib.import_module(f"ctrplan.{homes[name]}"), name)
+        home, _, own = homes[name].partition(":")
+        value = getattr(importlib.import_module(f"ctrplan.{home}"), own or name)
         setattr(sys.modules[package], name, value)
         return value
 

@@ -308,7 +308,8 @@ def _replanned(command: Command) -> Answer:
 
 def _placed(command: Command) -> Answer:
     """The plan of a command with the base where `ctrplan place` would put it."""
-    from ctrplan.files.scenario_file import base_key, load_scenario
+    from ctrplan.files.file_content import base_key
+    from ctrplan.files.scenario_file import load_scenario
     from ctrplan.planning.place import place
 
     scenario = load_scenario(command.scenario, command.overrides, allow_outside=command.allow_outside)

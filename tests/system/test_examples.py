@@ -20,6 +20,7 @@ GOLDEN = {
     "02_plan.py": (r"^bound at the goal: ([\d.]+) mm", 8.25, 0.02),
     "03_reorder.py": (r"^cost: [\d.]+ mm before, ([\d.]+) mm after", 219.2, 0.5),
     "04_ompl.py": (r"path with friction costs ([\d.]+) mm", 229.6, 1.0),
+    "09_in_code.py": (r"bound at the goal: ([\d.]+) mm", 0.95, 0.02),
     "05_sweep_with_executor.py": (r"^largest bound: ([\d.]+) mm", 26.18, 0.1),
 }
 
