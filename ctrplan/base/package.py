@@ -11,6 +11,8 @@ from enum import Enum
 from importlib.util import find_spec
 from typing import Any, TypeVar
 
+from ctrplan.errors import InputError
+
 __version__ = "0.1.0"
 
 
@@ -35,6 +37,16 @@ def lazy_names(package: str, homes: Mapping[str, str]) -> Callable[[str], Any]:
 
 
 T = TypeVar("T", bound=type)
+
+
+def of_this_process(instead: str) -> Callable[[Any], tuple[Any, ...]]:
+    """The `__reduce__` of a class whose objects hold compiled solutions: InputError that says what to do instead."""
+
+    def refuse(self: Any) -> tuple[Any, ...]:
+        raise InputError(f"a {type(self).__name__} stays in its process and is not pickled: {instead}")
+
+    return refuse
+
 
 MOST_LINES, WIDEST = 30, 110  # of what an object shows of itself
 FEW = 6  # entries that are shown one by one

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from typing import TYPE_CHECKING, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from ctrplan.anatomy.parts import exact_clearance
 from ctrplan.base.arguments import Choice, Made, Number, checked
-from ctrplan.base.arrays import MM_PER_M, Array
-from ctrplan.base.long_work import ASKED_NS, ROOM_NS, SHAPE_NS, SearchWatch, WorkMeter, counted_aside
+from ctrplan.base.arrays import MM_PER_M, Array, numbers
+from ctrplan.base.long_work import ASKED_NS, ROOM_NS, SHAPE_NS, SearchWatch, WorkMeter, cores, counted_aside
+from ctrplan.errors import InputError
+from ctrplan.mechanics.core import THREADS
 from ctrplan.mechanics.friction import largest_deviation
 from ctrplan.mechanics.shapes import Status
 from ctrplan.mechanics.walk import Field, PathDensity, PathLimits, PathSamples
@@ -60,7 +63,10 @@ class Motion:
 
 
 class MotionChecker:
-    """Checks and prices motions of a scenario; remembers every one it was asked about."""
+    """Checks and prices motions of a scenario; remembers every one it was asked about.
+
+    Threads may share it. It pickles as what it was made of, and has then checked nothing yet.
+    """
 
     @checked(
         scenario=Made("Scenario"),
@@ -91,6 +97,34 @@ class MotionChecker:
         self._known: dict[bytes, Motion] = {}
         self._ahead: dict[bytes, tuple[Motion, int]] = {}  # checked before they were asked for, and work [ns]
         self._states: dict[bytes, tuple[Motion, PathSamples | None]] = {}
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """What it was made of."""
+        return type(self), (self.scenario, self.style, None, self.reserve_m)
+
+    def check(self, states: ArrayLike, *, threads: int = 0) -> tuple[Motion, ...]:
+        """States (K, m) as motions of no length, on so many threads, 0: every core. Invalid rows have their reason.
+
+        Raises InputError for an array of another shape alone.
+        """
+        return self._rows(self.state, threads, states)
+
+    def motions(self, a: ArrayLike, b: ArrayLike, *, threads: int = 0) -> tuple[Motion, ...]:
+        """Motions from rows of a (K, m) to those of b (K, m), in the checker's style; as `check`."""
+        return self._rows(self.motion, threads, a, b)
+
+    @checked(threads=THREADS)
+    def _rows(self, ask: Callable[..., Motion], threads: int, *arrays: ArrayLike) -> tuple[Motion, ...]:
+        rows, m = [numbers(array, "joint values") for array in arrays], len(self.space.drive.joints)
+        for array in rows:
+            if array.shape != (len(rows[0]), m):
+                raise InputError(f"must have shape (K, {m}), K alike, not {array.shape}", key="joint values")
+
+        def answer(*row: Array) -> Motion:
+            return ask(*row) if all(np.isfinite(q).all() for q in row) else invalid("joint values must be finite")
+
+        with ThreadPoolExecutor(threads or cores()) as pool:
+            return tuple(pool.map(answer, *rows))
 
     def motion(self, a: Array, b: Array) -> Motion:
         """The motion from joint values a to b, (m,) each, in the checker's style."""

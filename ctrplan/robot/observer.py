@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike
 
 from ctrplan.base.arguments import SEED, Choice, Made, Whole, checked
 from ctrplan.base.arrays import Array, numbers
+from ctrplan.base.package import of_this_process
 from ctrplan.errors import InputError, SolverError
 from ctrplan.measurement.measurements import SensorNoise
 from ctrplan.mechanics.core_arrays import joint_row, joint_rows
@@ -202,6 +203,8 @@ KNOWN_SHARE = 0.999  # of the probability, by the histories that `state` keeps
 
 class Observer:
     """A robot that is followed. Made by `Robot.observer`; joints are commanded ones. One thread at a time."""
+
+    __reduce__ = of_this_process("make another by Robot.observer and show it the same rows")
 
     @checked(
         noise=Made("SensorNoise"),

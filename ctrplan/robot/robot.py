@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from ctrplan.base.long_work import Progress
-    from ctrplan.mechanics.core import Mechanics, Walker
-    from ctrplan.mechanics.history import History, Start
+    from ctrplan.mechanics.core import Mechanics
+    from ctrplan.mechanics.history import History, Start, Walker
     from ctrplan.mechanics.shapes import Accuracy, Bound, Bounds, HistoryOptions, Shape
     from ctrplan.robot.equilibria import Equilibria
     from ctrplan.robot.observer import Observer
@@ -299,9 +299,28 @@ class Robot:
             theta_b, l_b, accuracy=accuracy, threads=threads, progress=progress, executor=executor
         )
 
+    def bounds(
+        self,
+        theta_b: ArrayLike,
+        l_b: ArrayLike,
+        *,
+        accuracy: Accuracy = "search",
+        threads: int = 0,
+        progress: Progress | None = None,
+        executor: Executor | None = None,
+    ) -> Bounds:
+        """`bound_many` that never fails for a row: one that does not nest, or is no number, has the status REFUSED.
+
+        Raises InputError for arrays of another shape alone.
+        """
+        _warn_of_degrees(theta_b)
+        return self.mechanics.bounds(
+            theta_b, l_b, accuracy=accuracy, threads=threads, progress=progress, executor=executor
+        )
+
     def walker(self, *, accuracy: Accuracy = "search") -> Walker:
         """Bounds along a path of the collars: each call of its `bound` starts from the solution of the call before."""
-        from ctrplan.mechanics.core import Walker
+        from ctrplan.mechanics.history import Walker
 
         return Walker(self.mechanics.core_walker(accuracy), self.n)
 
