@@ -67,6 +67,7 @@ if TYPE_CHECKING:
     from ctrplan.reports.plan_page import save_plan as save_plan
     from ctrplan.robot.robot import Robot
     from ctrplan.scenario.scenario import Cost as Cost
+    from ctrplan.scenario.scenario import CostTerm as CostTerm
     from ctrplan.scenario.scenario import Goal as Goal
     from ctrplan.scenario.scenario import Margins as Margins
     from ctrplan.scenario.scenario import Registration as Registration
@@ -95,6 +96,7 @@ _HOMES = {
     "Goal": "scenario.scenario",
     "Margins": "scenario.scenario",
     "Cost": "scenario.scenario",
+    "CostTerm": "scenario.scenario",
     "Registration": "scenario.scenario",
     "BITStar": "planning.search.planners.bit_star",
     "RRTStar": "planning.search.planners.rrt_star",
@@ -167,6 +169,7 @@ __all__ = [
     "Check",
     "Contact",
     "Cost",
+    "CostTerm",
     "CtrplanError",
     "Diagnosis",
     "Drive",

@@ -55,6 +55,7 @@ class Motion:
     end_bound_m: float  # whatever the history
     left_m: Callable[[], float] = field(compare=False, repr=False)  # `end_error_m`, which is asked for at goals only
     legs: int = 0  # the drive stops after each
+    terms_mm: tuple[float, ...] = ()  # what the scenario's own terms cost, in their order
 
     @cached_property
     def end_error_m(self) -> float:
@@ -220,7 +221,8 @@ class MotionChecker:
         length, integral = self.price(corners, samples, error)
         bound, last = float(samples.position_m[-1]), samples.at_end()
         left = partial(left_at_end, self.scenario.robot, corners, last, float(error[-1]))
-        return Motion(True, "", length, integral, bound, left, count_legs(corners))
+        terms_mm = self._terms_mm(corners, samples) if self.scenario.terms else ()
+        return Motion(True, "", length, integral, bound, left, count_legs(corners), terms_mm)
 
     def walk(self, corners: Array, density: PathDensity, limits: PathLimits) -> PathSamples:
         """The core's samples along a polyline."""
@@ -292,16 +294,29 @@ class MotionChecker:
         """Weighted joint length [mm] and the integral [mm] of errors (K,) [m] of a walked polyline."""
         if len(corners) == 1:
             return 0.0, 0.0
-        lengths = np.array([self.space.length_mm(d) for d in np.diff(corners, axis=0)])
-        travelled = (
-            np.concatenate([[0.0], np.cumsum(lengths)])[samples.segment] + samples.fraction * lengths[samples.segment]
-        )
+        lengths, travelled = self._travelled(corners, samples)
         integral = np.trapezoid(error * MM_PER_M, travelled) / self.scenario.cost.mm_per_rad
         return float(lengths.sum()), float(integral)
 
+    def _travelled(self, corners: Array, samples: PathSamples) -> tuple[Array, Array]:
+        """Lengths [mm] of a polyline's legs, and how far along it samples (K,) are."""
+        lengths = np.array([self.space.length_mm(d) for d in np.diff(corners, axis=0)])
+        before = np.concatenate([[0.0], np.cumsum(lengths)])
+        return lengths, before[samples.segment] + samples.fraction * lengths[samples.segment]
+
+    def _terms_mm(self, corners: Array, samples: PathSamples) -> tuple[float, ...]:
+        """What the scenario's own terms cost on a walked polyline (K, m); a state alone costs nothing."""
+        terms, mm_per_rad = self.scenario.terms, self.scenario.cost.mm_per_rad
+        if len(corners) == 1:
+            return (0.0,) * len(terms)
+        begins = corners[samples.segment]
+        states = begins + samples.fraction[:, None] * (corners[samples.segment + 1] - begins)
+        _, travelled = self._travelled(corners, samples)
+        return tuple(term.cost_mm(states, travelled, mm_per_rad) for term in terms)
+
     def cost_mm(self, motion: Motion, *, ends_at_goal: bool) -> float:
         """Weighted cost of a motion; at the goal it pays for the worst case there and for what is unknown of it."""
-        return path_cost_mm(
+        return sum(motion.terms_mm) + path_cost_mm(
             self.scenario.cost,
             length_mm=motion.length_mm,
             legs=motion.legs,

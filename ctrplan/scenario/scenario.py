@@ -9,7 +9,7 @@ L-shaped motion driven backwards is another motion.
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 
 from ctrplan.anatomy.anatomy_field import anatomy_field, shared_spacing_m
 from ctrplan.anatomy.clearance_grid import SignedDistanceField, field_bounds
-from ctrplan.base.arguments import LONGEST_MM, Limited, checked, require
+from ctrplan.base.arguments import LONGEST_MM, PROGRESS, Limited, Text, checked, require, rows_of
 from ctrplan.base.arrays import MILLIMETRE, MM_PER_M, Array, content_sha256, numbers, read_only, unit, vector
 from ctrplan.base.catalogue import AbstractStruct, Catalogue
 from ctrplan.base.package import shown
@@ -166,6 +166,34 @@ class Cost:
     stop: float = 2.0  # of each leg, at whose end the drive stops
 
 
+@shown
+@dataclass(frozen=True, eq=False)
+class CostTerm:
+    """A term of one's own in a plan's cost: `weight` times the integral of a value along the joint length.
+
+    of_states: the values (K,) of joint values (K, m) [rad, m], finite and never negative: a search takes zero for the
+    least that a motion may cost. 1 over 1 rad costs `weight` mm, as 1 mm of error_along does. Threads may ask it.
+    """
+
+    name: str
+    weight: float
+    of_states: Callable[[Array], ArrayLike]
+
+    def __post_init__(self) -> None:
+        """Raises InputError for what is no term."""
+        require("name", self.name, Text())
+        require(f"weight of {self.name}", self.weight, WEIGHT)
+        require(f"of_states of {self.name}", self.of_states, PROGRESS)
+
+    def cost_mm(self, states: Array, travelled_mm: Array, mm_per_rad: float) -> float:
+        """What a motion through states (K, m), each so far along it (K,), costs. Raises InputError for wrong values."""
+        values = numbers(self.of_states(states), f"term {self.name}")
+        if values.shape != (len(states),) or not np.isfinite(values).all() or values.min(initial=0.0) < 0:
+            rule = f"must be {len(states)} finite numbers, one a state, zero or more"
+            raise InputError(rule, key=f"term {self.name}", value=values if values.size else ...)
+        return self.weight * float(np.trapezoid(values, travelled_mm)) / mm_per_rad
+
+
 # What is known of friction before a plan: nothing; Section V-A's oscillation released it; there is none; what an
 # observer found, which only predictions start from: bounds and clearances are those of every friction state.
 StartFriction = Literal["unknown", "oscillated", "released", "observed"]
@@ -232,9 +260,14 @@ class Scenario:
     frame: Literal["RAS", "LPS"] | None = None  # of the patient, which the anatomy's frame is; None where not said
     content: Mapping[str, Any] = field(default_factory=dict)  # of the file after overrides, or of one that says this
     start_state: ObserverState | None = None  # of a robot that was followed to `start`, where friction is "observed"
+    terms: tuple[CostTerm, ...] = ()  # of the cost besides, which no file says
 
     def __post_init__(self) -> None:
         """Reads what was made in code, and checks it as files are checked. Raises InputError."""
+        object.__setattr__(self, "terms", rows_of("terms", self.terms, CostTerm))
+        names = [term.name for term in self.terms]
+        for name in (name for k, name in enumerate(names) if name in names[:k]):
+            raise InputError("is the name of two terms", key="terms", value=name)
         object.__setattr__(self, "start", vector("start", self.start))
         object.__setattr__(self, "base_position_m", vector("base_position_m", self.base_position_m, 3))
         object.__setattr__(self, "base_R", rotation_matrix("base_R", self.base_R))
