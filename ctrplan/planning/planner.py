@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from typing import TYPE_CHECKING
 
@@ -16,7 +16,7 @@ import numpy as np
 from ctrplan.base.arguments import EVENT, PROGRESS, SEARCH_TIME, SEED, Flag, Made, checked, rows_of
 from ctrplan.base.arrays import Array
 from ctrplan.base.long_work import Progress as FractionReport
-from ctrplan.base.long_work import SearchClock, SearchEnd, interrupt_event, part_of
+from ctrplan.base.long_work import SearchClock, SearchEnd, WorkMeter, interrupt_event, part_of
 from ctrplan.certificate.certificate import Certificate, joined_certificates
 from ctrplan.certificate.certify import GoalTest, certify, frictionless_arrives, with_restart
 from ctrplan.certificate.closest import failure_with_place
@@ -102,6 +102,7 @@ def plan(
         approaches = cache(partial(beside.submit, other_start, scenario, scenario.start))
         asked = _PlanRequest(seed, began, budget, budget, time_s is not None, report, interrupted, approaches)
         first, stages, ended_by = _anytime_stages(scenario, asked)
+        spent_ns = [meter.spent_ns for meter in asked.meters]  # corrections at the end are no search
         finish = _finish(scenario, stages, compensated, report)
     notes: tuple[str, ...] = (*scenario.warnings, *((ENDED_BY_TIME,) if ended_by == "time" else ()))
     paths = [best.result for _, best in stages]
@@ -116,7 +117,8 @@ def plan(
         finish.certificate,
         planner=scenario.planner.name,
         seed=seed,
-        time_s=time.monotonic() - began,
+        clock_s=time.monotonic() - began,
+        work_s=1e-9 * sum(spent_ns),
         first_found_s=first.found_s,
         first_certified_s=first.certified_s,
         notes=(*notes, *finish.notes),
@@ -141,6 +143,7 @@ class _PlanRequest:
     interrupted: threading.Event
     approaches: Callable[[], Future[str]]  # to the start, begun when first asked for
     before: float = 0.0  # s, of `whole`, spent on other searches
+    meters: list[WorkMeter] = field(default_factory=list)  # of all searches
 
     def refuse_other_start(self, scenario: Scenario) -> None:
         """Raises NoAnswerError where an approach to the start ends at another equilibrium."""
@@ -189,6 +192,7 @@ def _stages(
     for k, goal in enumerate(targets):
         stage = replace(scenario.stage_from(start), goal=nearest_turn(scenario, start, goal))
         checker = MotionChecker(stage)
+        asked.meters.append(checker.meter)
         if goal.line_m is not None:
             refuse_start()
             stages.append(_along_line(checker, asked.began))

@@ -93,9 +93,10 @@ class PlannedMotion:
     certificate: Certificate
     trajectory: Trajectory
     reorder: ReorderReport
-    search_time_s: float
-    first_found_s: float  # time to the first path found
-    first_certified_s: float  # time to the first path that passed its certificate
+    clock_s: float  # that planning took by the clock
+    first_found_s: float  # of them, until the first path was found
+    first_certified_s: float  # until the first path passed its certificate
+    work_s: float | None = None  # of searching, counted, so that it is the same anywhere; None where nothing counted
     notes: tuple[str, ...] = field(default=())
     compensation: Compensation | None = None  # only if asked for
     interrupted: bool = False  # by Ctrl-C: the best path found until then

@@ -345,7 +345,8 @@ class Robot:
         seed: int = 0,
         accuracy: Accuracy = "search",
     ) -> Observer:
-        """Follows the robot by commanded joints and measured tips, from friction that nobody knows.
+        """Follows the robot by collars and measured tips, from friction that nobody knows; `collars` says where those
+        are of commanded joints.
 
         noise: of the tracker, or its standard deviation [m] of each coordinate; by default the robot file's
         [measurement]. offset: what no friction state explains changes slowly, by default nothing is. slow: numbers of
@@ -362,7 +363,6 @@ class Robot:
             known = SensorNoise(known)
         return Observer(
             robot_with(self),
-            self.drive,
             noise=known,
             offset=SlowOffset(0.0) if offset is None else offset,
             slow=values_of_slow(self, slow),
