@@ -12,20 +12,38 @@ from ctrplan.base.package import lazy_names
 
 if TYPE_CHECKING:
     from ctrplan import planning
+    from ctrplan.anatomy.fixture import Fixture as Fixture
+    from ctrplan.anatomy.parts import AnatomyPart as Anatomy
+    from ctrplan.anatomy.shapes.box import Box as Box
+    from ctrplan.anatomy.shapes.capsule import Capsule as Capsule
+    from ctrplan.anatomy.shapes.mesh import Mesh as Mesh
+    from ctrplan.anatomy.shapes.sphere import Sphere as Sphere
+    from ctrplan.anatomy.shapes.volume import Volume as Volume
     from ctrplan.audit.verify import Verification
     from ctrplan.audit.verify import verify as verify
     from ctrplan.calibration.calibrate import Calibration, calibrate
     from ctrplan.diagnosis.result import Diagnosis
     from ctrplan.diagnosis.workflow import diagnose as diagnose
+    from ctrplan.drive.drive import Drive as Drive
+    from ctrplan.drive.drive import Joint as Joint
     from ctrplan.errors import CtrplanError, InputError, NoAnswerError
+    from ctrplan.files.file_content import as_read as as_read
+    from ctrplan.files.file_content import to_toml as to_toml
     from ctrplan.files.measurement_file import load_measurements
     from ctrplan.files.plan_file import WrittenPlan, load_plan
     from ctrplan.files.plan_folder import open_plan as open_plan
     from ctrplan.files.robot_file import load_robot
+    from ctrplan.files.robot_file import robot_from_dict as robot_from_dict
     from ctrplan.files.scenario_file import load_scenario
+    from ctrplan.files.scenario_file import scenario_from_dict as scenario_from_dict
     from ctrplan.measurement.measurements import Measurements
     from ctrplan.mechanics.history import History, HistoryStep
     from ctrplan.mechanics.shapes import Bound, Bounds, Shape, Status
+    from ctrplan.mechanics.tube import Contact as Contact
+    from ctrplan.mechanics.tube import Loads as Loads
+    from ctrplan.mechanics.tube import Tube as Tube
+    from ctrplan.mechanics.tube import TubeSection as Section
+    from ctrplan.motion.checker import MotionChecker as MotionChecker
     from ctrplan.patients.case import Case
     from ctrplan.patients.case import case as case
     from ctrplan.planning.base_pose import BasePose
@@ -36,6 +54,9 @@ if TYPE_CHECKING:
     from ctrplan.planning.place import Placement
     from ctrplan.planning.place import place as place
     from ctrplan.planning.planner import plan as plan
+    from ctrplan.planning.search.planners.bit_star import BITStar as BITStar
+    from ctrplan.planning.search.planners.rrt_connect import RRTConnect as RRTConnect
+    from ctrplan.planning.search.planners.rrt_star import RRTStar as RRTStar
     from ctrplan.plans.plan import Plan
     from ctrplan.plans.uncertainty import plan_uncertainty as plan_uncertainty
     from ctrplan.reports.check import Check
@@ -45,6 +66,11 @@ if TYPE_CHECKING:
     from ctrplan.reports.object_figures import show as show
     from ctrplan.reports.plan_page import save_plan as save_plan
     from ctrplan.robot.robot import Robot
+    from ctrplan.scenario.scenario import Cost as Cost
+    from ctrplan.scenario.scenario import CostTerm as CostTerm
+    from ctrplan.scenario.scenario import Goal as Goal
+    from ctrplan.scenario.scenario import Margins as Margins
+    from ctrplan.scenario.scenario import Registration as Registration
     from ctrplan.scenario.scenario import Scenario
     from ctrplan.studies.design.tube_design import TubeDesign, TubeDesigns
     from ctrplan.studies.study.study import Study
@@ -54,6 +80,32 @@ if TYPE_CHECKING:
     from ctrplan.uncertainty.tip_slopes import bound_with_parameters as bound_with_parameters
 
 _HOMES = {
+    "Anatomy": "anatomy.parts:AnatomyPart",
+    "Section": "mechanics.tube:TubeSection",
+    "Tube": "mechanics.tube",
+    "Contact": "mechanics.tube",
+    "Loads": "mechanics.tube",
+    "Joint": "drive.drive",
+    "Drive": "drive.drive",
+    "Sphere": "anatomy.shapes.sphere",
+    "Capsule": "anatomy.shapes.capsule",
+    "Box": "anatomy.shapes.box",
+    "Mesh": "anatomy.shapes.mesh",
+    "Volume": "anatomy.shapes.volume",
+    "Fixture": "anatomy.fixture",
+    "Goal": "scenario.scenario",
+    "Margins": "scenario.scenario",
+    "Cost": "scenario.scenario",
+    "CostTerm": "scenario.scenario",
+    "Registration": "scenario.scenario",
+    "BITStar": "planning.search.planners.bit_star",
+    "RRTStar": "planning.search.planners.rrt_star",
+    "RRTConnect": "planning.search.planners.rrt_connect",
+    "MotionChecker": "motion.checker",
+    "as_read": "files.file_content",
+    "to_toml": "files.file_content",
+    "robot_from_dict": "files.robot_file",
+    "scenario_from_dict": "files.scenario_file",
     "Calibration": "calibration.calibrate",
     "Diagnosis": "diagnosis.result",
     "calibrate": "calibration.calibrate",
@@ -105,33 +157,56 @@ _HOMES = {
     "plan_uncertainty": "plans.uncertainty",
 }
 __all__ = [
+    "Anatomy",
+    "BITStar",
     "BasePose",
     "Bound",
     "Bounds",
+    "Box",
     "Calibration",
+    "Capsule",
     "Case",
     "Check",
+    "Contact",
+    "Cost",
+    "CostTerm",
     "CtrplanError",
     "Diagnosis",
+    "Drive",
+    "Fixture",
+    "Goal",
     "History",
     "HistoryStep",
     "InputError",
     "InverseKinematics",
+    "Joint",
+    "Loads",
+    "Margins",
     "Measurements",
+    "Mesh",
+    "MotionChecker",
     "NoAnswerError",
     "Page",
     "Placement",
     "Plan",
+    "RRTConnect",
+    "RRTStar",
+    "Registration",
     "Robot",
     "Scenario",
+    "Section",
     "Shape",
+    "Sphere",
     "Status",
     "Study",
     "StudyTable",
+    "Tube",
     "TubeDesign",
     "TubeDesigns",
     "Verification",
+    "Volume",
     "WrittenPlan",
+    "as_read",
     "bound_with_parameters",
     "calibrate",
     "case",
@@ -152,8 +227,11 @@ __all__ = [
     "planning",
     "plot",
     "reorder",
+    "robot_from_dict",
     "save_plan",
+    "scenario_from_dict",
     "show",
+    "to_toml",
     "verify",
 ]
 

@@ -6,6 +6,7 @@ import os
 from typing import Any
 
 LONGEST_VALUE = 60  # characters of a value that a sentence shows
+FEW = 6  # numbers of an array that are
 
 
 class CtrplanError(Exception):
@@ -54,16 +55,26 @@ def _shown(value: Any, unit: str | None) -> str:
     if value is ...:
         return ""
     try:
-        text = repr(value.item() if hasattr(value, "item") else value)
-    except ValueError:  # an integer too long to print, an array
+        is_short = getattr(value, "size", 0) <= FEW  # a vector of numpy, or no array at all
+        text = repr(_in_15_digits(value.tolist() if is_short and hasattr(value, "tolist") else value))
+    except ValueError:  # an integer too long to print
         text = f"<{type(value).__name__}>"
-    if isinstance(value, bool):  # as the file spells it
+    if hasattr(value, "tolist") and not is_short:
+        text = f"<{type(value).__name__}>"
+    elif isinstance(value, bool):  # as the file spells it
         text = text.lower()
     elif hasattr(value, "isoformat"):
         text = value.isoformat()
     if len(text) > LONGEST_VALUE:
         text = text[: LONGEST_VALUE - 3] + "..."
     return f"{text} {unit}" if unit and not isinstance(value, str) else text
+
+
+def _in_15_digits(value: Any) -> Any:
+    """Numbers without what a change of units leaves in the last digit: nobody wrote 2.5999999999999996."""
+    if isinstance(value, list):
+        return [_in_15_digits(each) for each in value]
+    return float(f"{value:.15g}") if type(value) is float else value
 
 
 def _one_line(text: str) -> str:

@@ -1,9 +1,10 @@
 """What bounds take beside the three-tube robot's solves: more tubes, and calls from Python.
 
-    python benchmarks/run.py bound_calls [times] [extremes] [overhead]
+    python benchmarks/run.py bound_calls [times] [extremes] [overhead] [threads]
 
 times: time and peak memory of one bound for 2 to 12 tubes. extremes: what the extreme corners miss of all of them.
 overhead: what a call from Python takes beyond the core's own work: zero-clearance shapes, bounds, steps of a walker.
+threads: 10,000 bounds and 400 motions on two threads against one, by the clock and in seconds of the processor.
 The core's own time is that of the same configurations in one call, on one thread, which gives numbers and no shapes.
 """
 
@@ -16,7 +17,7 @@ from typing import Any
 
 import common
 import numpy as np
-from common import ROBOTS, table
+from common import ROBOTS, SCENARIOS, table
 
 import ctrplan
 from ctrplan.errors import CtrplanError
@@ -182,8 +183,37 @@ def overhead() -> None:
     table("calls", ("call", "from Python, us", "core, us", "difference (median), us"), rows)
 
 
+MANY, MOTIONS = 10_000, 400
+TRIES = 3  # in alternation, of which the best counts: whoever else uses the machine only makes it slower
+
+
+def threads() -> None:
+    """Prints seconds and their ratios; the clock shows a gain only where two cores are free."""
+    turn = random.uniform(-np.pi, np.pi, (MANY, 3))
+    l_b = np.tile([0.0, -0.017, -0.0628], (MANY, 1)) - np.outer(random.uniform(0, 0.02, MANY), [0, 0, 1.0])
+    scenario = ctrplan.load_scenario(SCENARIOS / "pair_free.toml")
+    drive = scenario.robot.drive
+    ends = scenario.start + random.uniform(-0.3, 0.3, (2, MOTIONS, len(drive.joints))) * drive.is_rotation
+
+    def motions(count: int) -> object:
+        return ctrplan.MotionChecker(scenario).motions(*ends, threads=count)
+
+    rows = []
+    for name, call in {"bounds": lambda count: ROBOT.bounds(turn, l_b, threads=count), "motions": motions}.items():
+        least = np.full((2, 2), np.inf)
+        for _ in range(TRIES):
+            for k in (0, 1):
+                begun = time.perf_counter(), time.process_time()
+                call(k + 1)
+                ended = time.perf_counter(), time.process_time()
+                least[k] = np.minimum(least[k], np.subtract(ended, begun))
+        rows.append((name, *(f"{x:.2f}" for x in (*least[:, 0], least[0, 0] / least[1, 0], *least[:, 1]))))
+    head = ("what", "one thread, s", "two threads, s", "times as fast", "one, processor s", "two, processor s")
+    table("threads", head, rows)
+
+
 def main() -> None:
     parser = common.parser(__doc__)
     parser.add_argument("sections", nargs="*", metavar="SECTION")
-    known = {"times": times, "extremes": extremes, "overhead": overhead}
+    known = {"times": times, "extremes": extremes, "overhead": overhead, "threads": threads}
     common.sections(parser.parse_args().sections, known, parser.error)

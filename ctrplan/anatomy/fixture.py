@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -12,12 +13,14 @@ from ctrplan.anatomy.shape import PartShape
 from ctrplan.anatomy.shapes.capsule import Capsule
 from ctrplan.anatomy.shapes.sphere import Sphere
 from ctrplan.base.arrays import Array
+from ctrplan.base.package import shown
 
 WITHIN_M = 0.05e-3  # of the truth, from below
 MOST = 200_000  # pieces of a surface looked at together
 SAMPLED = 20_000  # vertices of a part that may lie within a fixture
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class Fixture:
     """A body in the robot's frame, fixed to its base.
@@ -29,6 +32,7 @@ class Fixture:
     shape: PartShape
     margin_m: float = 0.0
     stays_inside: bool = False
+    said: Mapping[str, Any] | None = None  # the table of a scenario file that it was read from, files as paths
 
     def clearance(self, parts: Sequence[AnatomyPart], position_m: Array, R: Array) -> tuple[float, Array]:
         """What parts leave it beyond its margin and theirs [m], and where (3,); its base at position (3,), R (3, 3).

@@ -13,17 +13,19 @@ that of the point before it, which is near along a body. Other threads work mean
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ctrplan import _model
 from ctrplan.anatomy.shape import PartShape, Role
+from ctrplan.base.arguments import Made, require
 from ctrplan.base.arrays import Array, content_sha256
-from ctrplan.base.package import shown
+from ctrplan.base.package import of_this_process, shown
 from ctrplan.errors import CtrplanError, InputError
 
 CHUNK_POINTS = 1 << 18
@@ -41,9 +43,11 @@ class AnatomyPart:
     shape: PartShape
     role: Role = "avoid"
     margin_m: float = 0.0
+    said: Mapping[str, Any] | None = None  # the table of a scenario file that it was read from, files as paths
 
     def __post_init__(self) -> None:
         """Checks role and margin; the shape has checked itself."""
+        require("shape", self.shape, Made("PartShape"))
         if self.role not in ("avoid", "inside"):
             raise InputError("must be 'avoid' or 'inside'", key="role", value=self.role)
         if not (np.isfinite(self.margin_m) and self.margin_m >= 0):
@@ -114,7 +118,9 @@ def exact_clearance(parts: Sequence[AnatomyPart], points_m: ArrayLike) -> Array:
 
 
 class TriangleTree:
-    """A tree of boxes over the triangles of one surface; can't be pickled."""
+    """A tree of boxes over the triangles of one surface. Thread-safe; the GIL is released."""
+
+    __reduce__ = of_this_process("make another of the surface")
 
     def __init__(self, vertices_m: Array, faces: NDArray[np.int64]) -> None:
         """vertices_m (V, 3) [m], faces (F, 3) indices of them.

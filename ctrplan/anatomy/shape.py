@@ -17,7 +17,7 @@ from msgspec import Struct
 from numpy.typing import ArrayLike
 
 from ctrplan.base.arguments import Number, require
-from ctrplan.base.arrays import Array, numbers, read_only
+from ctrplan.base.arrays import MM_PER_M, Array, numbers, read_only
 from ctrplan.base.catalogue import AbstractStruct, Catalogue
 from ctrplan.base.surface import Surface
 from ctrplan.errors import InputError
@@ -54,6 +54,10 @@ class PartShape(ABC):
     def name(self) -> str:
         """What messages call it."""
         return self.kind
+
+    def keys(self) -> dict[str, Any]:
+        """The keys of a scenario file that say the shape, in mm. Raises InputError unless a subclass knows them."""
+        raise InputError(f"a {self.kind} made of arrays stands in no scenario file: write it to a file and name that")
 
     def content(self) -> Sequence[ArrayLike]:
         """Numbers that determine distances, for the key of cached grids: all fields unless a subclass knows better."""
@@ -97,6 +101,11 @@ def length(name: str, value: float | None) -> float:
     """A finite length above zero [m]. Raises InputError otherwise."""
     require(name, value, LENGTH)
     return float(value)  # type: ignore[arg-type]
+
+
+def in_mm(point_m: Array) -> list[float]:
+    """A point (3,) [m] as a scenario file has it."""
+    return [float(f"{x:.15g}") for x in (point_m * MM_PER_M).tolist()]
 
 
 def point(name: str, value: Any) -> Array:

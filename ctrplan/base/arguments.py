@@ -75,6 +75,16 @@ class Number(Kind):
         return f"must be a number from {self.low:g} to {self.high:g}"
 
 
+class Limited(Number):
+    """The same in the words of files."""
+
+    @property
+    def rule(self) -> str:
+        if self.above:
+            return f"must be above {self.low:g} and at most {self.high:g}"
+        return f"must be from {self.low:g} to {self.high:g}"
+
+
 @dataclass(frozen=True)
 class Whole(Kind):
     """A whole number from `low` to `high`."""
@@ -260,6 +270,16 @@ def require(key: str, value: Any, kind: Kind) -> None:
         fits = False
     if not fits:
         raise InputError(kind.rule, key=key, value=value, unit=kind.unit)
+
+
+def rows_of(key: str, values: Any, kind: type[T]) -> tuple[T, ...]:
+    """Objects of one class as a tuple. Raises InputError that names `key` for anything else."""
+    rule = f"must be a list of {kind.__name__} objects"
+    if not isinstance(values, (list, tuple)):
+        raise InputError(rule, key=key, value=values)
+    for wrong in (value for value in values if not isinstance(value, kind)):
+        raise InputError(rule, key=key, value=wrong)
+    return tuple(values)
 
 
 def _guarded(function: Callable[..., T], kinds: Mapping[str, Kind], keys: type | None = None) -> Callable[..., T]:

@@ -52,6 +52,15 @@ def numbers(values: ArrayLike, key: str) -> Array:
         raise InputError("must be numbers, the same count in every row", key=key) from None
 
 
+def vector(key: str, values: ArrayLike, length: int | None = None) -> Array:
+    """Finite numbers (K,), read-only. Raises InputError that names `key` for anything else or another length."""
+    array: Array = read_only(numbers(values, key))
+    if array.ndim != 1 or not np.isfinite(array).all() or length not in (None, len(array)):
+        count = "finite numbers" if length is None else f"{length} finite numbers"
+        raise InputError(f"must be a list of {count}", key=key, value=values)
+    return array
+
+
 def _kind_of(given: NDArray[Any]) -> str:
     names = {"M": "dates", "m": "durations", "U": "texts", "S": "texts", "b": "truth values", "c": "complex numbers"}
     return names.get(given.dtype.kind, "objects that a float can't hold")
@@ -66,8 +75,10 @@ TINY = 1e-12
 
 
 def unit(vector: ArrayLike) -> Array:
-    """A vector (3,), not zero, divided by its length; squares neither overflow nor vanish."""
+    """A vector (3,), not zero, divided by its length; squares neither overflow nor vanish. A unit vector stays."""
     given = np.asarray(vector, dtype=np.float64)
+    if abs(np.linalg.norm(given) - 1) <= 4 * np.finfo(float).eps:
+        return given
     scaled = given / np.abs(given).max()
     return np.asarray(scaled / np.linalg.norm(scaled))
 

@@ -11,11 +11,14 @@ from enum import Enum
 from importlib.util import find_spec
 from typing import Any, TypeVar
 
+from ctrplan.errors import InputError
+
 __version__ = "0.1.0"
 
 
 def lazy_names(package: str, homes: Mapping[str, str]) -> Callable[[str], Any]:
-    """The `__getattr__` of a package: `homes` gives the module of each name, without "ctrplan." before it.
+    """The `__getattr__` of a package: `homes` gives the module of each name, without "ctrplan." before it, and
+    after a colon the name there where it is another one.
 
     Modules of the package are imported on first use as well. Raises AttributeError for any other name.
     """
@@ -25,7 +28,8 @@ def lazy_names(package: str, homes: Mapping[str, str]) -> Callable[[str], Any]:
             if not name.startswith("_") and find_spec(f"{package}.{name}") is not None:
                 return importlib.import_module(f"{package}.{name}")
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        value = getattr(importlib.import_module(f"ctrplan.{homes[name]}"), name)
+        home, _, own = homes[name].partition(":")
+        value = getattr(importlib.import_module(f"ctrplan.{home}"), own or name)
         setattr(sys.modules[package], name, value)
         return value
 
@@ -33,6 +37,16 @@ def lazy_names(package: str, homes: Mapping[str, str]) -> Callable[[str], Any]:
 
 
 T = TypeVar("T", bound=type)
+
+
+def of_this_process(instead: str) -> Callable[[Any], tuple[Any, ...]]:
+    """The `__reduce__` of a class whose objects hold compiled solutions: InputError that says what to do instead."""
+
+    def refuse(self: Any) -> tuple[Any, ...]:
+        raise InputError(f"a {type(self).__name__} stays in its process and is not pickled: {instead}")
+
+    return refuse
+
 
 MOST_LINES, WIDEST = 30, 110  # of what an object shows of itself
 FEW = 6  # entries that are shown one by one

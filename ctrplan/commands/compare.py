@@ -79,6 +79,8 @@ def compared(first: WrittenPlan, second: WrittenPlan) -> list[tuple[str, float |
         factor, unit = SHOWN[figure.unit]
         a, b = (None if not isinstance(value, (int, float)) else finite(value * factor) for value in values)
         rows.append((figure.title, a, b, unit))
+    terms = [plan.content["reorder"].get("terms_after_mm", {}) for plan in (first, second)]
+    rows += [(f"Of the cost, {name}", terms[0].get(name), terms[1].get(name), "mm") for name in terms[0] | terms[1]]
     return rows
 
 

@@ -125,7 +125,7 @@ def _picked(arguments: argparse.Namespace, scenario: Scenario, placement: Placem
 
 
 def _write(arguments: argparse.Namespace, file: Path, pose: BasePose) -> None:
-    from ctrplan.files.scenario_file import names_files_outside, placed_scenario
+    from ctrplan.files.file_content import names_files_outside, placed_scenario
     from ctrplan.storage.output_folder import write_atomically
     from ctrplan.storage.toml_document import read_document
 

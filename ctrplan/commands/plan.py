@@ -308,7 +308,8 @@ def _replanned(command: Command) -> Answer:
 
 def _placed(command: Command) -> Answer:
     """The plan of a command with the base where `ctrplan place` would put it."""
-    from ctrplan.files.scenario_file import base_key, load_scenario
+    from ctrplan.files.file_content import base_key
+    from ctrplan.files.scenario_file import load_scenario
     from ctrplan.planning.place import place
 
     scenario = load_scenario(command.scenario, command.overrides, allow_outside=command.allow_outside)
@@ -395,6 +396,8 @@ def _figures(plan: Plan) -> dict[str, str]:
             lines[label] = before + around.format(VALUES[figure.unit](value))
     before, after = (f"{cost_mm:.1f}" for cost_mm in (reordered.cost_before_mm, reordered.cost_after_mm))
     lines["cost"] += f"; reordering took {before} to {after} mm" if before != after else ""
+    for name, cost_mm in reordered.terms_after_mm.items():
+        lines["cost"] += f"; {name} {cost_mm:.1f} mm besides"
     count, spacing = len(certificate.samples.leg), VALUES["m"](certificate.spacing_m)
     return lines | {"certified on": f"{count} samples, no point moves more than {spacing} between two"}
 

@@ -46,8 +46,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Runs the command; returns its exit code. Raises InputError for what is no plan, and for other kinds of files."""
-    from ctrplan.reports.render.film import film
-    from ctrplan.reports.render.film_file import film_suffix, write_film
+    from ctrplan.reports.render.film import film, film_suffix, write_film
 
     suffix, (width, height) = film_suffix(arguments.output), _size(arguments.size)
     plan = read_plan(arguments)

@@ -11,7 +11,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ctrplan.base.arrays import Array, numbers, read_only
+from ctrplan.base.arguments import Choice, Number, require, rows_of
+from ctrplan.base.arrays import Array, numbers, read_only, vector
 from ctrplan.base.package import shown
 from ctrplan.errors import InputError
 
@@ -26,18 +27,43 @@ SAME_TURN = 1e-9  # rad or m by which collars may be off after a whole turn
 UNITS: dict[Kind, tuple[str, float]] = {"rotation": ("deg", math.pi / 180), "translation": ("mm", 1e-3)}
 
 
+# Largest velocity, acceleration and jerk where a joint gives none, in deg or mm and s. A surgical drive moves slowly
+# enough to be watched; it is at speed after a quarter (rotation) or a fifth of a second (translation), and its
+# acceleration rises within a tenth of a second, so that slender tubes are not made to ring.
+DEFAULT_MOTION: dict[Kind, tuple[float, float, float]] = {
+    "rotation": (60.0, 240.0, 2400.0),
+    "translation": (10.0, 50.0, 500.0),
+}
+
+RATES = ("max_velocity", "max_acceleration", "max_jerk")
+
+
+@shown
 @dataclass(frozen=True, eq=False)
 class Joint:
-    """One actuator; its value in rad or m, zero at home."""
+    """One actuator; its value in rad or m, zero at home. Raises InputError for what is no joint.
+
+    Rates that are None become those of a drive for surgery, DEFAULT_MOTION.
+    """
 
     name: str
     kind: Kind
     moves: Array  # (n,) rotation [rad/rad] or translation [m/m] of each tube's collar per unit of the joint
-    lower: float  # -inf when unlimited
-    upper: float
-    max_velocity: float  # per s
-    max_acceleration: float  # per s^2
-    max_jerk: float  # per s^3
+    lower: float = -math.inf  # -inf when unlimited
+    upper: float = math.inf
+    max_velocity: float = None  # type: ignore[assignment]  # per s
+    max_acceleration: float = None  # type: ignore[assignment]  # per s^2
+    max_jerk: float = None  # type: ignore[assignment]  # per s^3
+
+    def __post_init__(self) -> None:
+        """Reads its numbers."""
+        require("kind", self.kind, Choice(*UNITS))
+        object.__setattr__(self, "moves", vector("moves", self.moves))
+        for name, default in zip(RATES, DEFAULT_MOTION[self.kind], strict=True):
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, default * self.si_per_unit)
+        for name in ("lower", "upper"):  # rates are looked at where something moves by them
+            require(name, getattr(self, name), Number(-math.inf, math.inf))
 
     @property
     def is_unlimited(self) -> bool:
@@ -83,6 +109,15 @@ class Drive:
     play: tuple[Array, Array] | None = None  # (n,) [rad], (n,) [m]: how far collars may be off either way, likewise
     execution: ExecutionTolerance = ExecutionTolerance()
     late_s: tuple[Array, Array] | None = None  # (n,), (n,): how much later collars turn and slide, likewise
+
+    def __post_init__(self) -> None:
+        """Reads its numbers. Raises InputError unless every joint moves as many tubes as have a home."""
+        object.__setattr__(self, "joints", rows_of("joints", self.joints, Joint))
+        n = len(vector("home_theta_rad", self.home_theta_rad))
+        for name in ("home_theta_rad", "home_l_m"):
+            object.__setattr__(self, name, vector(name, getattr(self, name), n))
+        for joint in self.joints:
+            vector(f"moves of {joint.name}", joint.moves, n)
 
     def collars(self, q: ArrayLike) -> tuple[Array, Array]:
         """theta_b [rad] and l_b [m], each (n,) or (K, n), for joint values `q` (m,) or (K, m).

@@ -10,21 +10,13 @@ import numpy as np
 from msgspec import Meta, Struct
 
 from ctrplan.base.arrays import Array, read_only
-from ctrplan.drive.drive import UNITS, Drive, ExecutionTolerance, Joint, Kind
+from ctrplan.drive.drive import DEFAULT_MOTION, UNITS, Drive, ExecutionTolerance, Joint, Kind
 from ctrplan.mechanics.tube import Tube
 from ctrplan.storage.toml_document import Angle, Document, Name
 
 Travel = Annotated[float, Meta(ge=-5000, le=5000)]  # mm; beyond it the value is in another unit
 Gear = Annotated[float, Meta(ge=-1000, le=1000)]
 Rate = Annotated[float, Meta(ge=1e-3, le=1e6)]  # deg or mm, and s: slower joints never arrive
-
-# Largest velocity, acceleration and jerk where a joint gives none, in deg or mm and s. A surgical drive moves slowly
-# enough to be watched; it is at speed after a quarter (rotation) or a fifth of a second (translation), and its
-# acceleration rises within a tenth of a second, so that slender tubes are not made to ring.
-DEFAULT_MOTION: dict[Kind, tuple[float, float, float]] = {
-    "rotation": (60.0, 240.0, 2400.0),
-    "translation": (10.0, 50.0, 500.0),
-}
 
 
 class MovesEntry(Struct, forbid_unknown_fields=True):

@@ -39,9 +39,10 @@ def inputs_of(scenario: Scenario) -> bytes | None:
         return None
     folder = Path(scenario.path or ".").parent
     packed, names = dict[str, bytes](), dict[str, str]()
-    robot = _place(str(content["robot"]), folder, names)
-    packed[robot] = toml_text(scenario.robot.content).encode()
-    content["robot"] = robot
+    if isinstance(content["robot"], str):  # else it stands in the scenario itself
+        robot = _place(content["robot"], folder, names)
+        packed[robot] = toml_text(scenario.robot.content).encode()
+        content["robot"] = robot
     for table in [*content.get("anatomy", []), *content.get("fixture", [])]:
         for key in ("file", "files"):
             if key not in table:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -31,7 +33,17 @@ def anatomy_part(table: TomlTable) -> AnatomyPart:
     from ctrplan.anatomy.parts import AnatomyPart
 
     shape, entry = _shape(table) if FILES not in table.content else _phases(table)
-    return AnatomyPart(shape, entry.role, entry.margin_mm / MM_PER_M + shape.surface_error_m)
+    return AnatomyPart(shape, entry.role, entry.margin_mm / MM_PER_M + shape.surface_error_m, _said(table))
+
+
+def _said(table: TomlTable) -> dict[str, Any]:
+    """The table, files named from the working folder and not from the document's."""
+    folder, content = Path(table.document.file or ".").parent, copy.deepcopy(dict(table.content))
+    if "file" in content:
+        content["file"] = str(folder / content["file"])
+    if FILES in content:
+        content[FILES] = [str(folder / file) for file in content[FILES]]
+    return content
 
 
 def _shape(table: TomlTable) -> tuple[PartShape, PartEntry]:
@@ -76,7 +88,7 @@ def fixture(table: TomlTable) -> Fixture:
         raise table.fault("goes with [[anatomy]]: a fixture keeps clear of what is to be avoided", "role")
     shape, entry = _shape(table.replaced(content, without=("frame",)))  # it stands in the robot's frame, no patient's
     margin = entry.margin_mm / MM_PER_M + shape.surface_error_m
-    return Fixture(name or shape.name, shape, margin, stays)
+    return Fixture(name or shape.name, shape, margin, stays, _said(table))
 
 
 def anatomy_notes(parts: Sequence[AnatomyPart]) -> tuple[str, ...]:

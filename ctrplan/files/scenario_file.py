@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import math
 import os
 from collections.abc import Mapping, Sequence
@@ -16,7 +15,7 @@ from msgspec import Meta, Struct
 
 from ctrplan.anatomy.image import images_kept
 from ctrplan.anatomy.parts import AnatomyPart
-from ctrplan.base.arrays import MM_PER_M, MOST_TURNS_DEG, Array, read_only, shortest_rotation, unit
+from ctrplan.base.arrays import MOST_TURNS_DEG, Array, read_only, shortest_rotation, unit
 from ctrplan.drive.drive import Joint
 from ctrplan.errors import InputError
 from ctrplan.files.robot_file import load_robot, robot_from_dict
@@ -32,6 +31,7 @@ from ctrplan.scenario.scenario import (
     Scenario,
     StartFriction,
     StartTurns,
+    rotation_matrix,
 )
 from ctrplan.scenario.sizes import SizeDoubt, base_doubt, joint_doubts, part_doubts, place_doubt
 from ctrplan.storage.toml_document import (
@@ -47,25 +47,26 @@ from ctrplan.storage.toml_document import (
     checked_overrides,
     metres,
     read_document,
-    toml_text,
 )
 from ctrplan.storage.toml_table import TomlTable, chosen, file_inside
 
 if TYPE_CHECKING:
-    from ctrplan.planning.base_pose import BaseFrame, BasePose
+    pass
 
 LIMIT_TOLERANCE = 1e-9  # rad or m
 
-Share = Annotated[float, Meta(ge=-2, le=2)]  # of a quaternion
+Share = Annotated[float, Meta(ge=-2, le=2)]  # of a quaternion or a rotation
+Row = tuple[Share, Share, Share]
 
 
 class BaseEntry(Struct, forbid_unknown_fields=True, frozen=True):
-    """[base]: the robot frame in the anatomy's frame; without any of three ways to turn it, it is not turned."""
+    """[base]: the robot frame in the anatomy's frame; without any of four ways to turn it, it is not turned."""
 
     position_mm: Point = (0.0, 0.0, 0.0)
     quaternion_wxyz: tuple[Share, Share, Share, Share] | None = None
     direction: Vector | None = None  # of the robot's z axis, which it gets to by the shortest rotation
     look_at: Point | None = None  # mm, a point that the z axis goes through
+    rotation_matrix: tuple[Row, Row, Row] | None = None  # rows, from the robot's frame to the anatomy's
     roll_deg: Angle | None = None  # about the z axis, before that
     position_sigma_mm: Annotated[float, Meta(ge=0, le=1000)] = 0.0  # standard deviation of each coordinate
     rotation_sigma_deg: Annotated[float, Meta(ge=0, le=180)] = 0.0  # of a small rotation about each axis
@@ -104,7 +105,7 @@ class CostEntry(Struct, forbid_unknown_fields=True, frozen=True):
 class ScenarioEntry(Struct, forbid_unknown_fields=True):
     """A scenario file."""
 
-    robot: str
+    robot: str | dict[str, Any]  # a file, or what stands in one
     start: dict[str, Any]
     goal: GoalEntry | None = None
     target: list[GoalEntry] = []
@@ -158,7 +159,7 @@ def planner_settings(table: TomlTable) -> PlannerSettings:
 
 
 QUATERNION_TOLERANCE = 1e-3
-WAYS = ("quaternion_wxyz", "direction", "look_at")
+WAYS = ("quaternion_wxyz", "direction", "look_at", "rotation_matrix")
 
 
 def base_rotation(base: BaseEntry, document: Document) -> Array:
@@ -167,9 +168,14 @@ def base_rotation(base: BaseEntry, document: Document) -> Array:
 
     given = [way for way in WAYS if getattr(base, way) is not None]
     if len(given) > 1:
-        raise document.fault(f"must have only one of {', '.join(WAYS)}, has {' and '.join(given)}", "base")
+        raise document.fault(f"must be turned in one way, not by {' and '.join(given)}", "base")
     if base.roll_deg is not None and given not in (["direction"], ["look_at"]):
         raise document.fault("goes with direction or look_at", "base", "roll_deg")
+    if base.rotation_matrix is not None:
+        try:
+            return rotation_matrix("base.rotation_matrix", base.rotation_matrix)
+        except InputError as fault:
+            raise document.fault(fault.rule, "base", "rotation_matrix") from None
     if given in ([], ["quaternion_wxyz"]):
         return _turned(base.quaternion_wxyz or (1.0, 0.0, 0.0, 0.0), document)
     roll = Rotation.from_euler("z", base.roll_deg or 0.0, degrees=True).as_matrix()
@@ -234,19 +240,41 @@ def _by_file(overrides: Sequence[str]) -> tuple[list[str], list[str]]:
     return own, [override[len(ROBOT_PREFIX) :] for override in stripped if override.startswith(ROBOT_PREFIX)]
 
 
-def _build(document: Document, for_robot: Sequence[str], allow_outside: bool) -> Scenario:
+def checked_in_code(content: Mapping[str, Any], made: Scenario) -> Scenario:
+    """The scenario of `content`, which a scenario made in code would have as a file, with its robot and bodies.
+
+    Raises InputError, as `load_scenario`.
+    """
+    return _build(Document.of(content, "scenario", None), (), True, made)
+
+
+def _build(document: Document, for_robot: Sequence[str], allow_outside: bool, made: Scenario | None = None) -> Scenario:
     entry = document.to(ScenarioEntry)
     if entry.name is not None and not entry.name.isprintable():
         raise document.fault("must be one line of printable text", "name")
-    robot = load_robot(file_inside(entry.robot, document, allow_outside, "robot"), for_robot)
+    if made is not None:
+        robot = made.robot
+    elif isinstance(entry.robot, str):
+        robot = load_robot(file_inside(entry.robot, document, allow_outside, "robot"), for_robot)
+    else:
+        robot = robot_from_dict(entry.robot, file=f"{document.file or 'scenario'}, [robot]", overrides=for_robot)
     goals = _goals(entry, robot, document)
     with images_kept():
-        anatomy = tuple(
-            anatomy_part(TomlTable(document, ("anatomy", k), allow_outside)) for k in range(len(entry.anatomy))
+        anatomy = (
+            made.anatomy
+            if made is not None
+            else tuple(
+                anatomy_part(TomlTable(document, ("anatomy", k), allow_outside)) for k in range(len(entry.anatomy))
+            )
         )
     refuse_targets_outside_images(anatomy, goals, document)
     base_m = read_only(np.multiply(entry.base.position_mm, 1e-3))
     doubts = _refuse_wrong_units(robot, goals, base_m, anatomy, document)
+    fixtures = (
+        ()
+        if made is not None
+        else tuple(fixture(TomlTable(document, ("fixture", k), allow_outside)) for k in range(len(entry.fixture)))
+    )
     return Scenario(
         name=entry.name or (Path(document.file).stem if document.file else "scenario"),
         robot=robot,
@@ -262,7 +290,7 @@ def _build(document: Document, for_robot: Sequence[str], allow_outside: bool) ->
         via=tuple(goals[:-1]),
         anatomy=anatomy,
         frame=entry.frame,
-        fixtures=tuple(fixture(TomlTable(document, ("fixture", k), allow_outside)) for k in range(len(entry.fixture))),
+        fixtures=made.fixtures if made is not None else fixtures,
         margins=Margins(**msgspec.structs.asdict(entry.margins)),
         cost=_cost(entry.cost),
         planner=planner_settings(TomlTable(document, ("planner",))),
@@ -376,60 +404,3 @@ def load_robot_or_scenario(
     if "tube" not in document.content:
         return load_scenario(path, overrides, allow_outside=allow_outside)
     return bare_scenario(robot_from_dict(document.with_overrides(overrides).content, file=document.file))
-
-
-TURNS = ("quaternion_wxyz", "direction", "look_at", "roll_deg")
-
-
-def placed_scenario(document: Document, pose: BasePose, file: Path) -> str:
-    """The content of `document`, a scenario's, as a file at `file`; read back, it has exactly the pose."""
-    content = copy.deepcopy(document.content) if pose.is_own else content_at(document.content, pose)
-    here = Path(document.file or ".").parent
-    if here.resolve() != file.parent.resolve():
-        _name_files_from(content, here, file.parent)
-    direction = ", ".join(f"{x:.4f}" for x in pose.direction)
-    return f"# Base pose proposed by `ctrplan place`; it looks along [{direction}].\n{toml_text(content)}"
-
-
-def content_at(content: dict[str, Any], pose: BasePose | BaseFrame) -> dict[str, Any]:
-    """A scenario's content with its robot at a pose, and with what was said of how well the base is known."""
-    base = {**_pose(pose), **_without_turns(content.get("base", {}))}
-    return {**copy.deepcopy(content), "base": base}
-
-
-def base_key(scenario: Scenario, pose: BasePose) -> str:
-    """An override that puts a scenario's robot to a pose; how well the base is known stays as it was said."""
-    stated, degrees = scenario.registration, math.degrees(scenario.registration.rotation_sigma_rad)
-    sigmas = {"position_sigma_mm": stated.position_sigma_m * MM_PER_M, "rotation_sigma_deg": degrees}
-    content = {**_pose(pose), **{key: value for key, value in sigmas.items() if value}}
-    return f"base={{{toml_text(content).strip().replace(chr(10), ', ')}}}"
-
-
-def names_files_outside(document: Document, file: Path) -> bool:
-    """Whether the file at `file` would name some that lie outside of its folder."""
-    inside, here = file.parent.resolve(), Path(document.file or ".").parent
-    return any(not (here / table[key]).resolve().is_relative_to(inside) for table, key in _files(document.content))
-
-
-def _pose(pose: BasePose | BaseFrame) -> dict[str, Any]:
-    from ctrplan.planning.base_pose import DIGITS, MM_DIGITS, BaseFrame  # planning, which reading needs nothing of
-
-    quaternion = BaseFrame(pose.position_m, pose.R).quaternion_wxyz
-    position_mm = np.round(pose.position_m * MM_PER_M, MM_DIGITS) + 0.0  # no -0
-    return {"position_mm": position_mm.tolist(), "quaternion_wxyz": (np.round(quaternion, DIGITS) + 0.0).tolist()}
-
-
-def _without_turns(base: dict[str, Any]) -> dict[str, Any]:
-    return {key: value for key, value in base.items() if key not in (*TURNS, "position_mm")}
-
-
-def _name_files_from(content: dict[str, Any], old: Path, new: Path) -> None:
-    for table, key in _files(content):
-        if not os.path.isabs(table[key]):
-            table[key] = Path(os.path.relpath(old / table[key], new)).as_posix()
-
-
-def _files(content: dict[str, Any]) -> list[tuple[dict[str, Any], str]]:
-    """Tables and keys that name a file."""
-    parts = [*content.get("anatomy", []), *content.get("fixture", [])]
-    return [(content, "robot"), *((part, "file") for part in parts if "file" in part)]

@@ -16,8 +16,8 @@ import numpy as np
 
 from ctrplan.anatomy.mesh_file import usual_unit
 from ctrplan.base.arrays import MM_PER_M
+from ctrplan.drive.drive import DEFAULT_MOTION
 from ctrplan.errors import InputError
-from ctrplan.files.drive_file import DEFAULT_MOTION
 from ctrplan.mechanics.shapes import Status
 from ctrplan.robot.robot import Robot
 from ctrplan.scenario.joint_space import JointSpace, retracted

@@ -6,8 +6,7 @@ front plate, z along insertion, s = 0 at the plate.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
@@ -18,7 +17,6 @@ from ctrplan import _model
 from ctrplan.base.arguments import EXECUTOR, PROGRESS, Choice, Flag, Made, Number, Texts, Whole, checked, require
 from ctrplan.base.arrays import Array, numbers
 from ctrplan.base.long_work import Progress, core_threads, part_of
-from ctrplan.base.package import shown
 from ctrplan.errors import InputError
 from ctrplan.mechanics.core_arrays import (
     core_density,
@@ -50,6 +48,7 @@ from ctrplan.mechanics.walk import (
     bounds_on_executor,
     chunks,
     rows_in_a_chunk,
+    scattered,
 )
 
 if TYPE_CHECKING:
@@ -191,16 +190,41 @@ class Mechanics:
 
         return bounds_in_chunks(solve, thetas, ls, rows, progress)
 
+    @checked(accuracy=ACCURACY, threads=THREADS, progress=PROGRESS, executor=EXECUTOR)
+    def bounds(
+        self,
+        theta_b: ArrayLike,
+        l_b: ArrayLike,
+        *,
+        accuracy: Accuracy = "search",
+        threads: int = 0,
+        progress: Progress | None = None,
+        executor: Executor | None = None,
+    ) -> Bounds:
+        """`bound_many` with a status for every row: one that does not nest or is no number is REFUSED and NaN.
+
+        What is wrong with a row k, `bound(theta_b[k], l_b[k])` says.
+        """
+        thetas, ls = self._configurations(theta_b, l_b)
+        refused = np.zeros(len(thetas), dtype=bool)
+        refused[[k for k, _ in self._refused(thetas, ls)]] = True
+        solved = self.bound_many(
+            thetas[~refused], ls[~refused], accuracy=accuracy, threads=threads, progress=progress, executor=executor
+        )
+        return scattered(solved, refused) if refused.any() else solved
+
     def first_refused(self, theta_b: ArrayLike, l_b: ArrayLike) -> tuple[int, str] | None:
         """The first of K configurations (K, n), (K, n) that is malformed or does not nest, and why; None if none is."""
-        thetas, ls = self._configurations(theta_b, l_b)
-        nested = nests(self._given[0], ls) & np.all(np.abs(thetas) < 1e5, axis=1) & np.all(np.isfinite(ls), axis=1)
+        return next(self._refused(*self._configurations(theta_b, l_b)), None)
+
+    def _refused(self, thetas: Array, ls: Array) -> Iterator[tuple[int, str]]:
+        with np.errstate(invalid="ignore"):  # rows that are no numbers
+            nested = nests(self._given[0], ls) & np.all(np.abs(thetas) < 1e5, axis=1) & np.all(np.isfinite(ls), axis=1)
         for k in np.flatnonzero(~nested).tolist():  # the core has the last word
             try:
                 self._model.zero_clearance(thetas[k], ls[k])
             except _model.InvalidInput as refusal:
-                return k, str(refusal)
-        return None
+                yield k, str(refusal)
 
     @checked(threads=THREADS, progress=PROGRESS, loads=Flag())
     def tips(
@@ -283,7 +307,7 @@ class Mechanics:
 
     @checked(accuracy=ACCURACY)
     def core_walker(self, accuracy: Accuracy) -> _model.Walker:
-        """The compiled part of `ctrplan.mechanics.core.Walker`."""
+        """The compiled part of `ctrplan.mechanics.history.Walker`."""
         with input_errors():
             return _model.Walker(self._model, accuracy)
 
@@ -387,57 +411,3 @@ def kernel_name() -> str:
 def _require_ranges(place: str, of: object, ranges: Mapping[str, Number]) -> None:
     for name, kind in ranges.items():
         require(f"{place}.{name}", getattr(of, name), kind)
-
-
-@shown
-@dataclass(frozen=True, eq=False)
-class BoundStep:
-    """The bound where a walker stands. NaN where a solve FAILED."""
-
-    position_m: float  # of the tip
-    tangent_rad: float
-    stability: float
-    max_strain: float
-    residual: float  # largest of all shapes
-    status: Status  # never MULTIPLE: other solutions are not looked for
-    tip_m: Array  # (3,) frictionless
-    tip_tangent: Array  # (3,)
-    started_cold: bool  # not from the last solution: the branch is that of continuation from no precurvature
-    solves: int  # configurations on the way, this one among them
-
-
-class Walker:
-    """A robot that stands somewhere and is moved on. Made by `Robot.walker`.
-
-    Warm steps stay on the branch that the path is on, which need not be that of `Robot.bound`. One thread at a time.
-    """
-
-    def __init__(self, core: _model.Walker, n: int) -> None:
-        """core: what `Mechanics.core_walker` made, of n tubes."""
-        self._core, self._n = core, n
-
-    def bound(self, theta_b: ArrayLike, l_b: ArrayLike) -> BoundStep:
-        """The bound at collars (n,) [rad], (n,) [m], from where the walker stands, in steps of 0.1 rad or 3 mm at most.
-
-        Ctrl-C on the way leaves it nowhere: the next step starts cold. Raises InputError.
-        """
-        with input_errors():
-            result = self._core.step(joint_row(theta_b, self._n), joint_row(l_b, self._n))
-        position_m, tangent_rad, stability, max_strain, residual, status, tip, tangent, cold, solves = result
-        return BoundStep(
-            position_m=position_m,
-            tangent_rad=tangent_rad,
-            stability=stability,
-            max_strain=max_strain,
-            residual=residual,
-            status=Status(status),
-            tip_m=np.array(tip),
-            tip_tangent=np.array(tangent),
-            started_cold=cold,
-            solves=solves,
-        )
-
-    def shapes(self) -> Bound:
-        """The shapes of the last step. Raises InputError before the first one."""
-        with input_errors():
-            return solved_bound(self._core.shapes())

@@ -25,6 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 from ctrplan import _model
 from ctrplan.base.arguments import Number, checked
 from ctrplan.base.arrays import Array, numbers
+from ctrplan.base.package import of_this_process
 from ctrplan.errors import InputError
 from ctrplan.mechanics.shapes import FrictionBodies, Status, input_errors
 from ctrplan.mechanics.walk import SHORTEST_STEP
@@ -237,6 +238,8 @@ class FrictionStates:
     def __init__(self, core: _model.FrictionStates, n: int) -> None:
         """core: the compiled part, of n tubes."""
         self._core, self._n = core, n
+
+    __reduce__ = of_this_process("ask Mechanics.friction_states again")
 
     @checked(spacing_m=SPACING)
     def bodies(self, phi: ArrayLike, *, spacing_m: float = 1e-3) -> FrictionBodies:

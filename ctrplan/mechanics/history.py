@@ -1,4 +1,5 @@
-"""What the robot does along a joint path: equilibria whose friction follows the slip of every contact.
+"""What the robot does along a joint path: equilibria whose friction follows the slip of every contact; the bound, step
+by step.
 
 The friction bound says how far a tip can be; a history says where it is, for the path by which it got there. Each
 contact keeps a friction vector (phi, psi) in the unit disc, the circumferential and axial share of the Coulomb limit;
@@ -17,11 +18,11 @@ from numpy.typing import ArrayLike, NDArray
 from ctrplan.base.arguments import PROGRESS, Choice, Made, checked
 from ctrplan.base.arrays import Array, numbers
 from ctrplan.base.long_work import Progress
-from ctrplan.base.package import shown
+from ctrplan.base.package import of_this_process, shown
 from ctrplan.errors import InputError, SolverError
 from ctrplan.mechanics.core import Mechanics
-from ctrplan.mechanics.core_arrays import joint_row, joint_rows, shape_from_core
-from ctrplan.mechanics.shapes import Accuracy, Shape, Status, input_errors
+from ctrplan.mechanics.core_arrays import joint_row, joint_rows, shape_from_core, solved_bound
+from ctrplan.mechanics.shapes import Accuracy, Bound, Shape, Status, input_errors
 from ctrplan.mechanics.shapes import HistoryOptions as HistoryOptions
 
 if TYPE_CHECKING:
@@ -100,11 +101,13 @@ class HistoryState:
     l_b: Array
     core: _model.HistoryState
 
+    __reduce__ = of_this_process("lead another History along the same path and save that")
+
 
 class History:
     """A robot moved along a joint path, waypoint by waypoint. Memory does not grow with the path.
 
-    It has one state, so that threads that share it move each other's robot: give each a history of its own.
+    It takes collars. It has one state, so that threads that share it move each other's robot: give each its own.
     """
 
     @checked(mechanics=Made("Mechanics"), accuracy=Choice("search", "certificate"), options=Made("HistoryOptions"))
@@ -126,6 +129,8 @@ class History:
         self._oscillates = isinstance(start, str) and start == "oscillated"
         self._core = mechanics.core_history(self.options, accuracy)
         self._at: tuple[Array, Array] | None = None
+
+    __reduce__ = of_this_process("make another by Robot.history and lead it along the same path")
 
     def advance(self, theta_b: ArrayLike, l_b: ArrayLike) -> HistoryStep:
         """Moves all joints to base rotations (n,) [rad] and translations (n,) [m]; the first call starts there.
@@ -232,3 +237,59 @@ def _friction_state(values: ArrayLike, key: str, pairs: int) -> Array:
     if phi.shape != (pairs,) or not np.all(np.abs(phi) <= 1):
         raise InputError(f"must be {pairs} values in [-1, 1], one per pair", key=key)
     return phi
+
+
+@shown
+@dataclass(frozen=True, eq=False)
+class BoundStep:
+    """The bound where a walker stands. NaN where a solve FAILED."""
+
+    position_m: float  # of the tip
+    tangent_rad: float
+    stability: float
+    max_strain: float
+    residual: float  # largest of all shapes
+    status: Status  # never MULTIPLE: other solutions are not looked for
+    tip_m: Array  # (3,) frictionless
+    tip_tangent: Array  # (3,)
+    started_cold: bool  # not from the last solution: the branch is that of continuation from no precurvature
+    solves: int  # configurations on the way, this one among them
+
+
+class Walker:
+    """A robot that stands somewhere and is moved on. Made by `Robot.walker`; it takes collars.
+
+    Warm steps stay on the branch that the path is on, which need not be that of `Robot.bound`. One thread at a time.
+    """
+
+    def __init__(self, core: _model.Walker, n: int) -> None:
+        """core: what `Mechanics.core_walker` made, of n tubes."""
+        self._core, self._n = core, n
+
+    __reduce__ = of_this_process("make another by Robot.walker and lead it to where this one stands")
+
+    def bound(self, theta_b: ArrayLike, l_b: ArrayLike) -> BoundStep:
+        """The bound at collars (n,) [rad], (n,) [m], from where the walker stands, in steps of 0.1 rad or 3 mm at most.
+
+        Ctrl-C on the way leaves it nowhere: the next step starts cold. Raises InputError.
+        """
+        with input_errors():
+            result = self._core.step(joint_row(theta_b, self._n), joint_row(l_b, self._n))
+        position_m, tangent_rad, stability, max_strain, residual, status, tip, tangent, cold, solves = result
+        return BoundStep(
+            position_m=position_m,
+            tangent_rad=tangent_rad,
+            stability=stability,
+            max_strain=max_strain,
+            residual=residual,
+            status=Status(status),
+            tip_m=np.array(tip),
+            tip_tangent=np.array(tangent),
+            started_cold=cold,
+            solves=solves,
+        )
+
+    def shapes(self) -> Bound:
+        """The shapes of the last step. Raises InputError before the first one."""
+        with input_errors():
+            return solved_bound(self._core.shapes())

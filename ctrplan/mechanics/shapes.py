@@ -75,6 +75,7 @@ class Status(enum.IntEnum):
     # as FAILED, of single shapes only: on the way to its equilibrium friction at its full limit twists a tube by a
     # shear strain of more than 0.5, several times what any tube bears
     OVERTWISTED = 4
+    REFUSED = 5  # of batches only: not solved, collars that do not nest or are no numbers
 
 
 @shown

@@ -10,12 +10,14 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from itertools import pairwise
+from numbers import Real
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrplan.base.arguments import Number
+from ctrplan.base.arguments import Number, rows_of
 from ctrplan.base.arrays import Array
+from ctrplan.base.package import shown
 from ctrplan.errors import InputError
 
 SOFTEST_NM2, STIFFEST_NM2 = 1e-9, 1e6
@@ -43,6 +45,7 @@ SECTION_RANGES = {
 }
 
 
+@shown
 @dataclass(frozen=True)
 class TubeSection:
     """A piece of constant or linearly varying precurvature, a rotation rate: y > 0 bends towards +x at theta = 0."""
@@ -58,6 +61,7 @@ class TubeSection:
         return math.hypot(self.curvature_x_per_m, self.curvature_y_per_m)
 
 
+@shown
 @dataclass(frozen=True)
 class Tube:
     """One tube, its sections from base to tip; torsional stiffness is bending_stiffness_Nm2 / (1 + poisson_ratio)."""
@@ -77,6 +81,10 @@ class Tube:
     shaft_compliance_rad_per_Nm: float = 0.0  # torsion between actuator and collar
     retractable: bool = False  # whether its tip may be drawn back behind that of the tube around it
 
+    def __post_init__(self) -> None:
+        """Takes any sequence of sections. Raises InputError for what is none."""
+        object.__setattr__(self, "sections", rows_of("sections", self.sections, TubeSection))
+
     @property
     def mass_per_length_kg_m(self) -> float:
         """Density times the cross section."""
@@ -88,22 +96,28 @@ class Tube:
         return math.fsum(section.length_m for section in self.sections)
 
 
+@shown
 @dataclass(frozen=True)
 class Contact:
     """Contact of tubes i and i + 1."""
 
-    friction_coefficient: tuple[float, float]  # lowest, highest
+    friction_coefficient: tuple[float, float]  # lowest, highest; a number stands for both
     clearance_m: float | None = None  # radial; None: what the diameters leave
 
     def __post_init__(self) -> None:
-        """Raises InputError unless the friction coefficient is an interval."""
+        """Raises InputError unless the friction coefficient is a number or an interval."""
+        given: object = self.friction_coefficient
+        if isinstance(given, Real) and not isinstance(given, bool):
+            object.__setattr__(self, "friction_coefficient", (float(given), float(given)))
+        elif isinstance(given, list):
+            object.__setattr__(self, "friction_coefficient", tuple(given))
         try:
             lowest, highest = self.friction_coefficient
             sound = 0 <= lowest <= highest < math.inf
         except (TypeError, ValueError):
             sound = False
         if not sound:
-            rule = "must be two numbers, lowest and highest, from 0 upwards"
+            rule = "must be a number or two, lowest and highest, from 0 upwards"
             raise InputError(rule, key="friction_coefficient", value=self.friction_coefficient)
 
 
@@ -112,6 +126,7 @@ Vector = tuple[float, float, float]
 ZERO: Vector = (0.0, 0.0, 0.0)
 
 
+@shown
 @dataclass(frozen=True)
 class Loads:
     """Force [N] and moment [N m] on the innermost tip, and the acceleration [m/s^2] that gives every tube its weight.

@@ -17,6 +17,7 @@ from ctrplan.base.arrays import Array, numbers
 from ctrplan.base.long_work import Progress
 from ctrplan.base.package import shown
 from ctrplan.errors import InputError
+from ctrplan.mechanics.shapes import Status
 
 if TYPE_CHECKING:
     from ctrplan.mechanics.shapes import Accuracy, Bounds
@@ -210,6 +211,18 @@ def join(parts: Sequence[Bounds]) -> Bounds:
         return parts[0]
     columns = ([getattr(part, field.name) for part in parts] for field in fields(parts[0]))
     return type(parts[0])(*map(np.concatenate, columns))
+
+
+def scattered(solved: Bounds, refused: NDArray[np.bool_]) -> Bounds:
+    """Bounds of the rows that are not refused, and between them those (K,) that are, NaN and REFUSED."""
+
+    def column(values: Any) -> Any:
+        empty = Status.REFUSED if values.dtype.kind == "i" else np.nan
+        result = np.full((len(refused), *values.shape[1:]), empty, dtype=values.dtype)
+        result[~refused] = values
+        return result
+
+    return type(solved)(*(column(getattr(solved, each.name)) for each in fields(solved)))
 
 
 def chunks(count: int, size: int) -> list[slice]:

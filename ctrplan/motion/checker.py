@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from typing import TYPE_CHECKING, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from ctrplan.anatomy.parts import exact_clearance
 from ctrplan.base.arguments import Choice, Made, Number, checked
-from ctrplan.base.arrays import MM_PER_M, Array
-from ctrplan.base.long_work import ASKED_NS, ROOM_NS, SHAPE_NS, SearchWatch, WorkMeter, counted_aside
+from ctrplan.base.arrays import MM_PER_M, Array, numbers
+from ctrplan.base.long_work import ASKED_NS, ROOM_NS, SHAPE_NS, SearchWatch, WorkMeter, cores, counted_aside
+from ctrplan.errors import InputError
+from ctrplan.mechanics.core import THREADS
 from ctrplan.mechanics.friction import largest_deviation
 from ctrplan.mechanics.shapes import Status
 from ctrplan.mechanics.walk import Field, PathDensity, PathLimits, PathSamples
@@ -52,6 +55,7 @@ class Motion:
     end_bound_m: float  # whatever the history
     left_m: Callable[[], float] = field(compare=False, repr=False)  # `end_error_m`, which is asked for at goals only
     legs: int = 0  # the drive stops after each
+    terms_mm: tuple[float, ...] = ()  # what the scenario's own terms cost, in their order
 
     @cached_property
     def end_error_m(self) -> float:
@@ -60,7 +64,10 @@ class Motion:
 
 
 class MotionChecker:
-    """Checks and prices motions of a scenario; remembers every one it was asked about."""
+    """Checks and prices motions of a scenario; remembers every one it was asked about.
+
+    Threads may share it. It pickles as what it was made of, and has then checked nothing yet.
+    """
 
     @checked(
         scenario=Made("Scenario"),
@@ -91,6 +98,34 @@ class MotionChecker:
         self._known: dict[bytes, Motion] = {}
         self._ahead: dict[bytes, tuple[Motion, int]] = {}  # checked before they were asked for, and work [ns]
         self._states: dict[bytes, tuple[Motion, PathSamples | None]] = {}
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """What it was made of."""
+        return type(self), (self.scenario, self.style, None, self.reserve_m)
+
+    def check(self, states: ArrayLike, *, threads: int = 0) -> tuple[Motion, ...]:
+        """States (K, m) as motions of no length, on so many threads, 0: every core. Invalid rows have their reason.
+
+        Raises InputError for an array of another shape alone.
+        """
+        return self._rows(self.state, threads, states)
+
+    def motions(self, a: ArrayLike, b: ArrayLike, *, threads: int = 0) -> tuple[Motion, ...]:
+        """Motions from rows of a (K, m) to those of b (K, m), in the checker's style; as `check`."""
+        return self._rows(self.motion, threads, a, b)
+
+    @checked(threads=THREADS)
+    def _rows(self, ask: Callable[..., Motion], threads: int, *arrays: ArrayLike) -> tuple[Motion, ...]:
+        rows, m = [numbers(array, "joint values") for array in arrays], len(self.space.drive.joints)
+        for array in rows:
+            if array.shape != (len(rows[0]), m):
+                raise InputError(f"must have shape (K, {m}), K alike, not {array.shape}", key="joint values")
+
+        def answer(*row: Array) -> Motion:
+            return ask(*row) if all(np.isfinite(q).all() for q in row) else invalid("joint values must be finite")
+
+        with ThreadPoolExecutor(threads or cores()) as pool:
+            return tuple(pool.map(answer, *rows))
 
     def motion(self, a: Array, b: Array) -> Motion:
         """The motion from joint values a to b, (m,) each, in the checker's style."""
@@ -186,7 +221,8 @@ class MotionChecker:
         length, integral = self.price(corners, samples, error)
         bound, last = float(samples.position_m[-1]), samples.at_end()
         left = partial(left_at_end, self.scenario.robot, corners, last, float(error[-1]))
-        return Motion(True, "", length, integral, bound, left, count_legs(corners))
+        terms_mm = self._terms_mm(corners, samples) if self.scenario.terms else ()
+        return Motion(True, "", length, integral, bound, left, count_legs(corners), terms_mm)
 
     def walk(self, corners: Array, density: PathDensity, limits: PathLimits) -> PathSamples:
         """The core's samples along a polyline."""
@@ -258,16 +294,29 @@ class MotionChecker:
         """Weighted joint length [mm] and the integral [mm] of errors (K,) [m] of a walked polyline."""
         if len(corners) == 1:
             return 0.0, 0.0
-        lengths = np.array([self.space.length_mm(d) for d in np.diff(corners, axis=0)])
-        travelled = (
-            np.concatenate([[0.0], np.cumsum(lengths)])[samples.segment] + samples.fraction * lengths[samples.segment]
-        )
+        lengths, travelled = self._travelled(corners, samples)
         integral = np.trapezoid(error * MM_PER_M, travelled) / self.scenario.cost.mm_per_rad
         return float(lengths.sum()), float(integral)
 
+    def _travelled(self, corners: Array, samples: PathSamples) -> tuple[Array, Array]:
+        """Lengths [mm] of a polyline's legs, and how far along it samples (K,) are."""
+        lengths = np.array([self.space.length_mm(d) for d in np.diff(corners, axis=0)])
+        before = np.concatenate([[0.0], np.cumsum(lengths)])
+        return lengths, before[samples.segment] + samples.fraction * lengths[samples.segment]
+
+    def _terms_mm(self, corners: Array, samples: PathSamples) -> tuple[float, ...]:
+        """What the scenario's own terms cost on a walked polyline (K, m); a state alone costs nothing."""
+        terms, mm_per_rad = self.scenario.terms, self.scenario.cost.mm_per_rad
+        if len(corners) == 1:
+            return (0.0,) * len(terms)
+        begins = corners[samples.segment]
+        states = begins + samples.fraction[:, None] * (corners[samples.segment + 1] - begins)
+        _, travelled = self._travelled(corners, samples)
+        return tuple(term.cost_mm(states, travelled, mm_per_rad) for term in terms)
+
     def cost_mm(self, motion: Motion, *, ends_at_goal: bool) -> float:
         """Weighted cost of a motion; at the goal it pays for the worst case there and for what is unknown of it."""
-        return path_cost_mm(
+        return sum(motion.terms_mm) + path_cost_mm(
             self.scenario.cost,
             length_mm=motion.length_mm,
             legs=motion.legs,

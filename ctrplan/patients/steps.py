@@ -19,9 +19,9 @@ from ctrplan.anatomy.patient_frame import Frame
 from ctrplan.anatomy.shape import Role
 from ctrplan.base.arrays import MM_PER_M, Array, shortest_rotation
 from ctrplan.errors import InputError, NoAnswerError
+from ctrplan.files.file_content import content_at
 from ctrplan.files.plan_file import load_plan
 from ctrplan.files.robot_file import load_robot
-from ctrplan.files.scenario_file import content_at
 from ctrplan.files.slicer_markups import SCENE, patient_frame
 from ctrplan.files.trajectory_file import trajectory_formats
 from ctrplan.patients.draft import (

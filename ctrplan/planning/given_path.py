@@ -104,7 +104,7 @@ def reorder(path: ArrayLike, scenario: Scenario, *, period_s: float = 0.01) -> P
         raise NoAnswerError(f"{scenario.path or scenario.name}: path: not valid: {result.motion_before.reason}.")
     certificate = _certified(scenario, [result.after])
     elapsed = time.monotonic() - began
-    return assemble(scenario, [result], certificate, planner="given path", seed=0, time_s=elapsed, period_s=period_s)
+    return assemble(scenario, [result], certificate, planner="given path", seed=0, clock_s=elapsed, period_s=period_s)
 
 
 def _corners(scenario: Scenario, path: ArrayLike) -> Array:

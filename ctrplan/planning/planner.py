@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ctrplan.base.arguments import EVENT, PROGRESS, SEARCH_TIME, SEED, Flag, Made, checked
+from ctrplan.base.arguments import EVENT, PROGRESS, SEARCH_TIME, SEED, Flag, Made, checked, rows_of
 from ctrplan.base.arrays import Array
 from ctrplan.base.long_work import Progress as FractionReport
-from ctrplan.base.long_work import SearchClock, SearchEnd, interrupt_event, part_of
+from ctrplan.base.long_work import SearchClock, SearchEnd, WorkMeter, interrupt_event, part_of
 from ctrplan.certificate.certificate import Certificate, joined_certificates
 from ctrplan.certificate.certify import GoalTest, certify, frictionless_arrives, with_restart
 from ctrplan.certificate.closest import failure_with_place
@@ -38,6 +38,7 @@ from ctrplan.plans.planned_motion import Compensation
 from ctrplan.plans.uncertainty import stated_uncertainty
 from ctrplan.robot.friction_calibration import friction_law
 from ctrplan.scenario.prediction import FrictionStart
+from ctrplan.scenario.scenario import CostTerm
 from ctrplan.scenario.tip_solver import GoalState
 
 if TYPE_CHECKING:
@@ -66,6 +67,7 @@ def plan(
     interrupted: threading.Event | None = None,
     compensated: bool = True,
     start_state: ObserverState | None = None,
+    terms: Sequence[CostTerm] = (),
 ) -> Plan:
     """A certified plan from the scenario's start to its goal.
 
@@ -73,7 +75,8 @@ def plan(
     price; with "oscillate" it ends with an oscillation that releases friction. `compensated` moves the joints at its
     end so that the tip with friction arrives, not the frictionless one; a goal in joint values is driven to as it is.
     With a `start_state` of `Robot.observer` predictions start from what was observed; bounds and clearances stay those
-    of every friction state.
+    of every friction state. `terms` of your own are added to the cost of every motion that is searched, reordered or
+    compared; endings and corrections at the goal are chosen without them.
 
     The first path found is certified at once, better ones are sought until `time_s` is up. Without it, the search ends
     after the work that takes about the scenario's planner.time_s, and the same seed gives the same plan anywhere.
@@ -82,6 +85,7 @@ def plan(
     """
     if start_state is not None:
         scenario = scenario.observed(start_state)
+    scenario = replace(scenario, terms=(*scenario.terms, *rows_of("terms", terms, CostTerm)))
     began, report = time.monotonic(), progress or (lambda _: None)
     budget = float(scenario.planner.time_s if time_s is None else time_s)
     refuse_many_tubes(scenario.robot)
@@ -98,6 +102,7 @@ def plan(
         approaches = cache(partial(beside.submit, other_start, scenario, scenario.start))
         asked = _PlanRequest(seed, began, budget, budget, time_s is not None, report, interrupted, approaches)
         first, stages, ended_by = _anytime_stages(scenario, asked)
+        spent_ns = [meter.spent_ns for meter in asked.meters]  # corrections at the end are no search
         finish = _finish(scenario, stages, compensated, report)
     notes: tuple[str, ...] = (*scenario.warnings, *((ENDED_BY_TIME,) if ended_by == "time" else ()))
     paths = [best.result for _, best in stages]
@@ -112,7 +117,8 @@ def plan(
         finish.certificate,
         planner=scenario.planner.name,
         seed=seed,
-        time_s=time.monotonic() - began,
+        clock_s=time.monotonic() - began,
+        work_s=1e-9 * sum(spent_ns),
         first_found_s=first.found_s,
         first_certified_s=first.certified_s,
         notes=(*notes, *finish.notes),
@@ -137,6 +143,7 @@ class _PlanRequest:
     interrupted: threading.Event
     approaches: Callable[[], Future[str]]  # to the start, begun when first asked for
     before: float = 0.0  # s, of `whole`, spent on other searches
+    meters: list[WorkMeter] = field(default_factory=list)  # of all searches
 
     def refuse_other_start(self, scenario: Scenario) -> None:
         """Raises NoAnswerError where an approach to the start ends at another equilibrium."""
@@ -166,7 +173,7 @@ def _anytime_stages(scenario: Scenario, asked: _PlanRequest) -> tuple[Candidate,
         )
     except (KeyboardInterrupt, NoAnswerError):
         return hasty[-1][0], hasty, ran_out
-    kept = min(stages, hasty, key=lambda way: sum(best.walk.cost_mm for _, best in way))
+    kept = min(stages, hasty, key=lambda way: sum(best.cost_mm for _, best in way))
     return hasty[-1][0], kept, ended_by
 
 
@@ -185,6 +192,7 @@ def _stages(
     for k, goal in enumerate(targets):
         stage = replace(scenario.stage_from(start), goal=nearest_turn(scenario, start, goal))
         checker = MotionChecker(stage)
+        asked.meters.append(checker.meter)
         if goal.line_m is not None:
             refuse_start()
             stages.append(_along_line(checker, asked.began))
@@ -275,7 +283,7 @@ def _finish(scenario: Scenario, stages: Stages, compensated: bool, report: Repor
     valid way on, nothing is corrected.
     """
     last, certificates = stages[-1][1], list[Certificate]()
-    cost_mm = sum(best.walk.cost_mm for _, best in stages)
+    cost_mm = sum(best.cost_mm for _, best in stages)
     report(Progress("search", 1.0, cost_mm))
     shift = np.zeros_like(last.corners[0])
     ways, notes, compensation = list[Array](), list[str](), None

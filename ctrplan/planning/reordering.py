@@ -69,7 +69,13 @@ def alternative(checker: MotionChecker, name: str, corners: Array) -> ComparedWa
     length = sum(checker.space.length_mm(step) for step in np.diff(corners, axis=0))
     scenario, is_allowed = checker.scenario, checker.space.allowed(corners)
     error = goal_error(scenario.robot, corners, start_states(scenario)) if is_allowed else np.inf
-    return ComparedWay(name, error, float(length), checker.along(corners).reason)
+    motion = checker.along(corners)
+    return ComparedWay(name, error, float(length), motion.reason, _by_name(scenario, motion))
+
+
+def _by_name(scenario: Scenario, motion: Motion) -> dict[str, float]:
+    """What the scenario's own terms cost on a motion; nothing where it is not valid."""
+    return {term.name: cost for term, cost in zip(scenario.terms, motion.terms_mm, strict=False)}
 
 
 def changes(checker: MotionChecker, before: Array, after: Array) -> tuple[str, ...]:
@@ -239,6 +245,7 @@ def _summed(motions: list[Motion]) -> Motion:
         sum(motion.end_bound_m for motion in motions),
         lambda: sum(motion.end_error_m for motion in motions),
         sum(motion.legs for motion in motions),
+        tuple(map(sum, zip(*(motion.terms_mm for motion in motions), strict=True))),
     )
 
 
@@ -272,7 +279,8 @@ def assemble(
     *,
     planner: str,
     seed: int,
-    time_s: float,
+    clock_s: float,
+    work_s: float | None = None,
     first_found_s: float = 0.0,
     first_certified_s: float = 0.0,
     period_s: float = 0.01,
@@ -294,7 +302,7 @@ def assemble(
     legs = tuple(Leg(a, b, leg_kind(drive, a, b)) for a, b in zip(driven[:-1], driven[1:], strict=True))
 
     def cost(motion: Motion) -> float:
-        return path_cost_mm(
+        return sum(motion.terms_mm) + path_cost_mm(
             scenario.cost,
             length_mm=motion.length_mm,
             legs=motion.legs,
@@ -312,6 +320,8 @@ def assemble(
         error_integral_after_mm=b.error_integral_mm,
         stops_before=max(a.legs - 1, 0),
         stops_after=max(b.legs - 1, 0),
+        terms_before_mm=_by_name(scenario, a),
+        terms_after_mm=_by_name(scenario, b),
         **_compared(scenario, stages[-1], ways[-1], certificate),
     )
     try:
@@ -328,7 +338,8 @@ def assemble(
         certificate=certificate,
         trajectory=trajectory,
         reorder=report,
-        search_time_s=time_s,
+        clock_s=clock_s,
+        work_s=work_s,
         first_found_s=first_found_s,
         first_certified_s=first_certified_s,
         notes=(*notes, *plan_range_notes(scenario.robot, driven), *_remarks(certificate)),

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from ctrplan.robot.robot import Robot
     from ctrplan.scenario.scenario import Goal, Scenario
 
-SCHEMA_VERSION = 5  # rises when a key changes its meaning or goes
+SCHEMA_VERSION = 6  # rises when a key changes its meaning or goes
 SI_UNITS = {"deg": "rad", "mm": "m"}
 
 
@@ -49,7 +49,8 @@ def plan_to_json(plan: PlannedMotion) -> dict[str, Any]:
         "seed": plan.seed,
         "planner": plan.planner,
         "style": plan.style,
-        "search_time_s": plan.search_time_s,
+        "clock_s": plan.clock_s,
+        "work_s": plan.work_s,
         "first_found_s": plan.first_found_s,
         "first_certified_s": plan.first_certified_s,
         "search_ended_by": plan.ended_by,

@@ -6,6 +6,7 @@ leader.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Literal, Protocol
 
@@ -58,6 +59,7 @@ class ComparedWay:
     goal_predicted_m: float  # predicted friction error at the goal; inf where no history leads there
     length_mm: float
     problem: str  # why it must not be driven; empty if it may
+    terms_mm: Mapping[str, float] = field(default_factory=dict)  # what terms of the user's own cost, by name
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,6 +76,8 @@ class ReorderReport:
     stops_after: int
     changes: tuple[str, ...] = ()  # sentences: what was reordered on the way to the goal
     alternatives: tuple[ComparedWay, ...] = ()  # other ways to it from the target before, or the start
+    terms_before_mm: Mapping[str, float] = field(default_factory=dict)  # what terms of the user's own cost, by name
+    terms_after_mm: Mapping[str, float] = field(default_factory=dict)
 
 
 @shown
@@ -89,9 +93,10 @@ class PlannedMotion:
     certificate: Certificate
     trajectory: Trajectory
     reorder: ReorderReport
-    search_time_s: float
-    first_found_s: float  # time to the first path found
-    first_certified_s: float  # time to the first path that passed its certificate
+    clock_s: float  # that planning took by the clock
+    first_found_s: float  # of them, until the first path was found
+    first_certified_s: float  # until the first path passed its certificate
+    work_s: float | None = None  # of searching, counted, so that it is the same anywhere; None where nothing counted
     notes: tuple[str, ...] = field(default=())
     compensation: Compensation | None = None  # only if asked for
     interrupted: bool = False  # by Ctrl-C: the best path found until then

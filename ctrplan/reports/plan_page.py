@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -123,7 +123,7 @@ def _leg_remarks(plan: Plan, number: int) -> Iterator[str]:
 
 def _reordered(report: ReorderReport) -> list[tuple[str, ...]]:
     """Quantities before and after."""
-    figures = (
+    figures: tuple[tuple[str, Callable[[float], str], float, float], ...] = (
         ("Cost of the path in the search", VALUES["mm"], report.cost_before_mm, report.cost_after_mm),
         (
             "Error summed over the path in the search",
@@ -132,6 +132,10 @@ def _reordered(report: ReorderReport) -> list[tuple[str, ...]]:
             report.error_integral_after_mm,
         ),
         ("Stops of the path in the search", str, report.stops_before, report.stops_after),
+        *(
+            (f"Of the cost, {name}", VALUES["mm"], before, report.terms_after_mm[name])
+            for name, before in report.terms_before_mm.items()
+        ),
     )
     return [(name, said(before), said(after)) for name, said, before, after in figures]
 

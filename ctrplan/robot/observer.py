@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike
 
 from ctrplan.base.arguments import SEED, Choice, Made, Whole, checked
 from ctrplan.base.arrays import Array, numbers
+from ctrplan.base.package import of_this_process
 from ctrplan.errors import InputError, SolverError
 from ctrplan.measurement.measurements import SensorNoise
 from ctrplan.mechanics.core_arrays import joint_row, joint_rows
@@ -27,7 +28,6 @@ from ctrplan.robot.observer_histories import Histories, Member, RobotWith, probe
 from ctrplan.robot.slow_states import Slow, SlowModel, SlowOffset, SlowParameter, spread_m2
 
 if TYPE_CHECKING:
-    from ctrplan.drive.drive import Drive
     from ctrplan.mechanics.core import Mechanics
     from ctrplan.mechanics.history import History, HistoryState
     from ctrplan.mechanics.shapes import Accuracy, HistoryOptions
@@ -201,7 +201,9 @@ KNOWN_SHARE = 0.999  # of the probability, by the histories that `state` keeps
 
 
 class Observer:
-    """A robot that is followed. Made by `Robot.observer`; joints are commanded ones. One thread at a time."""
+    """A robot that is followed. Made by `Robot.observer`; it takes collars. One thread at a time."""
+
+    __reduce__ = of_this_process("make another by Robot.observer and show it the same rows")
 
     @checked(
         noise=Made("SensorNoise"),
@@ -213,7 +215,6 @@ class Observer:
     def __init__(
         self,
         robot_with: RobotWith,
-        drive: Drive,
         *,
         noise: SensorNoise,
         offset: SlowOffset,
@@ -226,7 +227,7 @@ class Observer:
 
         robot_with: the mechanics with slow parameters so much off these values.
         """
-        self._drive, self._accuracy, self._noise, self._most = drive, accuracy, noise, members
+        self._accuracy, self._noise, self._most = accuracy, noise, members
         self._slow, self._values = SlowModel(offset, list(slow)), np.array(list(slow.values()), dtype=np.float64)
         self._rng = np.random.default_rng(seed)
         self._bank = Histories(robot_with, accuracy, self._slow, members, self._rng)
@@ -235,16 +236,16 @@ class Observer:
 
     def observe(
         self,
-        theta_commanded: ArrayLike,
-        l_commanded: ArrayLike,
+        theta_b: ArrayLike,
+        l_b: ArrayLike,
         position_m: ArrayLike | None = None,
         tangent: ArrayLike | None = None,
     ) -> Observed:
-        """Moves on to joints (n,) [rad], (n,) [m], and takes the tip (3,) [m] measured there, if any; tangent (3,).
+        """Moves on to collars (n,) [rad], (n,) [m], and takes the tip (3,) [m] measured there, if any; tangent (3,).
 
         Raises InputError, before anything moves, and SolverError where no friction state has an equilibrium.
         """
-        theta_b, l_b = self._collars(theta_commanded, l_commanded)
+        theta_b, l_b = self._collars(theta_b, l_b)
         seen, along = _vector(position_m, "position_m"), _vector(tangent, "tangent")
         if along is not None:
             if seen is None:
@@ -265,20 +266,20 @@ class Observer:
             started_anew=anew,
         )
 
-    def predict(self, theta_commanded: ArrayLike, l_commanded: ArrayLike) -> TipEstimate:
-        """Where the tip would be after a motion to joints (n,) [rad], (n,) [m], or along K of them (K, n).
+    def predict(self, theta_b: ArrayLike, l_b: ArrayLike) -> TipEstimate:
+        """Where the tip would be after a motion to collars (n,) [rad], (n,) [m], or along K of them (K, n).
 
         The observer stays where it is. Raises InputError, also before the first step, and SolverError.
         """
         self._require_begun()
-        single = np.ndim(l_commanded) == 1
-        given = (numbers(theta_commanded, "theta_commanded"), numbers(l_commanded, "l_commanded"))
-        theta_b, l_b = joint_rows(*self._drive.reached(*map(np.atleast_2d, given)), self._bank.mechanics.n)
+        single = np.ndim(l_b) == 1
+        theta, l = (np.atleast_2d(numbers(x, key)) for x, key in ((theta_b, "theta_b"), (l_b, "l_b")))  # noqa: E741
+        theta, l = joint_rows(theta, l, self._bank.mechanics.n)  # noqa: E741 (as in the equations)
         results = []
-        paths = self._bank.threads.each(lambda member: probed(member.history, theta_b, l_b), self._bank.members)
+        paths = self._bank.threads.each(lambda member: probed(member.history, theta, l), self._bank.members)
         for member, path, share in zip(self._bank.members, paths, weights(self._bank.members), strict=True):
             if path is not None:
-                moved_m, variance = self._ahead(member, path, theta_b, l_b)
+                moved_m, variance = self._ahead(member, path, theta, l)
                 results.append((path.position_m + moved_m, path.tangent, share, variance))
         if not results:
             raise SolverError("no equilibrium was found along the path")
@@ -387,12 +388,12 @@ class Observer:
         own: Array = slow.spread_m2(slopes, self._slow.shown_share(ahead)).diagonal()
         return own + self._surprise.beyond_m2
 
-    def _collars(self, theta_commanded: ArrayLike, l_commanded: ArrayLike) -> tuple[Array, Array]:
+    def _collars(self, theta_b: ArrayLike, l_b: ArrayLike) -> tuple[Array, Array]:
         n = self._bank.mechanics.n
-        theta_b, l_b = self._drive.reached(joint_row(theta_commanded, n), joint_row(l_commanded, n))
-        if refused := self._bank.mechanics.first_refused(theta_b[None], l_b[None]):
+        theta, l = joint_row(theta_b, n), joint_row(l_b, n)  # noqa: E741 (as in the equations)
+        if refused := self._bank.mechanics.first_refused(theta[None], l[None]):
             raise InputError(refused[1])
-        return theta_b, l_b
+        return theta, l
 
     def _require_begun(self) -> None:
         if self._bank.at is None or not self._bank.members:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ctrplan.base.arguments import rows_of
 from ctrplan.base.arrays import Array, are_degrees, content_sha256, numbers, read_only
 from ctrplan.base.package import shown
 from ctrplan.drive.drive import Drive
@@ -24,9 +25,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from ctrplan.base.long_work import Progress
-    from ctrplan.mechanics.core import Mechanics, Walker
+    from ctrplan.mechanics.core import Mechanics
     from ctrplan.mechanics.equilibria import Equilibria
-    from ctrplan.mechanics.history import History, Start
+    from ctrplan.mechanics.history import History, Start, Walker
     from ctrplan.mechanics.shapes import Accuracy, Bound, Bounds, HistoryOptions, Shape
     from ctrplan.robot.observer import Observer
     from ctrplan.robot.slow_states import SlowOffset, SlowParameter
@@ -115,12 +116,16 @@ def _base(robot: Robot, i: int, l_b: Array) -> str:
 @shown
 @dataclass(frozen=True, eq=False)
 class Robot:
-    """n concentric tubes, outermost first, their n - 1 contacts and the drive; SI units."""
+    """n concentric tubes, outermost first, their n - 1 contacts and the drive; SI units.
+
+    Made in code it is checked as a file would be; without a drive it has a rotation and a translation per tube. What
+    `with_` changes is checked again, what `dataclasses.replace` changes is not. Threads may share it; it pickles.
+    """
 
     name: str
     tubes: tuple[Tube, ...]
-    contacts: tuple[Contact, ...]
-    drive: Drive
+    contacts: tuple[Contact, ...] = ()
+    drive: Drive = None  # type: ignore[assignment]  # never None once made
     model_error_m: float = 0.0
     friction_memory: float = 0.0  # share of the friction bound that real contacts keep after slip, beyond the model's
     measurement: SensorNoise | None = None
@@ -130,15 +135,19 @@ class Robot:
     intervals: StatedIntervals = StatedIntervals()  # [uncertainty] as in the file, SI
     ideal: Robot | None = None  # without the effects, where tubes, contacts, loads and drive have them at work
     provenance: Mapping[str, Any] = field(default_factory=dict)  # as in the file
-    content: Mapping[str, Any] = field(default_factory=dict)  # of the file after overrides
+    content: Mapping[str, Any] = field(default_factory=dict)  # of the file after overrides, or of one that says this
     path: str | None = None
     warnings: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        """Raises InputError unless neighbouring tubes have a contact each."""
+        """Checks what was made in code. Raises InputError unless neighbouring tubes have a contact each."""
+        object.__setattr__(self, "tubes", rows_of("tubes", self.tubes, Tube))
+        object.__setattr__(self, "contacts", rows_of("contacts", self.contacts, Contact))
         if len(self.contacts) != max(len(self.tubes) - 1, 0):
             rule = f"must be {max(len(self.tubes) - 1, 0)}, one for each pair of neighbouring tubes"
             raise InputError(rule, key="contacts", value=len(self.contacts))
+        if not self.content:
+            _as_in_a_file(self)
 
     @cached_property
     def sha256_of(self) -> dict[str, str]:
@@ -189,6 +198,25 @@ class Robot:
         """Its name and size, as it shows itself."""
         longest = max(tube.length_m for tube in self.tubes) * 1e3
         return f"{self.name}, {self.n} tube{'s' if self.n > 1 else ''} up to {longest:.4g} mm long"
+
+    def with_(self, *overrides: str, **changes: Any) -> Robot:
+        """The robot with fields changed, and keys of its file by `overrides`, "tube.2.poisson_ratio=0.28"; checked.
+
+        Raises InputError for a field or key that there is not, and as files do.
+        """
+        kept = {"effects": self.effects, "content": {}, "warnings": ()} | changes
+        made = changed(self.ideal or self, **kept)
+        if not overrides:
+            return made
+        import ctrplan  # files are of a package above, and stand in the public names
+
+        return ctrplan.as_read(made, overrides)
+
+    def to_toml(self) -> str:
+        """The text of a robot file that is read as this robot. Raises InputError for what no file says."""
+        import ctrplan
+
+        return ctrplan.to_toml(self)
 
     def plot(self) -> Figure:
         """The tubes to scale, as they are bent when nothing holds them, and the travel of the drive."""
@@ -271,9 +299,28 @@ class Robot:
             theta_b, l_b, accuracy=accuracy, threads=threads, progress=progress, executor=executor
         )
 
+    def bounds(
+        self,
+        theta_b: ArrayLike,
+        l_b: ArrayLike,
+        *,
+        accuracy: Accuracy = "search",
+        threads: int = 0,
+        progress: Progress | None = None,
+        executor: Executor | None = None,
+    ) -> Bounds:
+        """`bound_many` that never fails for a row: one that does not nest, or is no number, has the status REFUSED.
+
+        Raises InputError for arrays of another shape alone.
+        """
+        _warn_of_degrees(theta_b)
+        return self.mechanics.bounds(
+            theta_b, l_b, accuracy=accuracy, threads=threads, progress=progress, executor=executor
+        )
+
     def walker(self, *, accuracy: Accuracy = "search") -> Walker:
         """Bounds along a path of the collars: each call of its `bound` starts from the solution of the call before."""
-        from ctrplan.mechanics.core import Walker
+        from ctrplan.mechanics.history import Walker
 
         return Walker(self.mechanics.core_walker(accuracy), self.n)
 
@@ -298,7 +345,8 @@ class Robot:
         seed: int = 0,
         accuracy: Accuracy = "search",
     ) -> Observer:
-        """Follows the robot by commanded joints and measured tips, from friction that nobody knows.
+        """Follows the robot by collars and measured tips, from friction that nobody knows; `collars` says where those
+        are of commanded joints.
 
         noise: of the tracker, or its standard deviation [m] of each coordinate; by default the robot file's
         [measurement]. offset: what no friction state explains changes slowly, by default nothing is. slow: numbers of
@@ -315,7 +363,6 @@ class Robot:
             known = SensorNoise(known)
         return Observer(
             robot_with(self),
-            self.drive,
             noise=known,
             offset=SlowOffset(0.0) if offset is None else offset,
             slow=values_of_slow(self, slow),
@@ -327,6 +374,29 @@ class Robot:
     def _clearance(self, i: int) -> float:
         given = self.contacts[i].clearance_m
         return diametral_gap_m(self.tubes, i) if given is None else given
+
+
+D = TypeVar("D")
+
+
+def changed(given: D, **changes: Any) -> D:
+    """A dataclass with fields changed. Raises InputError for a name that is no field of it."""
+    known = [each.name for each in fields(given)]  # type: ignore[arg-type]
+    for name in changes.keys() - set(known):
+        raise InputError(f"is no field of a {type(given).__name__}: those are {', '.join(known)}", key=name)
+    return replace(given, **changes)  # type: ignore[type-var]
+
+
+def _as_in_a_file(robot: Robot) -> None:
+    """Gives a robot made in code the content of a file that says it, and what such a file adds. Raises InputError."""
+    import ctrplan  # files are of a package above, and stand in the public names
+
+    read = ctrplan.as_read(robot)
+    taken = {"content", "warnings"} | ({"drive"} if robot.drive is None else set())
+    if robot.effects:
+        taken |= {"tubes", "contacts", "drive", "loads", "ideal", "model_error_m"}
+    for name in taken:
+        object.__setattr__(robot, name, getattr(read, name))
 
 
 def _warn_of_degrees(theta_b: ArrayLike) -> None:

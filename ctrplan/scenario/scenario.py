@@ -9,22 +9,26 @@ L-shaped motion driven backwards is another motion.
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from msgspec import Meta, Struct
+from msgspec import Meta, Struct, to_builtins
+from numpy.typing import ArrayLike
 
 from ctrplan.anatomy.anatomy_field import anatomy_field, shared_spacing_m
 from ctrplan.anatomy.clearance_grid import SignedDistanceField, field_bounds
-from ctrplan.base.arrays import MM_PER_M, Array, content_sha256
+from ctrplan.base.arguments import LONGEST_MM, PROGRESS, Limited, Text, checked, require, rows_of
+from ctrplan.base.arrays import MILLIMETRE, MM_PER_M, Array, content_sha256, numbers, read_only, unit, vector
 from ctrplan.base.catalogue import AbstractStruct, Catalogue
 from ctrplan.base.package import shown
 from ctrplan.errors import InputError
-from ctrplan.robot.robot import Robot
+from ctrplan.robot.robot import Robot, changed
+from ctrplan.storage.toml_document import LARGEST_WEIGHT
+from ctrplan.storage.toml_faults import first_fault, unit_of
 
 if TYPE_CHECKING:
     from ctrplan.anatomy.fixture import Fixture
@@ -41,6 +45,12 @@ class PlannerSettings(Struct, metaclass=AbstractStruct, frozen=True, forbid_unkn
     name: str
     time_s: Annotated[float, Meta(gt=0, le=3600)] = 5.0
     settle: Literal["auto", "none", "oscillate"] = "auto"
+
+    def __post_init__(self) -> None:
+        """Raises InputError for settings that no file may have."""
+        if fault := first_fault(to_builtins(self), type(self)):
+            (key, *_), rule = fault
+            raise InputError(rule, key=str(key), value=getattr(self, str(key)), unit=unit_of(str(key)))
 
     @abstractmethod
     def ompl_planner(self, information: Any) -> Any:
@@ -76,6 +86,7 @@ def path_cost_mm(weights: Cost, *, length_mm: float, legs: int, integral_mm: flo
     return cost + weights.error_goal * left_m * MM_PER_M
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class Goal:
     """Either joint values, or a tip position in the anatomy's frame, possibly with a tip direction.
@@ -84,15 +95,34 @@ class Goal:
     With a line, the tip comes from the line's first point, within the tolerance of it all the way.
     """
 
-    joints: Array | None  # (m,) rad or m
-    tip_m: Array | None  # (3,)
-    tolerance_m: float  # on the tip position
+    joints: Array | None = None  # (m,) rad or m
+    tip_m: Array | None = None  # (3,)
+    tolerance_m: float = 1e-3  # on the tip position
     direction: Array | None = None  # (3,) unit vector, anatomy's frame
     direction_tolerance_rad: float | None = None
     line_m: Array | None = None  # (L, 3) corners, the last one tip_m
     name: str = ""
     table: str = "goal"  # of the scenario's file: "goal", or "target.2" for the second [[target]]
     tip_key: str = "tip_mm"  # in that table, or "line_mm.1" for where a line begins
+
+    def __post_init__(self) -> None:
+        """Reads its numbers. Raises InputError for a goal that says nowhere, and for what is no place."""
+        for name, length in (("joints", None), ("tip_m", 3), ("direction", 3)):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, vector(name, getattr(self, name), length))
+        require("tolerance_m", self.tolerance_m, Limited(0, 1, "m", above=True))
+        if self.line_m is not None:
+            line = numbers(self.line_m, "line_m")
+            if line.ndim != 2 or line.shape[1] != 3 or len(line) < 2 or not np.isfinite(line).all():
+                raise InputError("must be two points or more of three finite coordinates", key="line_m", unit="m")
+            object.__setattr__(self, "line_m", read_only(line))
+            object.__setattr__(self, "tip_m", read_only(line[-1]))
+        if self.joints is None and self.tip_m is None:
+            raise InputError("must have one of joints, tip_m and line_m", key="goal")
+        if self.direction is not None:
+            if not self.direction.any():
+                raise InputError("must not be zero", key="direction", value=self.direction)
+            object.__setattr__(self, "direction", read_only(unit(self.direction)))
 
     @property
     def place(self) -> str:
@@ -102,6 +132,8 @@ class Goal:
         return f"{self.table}.{self.tip_key} = {[round(float(x), 3) for x in self.tip_m * MM_PER_M]}"
 
 
+@checked(stability=Limited(0, 1000), max_strain=Limited(0, 1, above=True))
+@shown
 @dataclass(frozen=True)
 class Margins:
     """What every state of a plan keeps: least stability (dimensionless) and largest strain."""
@@ -110,6 +142,18 @@ class Margins:
     max_strain: float = 0.08
 
 
+WEIGHT = Limited(0, LARGEST_WEIGHT)
+
+
+@checked(
+    path=WEIGHT,
+    mm_per_rad=Limited(1e-3, 1e5, "mm/rad"),
+    error_along=WEIGHT,
+    error_goal=WEIGHT,
+    max_error_goal_m=Limited(0, LONGEST_MM * MILLIMETRE, "m", above=True),
+    stop=WEIGHT,
+)
+@shown
 @dataclass(frozen=True)
 class Cost:
     """Weights of a plan's cost in mm: length in joint space, stops, friction error along the path and at the goal."""
@@ -122,15 +166,58 @@ class Cost:
     stop: float = 2.0  # of each leg, at whose end the drive stops
 
 
+@shown
+@dataclass(frozen=True, eq=False)
+class CostTerm:
+    """A term of one's own in a plan's cost: `weight` times the integral of a value along the joint length.
+
+    of_states: the values (K,) of joint values (K, m) [rad, m], finite and never negative: a search takes zero for the
+    least that a motion may cost. 1 over 1 rad costs `weight` mm, as 1 mm of error_along does. Threads may ask it.
+    """
+
+    name: str
+    weight: float
+    of_states: Callable[[Array], ArrayLike]
+
+    def __post_init__(self) -> None:
+        """Raises InputError for what is no term."""
+        require("name", self.name, Text())
+        require(f"weight of {self.name}", self.weight, WEIGHT)
+        require(f"of_states of {self.name}", self.of_states, PROGRESS)
+
+    def cost_mm(self, states: Array, travelled_mm: Array, mm_per_rad: float) -> float:
+        """What a motion through states (K, m), each so far along it (K,), costs. Raises InputError for wrong values."""
+        values = numbers(self.of_states(states), f"term {self.name}")
+        if values.shape != (len(states),) or not np.isfinite(values).all() or values.min(initial=0.0) < 0:
+            rule = f"must be {len(states)} finite numbers, one a state, zero or more"
+            raise InputError(rule, key=f"term {self.name}", value=values if values.size else ...)
+        return self.weight * float(np.trapezoid(values, travelled_mm)) / mm_per_rad
+
+
 # What is known of friction before a plan: nothing; Section V-A's oscillation released it; there is none; what an
 # observer found, which only predictions start from: bounds and clearances are those of every friction state.
 StartFriction = Literal["unknown", "oscillated", "released", "observed"]
 StartTurns = Literal["unknown", "absolute"]  # whether whole turns of joints at the start count, as of a homed drive
 
 
+ORIGIN, UNTURNED = (0.0, 0.0, 0.0), ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+SKEWED = 1e-6  # of a rotation matrix that was written with a few digits
+
+
+def rotation_matrix(key: str, values: ArrayLike) -> Array:
+    """A rotation (3, 3), read-only. Raises InputError for what is none, and for a mirror image."""
+    R = numbers(values, key)
+    if R.shape != (3, 3) or not np.isfinite(R).all() or np.abs(R @ R.T - np.eye(3)).max() > SKEWED:
+        raise InputError("must be a rotation: three rows of length 1 at right angles", key=key)
+    if np.linalg.det(R) < 0:
+        raise InputError("must be a rotation, this one mirrors: turn one axis round", key=key)
+    return read_only(R)
+
+
 ROWS_AT_ONCE = 16384  # of products by BLAS, which takes threads for more: a search keeps every core busy itself
 
 
+@shown
 @dataclass(frozen=True)
 class Registration:
     """How well the robot's base is known in the anatomy's frame: normal errors, alike in all directions."""
@@ -147,15 +234,19 @@ class Registration:
 @shown
 @dataclass(frozen=True, eq=False)
 class Scenario:
-    """A planning problem; SI units, positions in the anatomy's frame."""
+    """A planning problem; SI units, positions in the anatomy's frame.
+
+    Made in code it is checked as a file would be. What `with_` changes is checked again, what `dataclasses.replace`
+    changes is not. Threads may share it; it pickles.
+    """
 
     name: str
     robot: Robot
-    base_position_m: Array  # (3,) origin of the robot frame
-    base_R: Array  # (3, 3) maps vectors of the robot frame to the anatomy's frame
     start: Array  # (m,) rad or m
     goal: Goal
-    planner: PlannerSettings
+    base_position_m: Array = ORIGIN  # type: ignore[assignment]  # (3,) of the robot frame's origin
+    base_R: Array = UNTURNED  # type: ignore[assignment]  # (3, 3) maps vectors of the robot frame to the anatomy's
+    planner: PlannerSettings = None  # type: ignore[assignment]  # never None once made, by default the catalogue's
     anatomy: tuple[AnatomyPart, ...] = ()
     fixtures: tuple[Fixture, ...] = ()  # what stands at the base besides the robot
     margins: Margins = Margins()
@@ -167,8 +258,48 @@ class Scenario:
     registration: Registration = Registration()
     via: tuple[Goal, ...] = ()  # goals to reach before `goal`, in this order
     frame: Literal["RAS", "LPS"] | None = None  # of the patient, which the anatomy's frame is; None where not said
-    content: Mapping[str, Any] = field(default_factory=dict)  # of the scenario's file after overrides
+    content: Mapping[str, Any] = field(default_factory=dict)  # of the file after overrides, or of one that says this
     start_state: ObserverState | None = None  # of a robot that was followed to `start`, where friction is "observed"
+    terms: tuple[CostTerm, ...] = ()  # of the cost besides, which no file says
+
+    def __post_init__(self) -> None:
+        """Reads what was made in code, and checks it as files are checked. Raises InputError."""
+        object.__setattr__(self, "terms", rows_of("terms", self.terms, CostTerm))
+        names = [term.name for term in self.terms]
+        for name in (name for k, name in enumerate(names) if name in names[:k]):
+            raise InputError("is the name of two terms", key="terms", value=name)
+        object.__setattr__(self, "start", vector("start", self.start))
+        object.__setattr__(self, "base_position_m", vector("base_position_m", self.base_position_m, 3))
+        object.__setattr__(self, "base_R", rotation_matrix("base_R", self.base_R))
+        if self.planner is None:
+            object.__setattr__(self, "planner", CATALOGUE[DEFAULT]())
+        if not self.content:
+            import ctrplan  # files are of a package above, and stand in the public names
+
+            read = ctrplan.as_read(self)
+            for name in ("content", "warnings", "goal", "via"):
+                object.__setattr__(self, name, getattr(read, name))
+
+    def with_(self, *overrides: str, **changes: Any) -> Scenario:
+        """The scenario with fields changed, and keys of its file by `overrides`, "planner.time_s=2"; checked.
+
+        Raises InputError for a field or key that there is not, and as files do.
+        """
+        made = changed(self, **({"content": {}, "warnings": ()} | changes))
+        if not overrides:
+            return made
+        import ctrplan
+
+        return ctrplan.as_read(made, overrides)
+
+    def to_toml(self) -> str:
+        """The text of a scenario file that is read as this scenario, its robot in the table [robot].
+
+        Files of the anatomy are named from the folder of `path`. Raises InputError for what no file says.
+        """
+        import ctrplan
+
+        return ctrplan.to_toml(self)
 
     @cached_property
     def sha256_of(self) -> dict[str, str]:

@@ -27,7 +27,7 @@ BROKEN = [
     *((heading, "\n@register", "\n# @register", f"registers no {thing}") for heading, thing in THINGS.items()),
     ("An effect", '"guide_twist"', '"backlash"', "'backlash': is the name of another effect already, in ctrplan."),
     ("A planner", '"RRT"', '"RRT*"', "'RRT*': is the name of another planner already, in ctrplan."),
-    ("An obstacle", '"box"', '"mesh"', "'mesh': is the name of another obstacle kind already, in ctrplan."),
+    ("An obstacle", '"turned_box"', '"mesh"', "'mesh': is the name of another obstacle kind already, in ctrplan."),
     ("An output format", '"jsonl"', '"csv"', "'csv': is the name of another trajectory format already, in ctrplan."),
     ("An output format", '".jsonl"', '".csv"', "suffix = '.csv': is the suffix of format csv already"),
     ("An output format", '".jsonl"', '"/../x"', "suffix = '/../x': must be a dot and letters or digits"),
@@ -41,10 +41,10 @@ BROKEN = [
     ("An effect", "def parameters", "def numbers", "GuideTwist lacks parameters"),
     ("A planner", "ompl_planner", "planner", "RRT lacks ompl_planner"),
     ("A planner", ' = "RRT"', "", "RRT lacks a default"),
-    ("An obstacle", "def distance", "def depth", "Box lacks distance"),
-    ("An obstacle", "    kind = ", "    sort = ", "Box lacks kind"),
-    ("An obstacle", "def shape", "def body", "BoxEntry lacks shape"),
-    ("An obstacle", "@dataclass(", "# @dataclass(", "Box must be a dataclass"),
+    ("An obstacle", "def distance", "def depth", "TurnedBox lacks distance"),
+    ("An obstacle", "    kind = ", "    sort = ", "TurnedBox lacks kind"),
+    ("An obstacle", "def shape", "def body", "TurnedBoxEntry lacks shape"),
+    ("An obstacle", "@dataclass(", "# @dataclass(", "TurnedBox must be a dataclass"),
     ("An output format", ', suffix=".jsonl"', "", "missing 1 required keyword-only argument: 'suffix'"),
 ]
 

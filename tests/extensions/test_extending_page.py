@@ -132,12 +132,13 @@ def test_keys_of_an_obstacle_of_ones_own_are_read_strictly(tmp_path: Path) -> No
     write_inputs(tmp_path)
     write_extension(tmp_path, PLACES["An obstacle"], source("An obstacle"))
     rules = {
-        'anatomy=[{kind = "box", lower_mm = [0, 0, 0]}]': "upper_mm: is missing, a box needs lower_mm, upper_mm.",
-        "anatomy.1.radius_mm=1": "radius_mm = 1 mm: does not go with kind = 'box'.",
-        "anatomy.1.colour=1": "colour = 1: unknown key, known ones are lower_mm, upper_mm, kind, "
+        'anatomy=[{kind = "turned_box", lower_mm = [0, 0, 0]}]': "upper_mm: is missing, a turned_box needs "
+        "lower_mm, upper_mm, turn_deg.",
+        "anatomy.1.radius_mm=1": "radius_mm = 1 mm: does not go with kind = 'turned_box'.",
+        "anatomy.1.colour=1": "colour = 1: unknown key, known ones are lower_mm, upper_mm, turn_deg, kind, "
         "and optional role, margin_mm.",
         "anatomy.1.upper_mm=[-60, 20, 140]": "upper_mm = [-60, 20, 140]: must exceed lower_mm.",
-        "anatomy.1.kind=cube": "kind = 'cube': must be one of box, capsule, mesh, sphere, surface, volume.",
+        "anatomy.1.kind=cube": "kind = 'cube': must be one of box, capsule, mesh, sphere, surface, turned_box, volume.",
     }
     found = refusals(tmp_path, "boxed.toml", [[override] for override in rules])
     assert found == [f"boxed.toml: anatomy.1.{rule}" for rule in rules.values()]

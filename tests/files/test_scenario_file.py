@@ -58,9 +58,9 @@ quaternion_wxyz = [0.7071067811865476, 0, 0, 0.7071067811865476] -> look_at = [1
 quaternion_wxyz = [0.7071067811865476, 0, 0, 0.7071067811865476] -> direction = [0, 1]
     scenario.toml: base.direction = [0, 1]: must be a list of length 3.
 quaternion_wxyz = [0.7071067811865476, 0, 0, 0.7071067811865476] -> direction = [0, 0, 1]\nlook_at = [1, 2, 9]
-    scenario.toml: base: must have only one of quaternion_wxyz, direction, look_at, has direction and look_at.
+    scenario.toml: base: must be turned in one way, not by direction and look_at.
 position_mm = [1, 2, 3] -> position_mm = [1, 2, 3]\ndirection = [0, 0, 1]
-    scenario.toml: base: must have only one of quaternion_wxyz, direction, look_at, has quaternion_wxyz and direction.
+    scenario.toml: base: must be turned in one way, not by quaternion_wxyz and direction.
 position_mm = [1, 2, 3] -> position_mm = [1, 2, 3]\nroll_deg = 5
     scenario.toml: base.roll_deg = 5 deg: goes with direction or look_at.
 "rotate middle" = 90 ->
@@ -97,7 +97,7 @@ direction_tolerance_deg = 10 ->
 direction_tolerance_deg = 10 -> direction_tolerance_deg = 181
     scenario.toml: goal.direction_tolerance_deg = 181 deg: must be above 0 and at most 180.
 kind = "sphere" -> kind = "cube"
-    scenario.toml: anatomy.1.kind = 'cube': must be one of capsule, mesh, sphere, surface, volume.
+    scenario.toml: anatomy.1.kind = 'cube': must be one of box, capsule, mesh, sphere, surface, volume.
 kind = "sphere" ->
     scenario.toml: anatomy.1.kind: is missing.
 kind = "sphere" -> kind = "capsule"

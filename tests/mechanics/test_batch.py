@@ -15,7 +15,7 @@ from places import ROBOTS
 from ctrplan.base.arrays import Array
 from ctrplan.errors import InputError
 from ctrplan.files.robot_file import load_robot
-from ctrplan.mechanics.shapes import Bounds
+from ctrplan.mechanics.shapes import Bounds, Status
 from ctrplan.mechanics.walk import CHUNK, FEWEST, chunks, rows_in_a_chunk
 
 PAIR = load_robot(ROBOTS / "table_1_pair.toml")  # two corners: quick
@@ -138,3 +138,57 @@ def test_a_zero_clearance_shape_has_the_tip_of_many_at_once_and_ends_there() -> 
         assert shape.max_strain == max(tube.strain.max() for tube in shape.tubes) > 0
     assert np.isfinite(tips).all()
     assert len(status) == 20
+
+
+def test_a_row_that_does_not_nest_fails_no_other_one() -> None:
+    """Every row has a status: the refused ones are NaN and no number, the others as if those were not there."""
+    theta_b, l_b = configurations(400)
+    wrong = {0: ("l", np.nan), 7: ("l", 0.01), 133: ("theta", np.inf), 398: ("l", 5.0), 399: ("theta", 1e9)}
+    for k, (which, value) in wrong.items():
+        (theta_b if which == "theta" else l_b)[k, 1] = value
+    bounds = PAIR.bounds(theta_b, l_b)
+    assert np.flatnonzero(bounds.status == Status.REFUSED).tolist() == sorted(wrong)
+    kept = ~np.isin(np.arange(400), list(wrong))
+    for field in fields(Bounds):
+        column = getattr(bounds, field.name)
+        np.testing.assert_array_equal(column[kept], getattr(PAIR.bound_many(theta_b[kept], l_b[kept]), field.name))
+        assert field.name == "status" or np.isnan(column[~kept]).all()
+    for k in wrong:
+        with pytest.raises(InputError):
+            PAIR.bound(theta_b[k], l_b[k])
+    nothing = PAIR.bounds(np.full((3, 2), np.nan), np.zeros((3, 2)))
+    assert (nothing.status == Status.REFUSED).all() and len(PAIR.bounds(np.empty((0, 2)), np.empty((0, 2))).status) == 0
+    with pytest.raises(InputError, match="shape"):
+        PAIR.bounds(np.zeros((3, 3)), np.zeros((3, 2)))
+
+
+def test_threads_may_share_a_robot() -> None:
+    theta_b, l_b = configurations(60)
+    rows = list(zip(theta_b, l_b, strict=True))
+    asked = (
+        lambda row: PAIR.bound(*row).position_m,
+        lambda row: tuple(PAIR.solve(*row, 0.5).tip_m),
+        lambda row: tuple(PAIR.zero_clearance(*row).tip_m),
+        lambda row: PAIR.history().advance(*row).deviation_m,
+        lambda row: PAIR.walker().bound(*row).position_m,
+    )
+    alone = [[ask(row) for row in rows] for ask in asked]
+    with ThreadPoolExecutor(4) as pool:
+        together = [[pool.submit(ask, row) for row in rows] for ask in asked]
+        assert [[future.result() for future in futures] for futures in together] == alone
+
+
+def test_what_stays_in_its_process_says_how_it_is_made_anew() -> None:
+    collars = np.zeros(2), np.array([0.0, -0.017])
+    follower = PAIR.observer(1e-3)
+    follower.observe(*collars, PAIR.solve(*collars).tip_m)
+    for kept, instead in (
+        (PAIR.walker(), "Robot.walker"),
+        (PAIR.history(), "Robot.history"),
+        (follower, "Robot.observer and show it the same rows"),
+        (PAIR.mechanics.friction_states(*collars), "Mechanics.friction_states"),
+    ):
+        with pytest.raises(InputError, match=f"a {type(kept).__name__} stays in its process.*{instead}"):
+            pickle.dumps(kept)
+    with pytest.raises(InputError, match="a HistoryState stays in its process.*the same path and save that"):
+        pickle.dumps(follower.state())

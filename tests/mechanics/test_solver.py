@@ -358,7 +358,7 @@ def test_robots_and_batches_built_wrongly_by_code_are_refused_in_a_sentence() ->
         ("tip_force_N", lambda: Loads(tip_force_N=(1.0, 0.0))),  # type: ignore[arg-type]
         ("gravity_m_s2", lambda: Loads(gravity_m_s2=9.81)),  # type: ignore[arg-type]
         ("lowest and highest", lambda: Contact((0.3, 0.1))),
-        ("lowest and highest", lambda: Contact(0.2)),  # type: ignore[arg-type]
+        ("lowest and highest", lambda: Contact("0.2")),  # type: ignore[arg-type]
         ("contacts = 0: must be 2", lambda: replace(ROBOT, contacts=())),
         ("threads = 1.5", lambda: THREE_TUBES.bound_many([GOOD[0]], [GOOD[1]], threads=1.5)),  # type: ignore[arg-type]
         ("progress = 3", lambda: THREE_TUBES.bound_many([GOOD[0]], [GOOD[1]], progress=3)),  # type: ignore[arg-type]

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
+from places import ROBOTS
 
 import ctrplan
 from ctrplan.errors import InputError
 from ctrplan.mechanics.shapes import Status
 
-ROBOTS = Path(ctrplan.__file__).parent / "scenarios" / "robots"
 SAME_M = 1e-8
 START = np.array([0.0, 0.4, -0.9]), np.array([0.0, -0.017, -0.0628])
 

@@ -202,3 +202,23 @@ def test_noise_must_come_from_somewhere() -> None:
     assert PAIR.measurement is None
     with pytest.raises(InputError, match=r"noise: must be given, the robot's file has no \[measurement\]"):
         PAIR.observer()
+
+
+def test_walker_history_and_observer_take_collars_by_the_same_names() -> None:
+    """Whoever moves a robot on is told where its collars are: effects of the drive are in `Robot.collars` alone."""
+    from inspect import signature
+
+    robot = load_robot(ROBOTS / "table_1_pair.toml", ["effects.homing_offset={theta_2_deg=20}"])
+    walker, history, observer = robot.walker(), robot.history(), robot.observer(NOISE_M)
+    for moved in (walker.bound, history.advance, observer.observe, observer.predict, robot.bound, robot.solve):
+        assert list(signature(moved).parameters)[:2] == ["theta_b", "l_b"]
+    theta_b, l_b = robot.collars([0.0, 1.0], robot.drive.home_l_m)
+    assert theta_b[1] == pytest.approx(1 + np.radians(20))
+    tip = robot.solve(theta_b, l_b).tip_m
+    seen = observer.observe(theta_b, l_b)
+    np.testing.assert_allclose(walker.bound(theta_b, l_b).tip_m, tip, atol=1e-6)
+    np.testing.assert_allclose(history.advance(theta_b, l_b).shape.tip_m, tip, atol=1e-6)
+    reach = robot.bound(theta_b, l_b).position_m
+    assert np.linalg.norm(seen.tip.position_m - tip) <= reach + 1e-6
+    other = np.linalg.norm(robot.solve([0.0, 1.0], l_b).tip_m - tip)
+    assert other > 2 * reach

@@ -27,7 +27,8 @@ from ctrplan.commands import plan as plan_command
 from ctrplan.commands.plan import Command, _replanned
 from ctrplan.commands.terminal import ProgressBar
 from ctrplan.drive.drive import ExecutionTolerance
-from ctrplan.files.scenario_file import base_key, load_scenario
+from ctrplan.files.file_content import base_key
+from ctrplan.files.scenario_file import load_scenario
 from ctrplan.mechanics.friction import FrictionLaw
 from ctrplan.mechanics.history import HistoryOptions
 from ctrplan.motion.checker import MotionChecker

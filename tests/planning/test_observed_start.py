@@ -38,7 +38,7 @@ def followed_to_start(robot: Robot) -> ObserverState:
     truth = robot.history((-0.6,)).follow(*robot.drive.collars(joints)).position_m
     observer = robot.observer(NOISE_M)
     for q, tip in zip(joints, truth, strict=True):
-        observer.observe(*robot.drive.commanded(q), tip)
+        observer.observe(*robot.drive.collars(q), tip)
     return observer.state()
 
 
@@ -72,7 +72,7 @@ def test_on_another_mesh_friction_starts_at_its_average() -> None:
 def test_plan_takes_the_state_and_its_files_say_that_they_lack_it(tmp_path: Path) -> None:
     case = load_scenario(SCENARIOS / "pair_free.toml")
     observer = case.robot.observer(NOISE_M)
-    observer.observe(*case.robot.drive.commanded(case.start))
+    observer.observe(*case.robot.drive.collars(case.start))
     plan = ctrplan.plan(case, time_s=0.5, start_state=observer.state())
     assert (
         plan.certificate.start_friction == "observed" and plan.to_json()["certificate"]["start_friction"] == "observed"

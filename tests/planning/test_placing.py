@@ -197,7 +197,7 @@ def test_ranks_put_starting_planning_and_reaching_before_accuracy(found: Placeme
 
 
 def test_the_written_scenario_has_exactly_the_pose(folder: Path, found: Placement, tmp_path: Path) -> None:
-    from ctrplan.files.scenario_file import names_files_outside, placed_scenario
+    from ctrplan.files.file_content import names_files_outside, placed_scenario
     from ctrplan.storage.toml_document import read_document
 
     document = read_document(folder / "scenario.toml")

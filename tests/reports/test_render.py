@@ -21,8 +21,7 @@ from ctrplan.files.plan_file import WrittenPlan
 from ctrplan.plans.plan import Plan
 from ctrplan.reports.plan_scene import WrittenMotion, written_motion
 from ctrplan.reports.render.camera import VIEWS, camera_of, look_at, robot_points
-from ctrplan.reports.render.film import film, letters, stated_error_m
-from ctrplan.reports.render.film_file import film_suffix, write_film
+from ctrplan.reports.render.film import film, film_suffix, letters, stated_error_m, write_film
 from ctrplan.reports.render.rasteriser import Body, Camera, Stage, fragments
 from ctrplan.reports.slicer_case import case_files
 

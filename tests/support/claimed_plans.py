@@ -35,7 +35,7 @@ def claiming(scenario: Scenario, end: list[float], change: Callable[[Certificate
         certificate=change(certificate),
         trajectory=time_parameterise(points, drive),
         reorder=ReorderReport(0, 0, 0, 0, 0, 0, 0, 0),
-        search_time_s=0,
+        clock_s=0,
         first_found_s=0,
         first_certified_s=0,
     )

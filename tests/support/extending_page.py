@@ -15,7 +15,7 @@ TEXT = PAGE.read_text(encoding="utf-8")
 PLACES = {  # section -> file of the extension
     "An effect": "effects/drive/guide_twist.py",
     "A planner": "planning/search/planners/rrt.py",
-    "An obstacle": "anatomy/shapes/box.py",
+    "An obstacle": "anatomy/shapes/turned_box.py",
     "An output format": "files/trajectory_formats/json_lines.py",
 }
 

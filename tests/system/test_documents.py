@@ -138,11 +138,11 @@ def test_python_in_the_readme_runs(monkeypatch: pytest.MonkeyPatch) -> None:
     exec(compile(code.replace("ribs", "pair_free"), "README.md", "exec"), {"__name__": "readme"})
 
 
-@pytest.mark.parametrize("number", range(2))
+@pytest.mark.parametrize("number", range(3))
 def test_python_on_the_page_about_extending_runs(number: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(ROOT)
     found = [code for code in blocks(ROOT / "docs" / "extending.md", "python") if "@register" not in code]
-    assert len(found) == 2  # files of an extension: tests/extensions
+    assert len(found) == 3  # files of an extension: tests/extensions
     exec(compile(found[number], "extending.md", "exec"), {"__name__": "extending"})
 
 

@@ -20,6 +20,7 @@ GOLDEN = {
     "02_plan.py": (r"^bound at the goal: ([\d.]+) mm", 8.25, 0.02),
     "03_reorder.py": (r"^cost: [\d.]+ mm before, ([\d.]+) mm after", 219.2, 0.5),
     "04_ompl.py": (r"path with friction costs ([\d.]+) mm", 229.6, 1.0),
+    "09_in_code.py": (r"bound at the goal: ([\d.]+) mm", 0.95, 0.02),
     "05_sweep_with_executor.py": (r"^largest bound: ([\d.]+) mm", 26.18, 0.1),
 }
 
@@ -81,7 +82,7 @@ def test_there_are_three_notebooks() -> None:
 def test_recipes_run_one_after_the_other(tmp_path: Path) -> None:
     text = (ROOT / "docs" / "recipes.md").read_text(encoding="utf-8")
     blocks = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
-    assert len(blocks) == 6
+    assert len(blocks) == 7
     code = "\n".join(blocks).replace('"tubes.png"', repr(str(tmp_path / "tubes.png")))
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, timeout=120)
     assert done.returncode == 0, done.stderr

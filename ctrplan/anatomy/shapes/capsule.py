@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from ctrplan.anatomy.shape import PartEntry, PartShape, length, point, register
+from ctrplan.anatomy.shape import PartEntry, PartShape, in_mm, length, point, register
 from ctrplan.base.arrays import Array, lengths
+from ctrplan.base.package import shown
 from ctrplan.base.surface import Surface, capsule
 from ctrplan.storage.toml_document import Length, Point, metres
 from ctrplan.storage.toml_table import TomlTable
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class Capsule(PartShape):
     """from_m (3,), to_m (3,), radius_m, in the anatomy's frame; a sphere where the two points are one.
@@ -40,6 +43,10 @@ class Capsule(PartShape):
     def box(self) -> tuple[Array, Array]:
         lower, upper = np.minimum(self.from_m, self.to_m), np.maximum(self.from_m, self.to_m)
         return lower - self.radius_m, upper + self.radius_m
+
+    def keys(self) -> dict[str, Any]:
+        radius_mm = in_mm(np.array([self.radius_m]))[0]
+        return {"from_mm": in_mm(self.from_m), "to_mm": in_mm(self.to_m), "radius_mm": radius_mm}
 
     def surface(self) -> Surface:
         return capsule(self.from_m, self.to_m, self.radius_m)

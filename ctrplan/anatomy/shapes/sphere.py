@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from ctrplan.anatomy.shape import PartEntry, PartShape, length, point, register
+from ctrplan.anatomy.shape import PartEntry, PartShape, in_mm, length, point, register
 from ctrplan.base.arrays import Array, lengths
+from ctrplan.base.package import shown
 from ctrplan.base.surface import Surface, capsule
 from ctrplan.storage.toml_document import Length, Point, metres
 from ctrplan.storage.toml_table import TomlTable
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class Sphere(PartShape):
     """center_m (3,), radius_m, in the anatomy's frame. Raises InputError for what is no sphere."""
@@ -31,6 +34,9 @@ class Sphere(PartShape):
 
     def box(self) -> tuple[Array, Array]:
         return self.center_m - self.radius_m, self.center_m + self.radius_m
+
+    def keys(self) -> dict[str, Any]:
+        return {"center_mm": in_mm(self.center_m), "radius_mm": in_mm(np.array([self.radius_m]))[0]}
 
     def surface(self) -> Surface:
         return capsule(self.center_m, self.center_m, self.radius_m)

@@ -66,6 +66,12 @@ class Candidate:
         return self.reordered or as_given(self.checker, self.corners)
 
     @cached_property
+    def cost_mm(self) -> float:
+        """As walked for its certificate, and what the scenario's own terms cost."""
+        terms = self.checker.scenario.terms
+        return self.walk.cost_mm + (sum(self.checker.along(self.corners).terms_mm) if terms else 0.0)
+
+    @cached_property
     def certificate(self) -> Certificate:
         """With all that is left of clearance, and histories simulated: asked of what is driven in the end."""
         return finished(self.walk, progress=self.progress)
@@ -127,7 +133,7 @@ class StageSearch:
 
         Raises NoAnswerError or KeyboardInterrupt without one.
         """
-        for candidate in sorted(self.certified, key=lambda candidate: candidate.walk.cost_mm):
+        for candidate in sorted(self.certified, key=lambda candidate: candidate.cost_mm):
             self._tell()
             if candidate.certificate.valid:
                 return self.first or candidate, candidate
@@ -247,7 +253,7 @@ class StageSearch:
 
     def _improves(self, problem: SearchProblem) -> bool:
         """Whether the problem's path may be better than the best certified one."""
-        return self.best is None or problem.cost_mm() < self.best.walk.cost_mm
+        return self.best is None or problem.cost_mm() < self.best.cost_mm
 
     def _is_enough(self) -> bool:
         """Whether someone who waits for an end has a path already."""
@@ -278,7 +284,7 @@ class StageSearch:
 
     def _tell(self, cost_mm: float = np.inf) -> None:
         """Reports how far the plan's search is, and the cost of its best path or of the one at hand."""
-        best = min(cost_mm, self.best.walk.cost_mm if self.best else np.inf)
+        best = min(cost_mm, self.best.cost_mm if self.best else np.inf)
         share = min(1.0, (self.before + self.clock.now()) / (self.whole or self.budget))
         self.report(Progress("search", share, best if np.isfinite(best) else None))
 
@@ -327,5 +333,5 @@ class StageSearch:
         candidate = replace(candidate, progress=self._certifying)
         self.first = self.first or candidate
         self.certified.append(candidate)
-        if self.best is None or candidate.walk.cost_mm < self.best.walk.cost_mm:
+        if self.best is None or candidate.cost_mm < self.best.cost_mm:
             self.best = candidate
