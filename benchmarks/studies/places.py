@@ -24,8 +24,7 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 import ctrplan
-from ctrplan.planning.base_screen import PoseScore, Screen
-from ctrplan.planning.place import CONE_RAD, RADIUS_M, Placement, _patch
+from ctrplan.planning.place import CONE_RAD, RADIUS_M, Placement, PoseScore, Screen, _patch
 from ctrplan.reports import looks
 from ctrplan.reports.study_page import BasePoses
 from ctrplan.uncertainty.worst_case import wilson

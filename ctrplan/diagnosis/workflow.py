@@ -1,4 +1,7 @@
-"""The workflow, from measurements to a verdict: docs/diagnosis.md has the steps and their reasons."""
+"""The workflow, from measurements to a verdict: docs/diagnosis.md has the steps and their reasons.
+
+The held-out set is opened, once: what a verdict is worth on poses that nothing has read, and what is handed over.
+"""
 
 from __future__ import annotations
 
@@ -12,21 +15,209 @@ from numpy.typing import NDArray
 
 from ctrplan.base.arguments import EVENT, PROGRESS, Flag, Made, Texts, checked
 from ctrplan.base.long_work import StageProgress
-from ctrplan.calibration.fit_warnings import excused, outlier_sentences, unsolved_sentence
-from ctrplan.diagnosis.adequacy import ignored, noise_floor
+from ctrplan.calibration.estimates import distances
+from ctrplan.calibration.fit_warnings import excused, outlier_sentences, symptoms, unsolved_sentence
+from ctrplan.calibration.residuals import Residuals
+from ctrplan.calibration.robot_content import within_file
+from ctrplan.diagnosis.adequacy import Adequacy, ignored, left_out_probability, noise_floor, remains
+from ctrplan.diagnosis.built_term import LEAST_SHARE_ASIDE, MOST_WORSE, Built, worse_in
 from ctrplan.diagnosis.conclusion import HELD_OUT_SHARE, Conclusion, Teller, conclude
+from ctrplan.diagnosis.gap import Gap, contradiction, open_test_set
+from ctrplan.diagnosis.localise import Place, localise
 from ctrplan.diagnosis.next_experiment import decision, next_experiment
+from ctrplan.diagnosis.partial_diagnosis import PartialDiagnosis, concluded, left_by_names
+from ctrplan.diagnosis.partial_search import PartialSelector, is_built
 from ctrplan.diagnosis.reading import MisreadError, read_again
 from ctrplan.diagnosis.result import Diagnosis
+from ctrplan.diagnosis.selection import Report, Selection
 from ctrplan.diagnosis.slips import after_slip, found_slip
-from ctrplan.diagnosis.test_set import Opened, opened
 from ctrplan.diagnosis.usable_poses import checked_split, usable_poses
-from ctrplan.diagnosis.workbench import candidates, reduced
+from ctrplan.diagnosis.verdict import Judgement, specific
+from ctrplan.diagnosis.workbench import Scored, candidates, reduced
 from ctrplan.effects.drive.homing_shift import HomingShift
 from ctrplan.effects.effect import CATALOGUE, Effect
 from ctrplan.errors import InputError
 from ctrplan.measurement.measurements import Measurements
+from ctrplan.pipeline.term import Term
 from ctrplan.robot.robot import Robot
+
+HELD_OUT_REJECTED = 1e-4  # probability of the held-out set's residuals that takes a name back
+
+
+@dataclass(frozen=True, eq=False)
+class Opened:
+    """The verdict after the held-out set was asked, the model with its effects, and the errors of that model."""
+
+    judgement: Judgement
+    written: Scored
+    gap: Gap
+    place: Place
+    notes: tuple[str, ...]
+    answer: Conclusion  # that it is of: without a built term where that failed
+    named_gap: Gap | None = None  # without the built term, where there is one
+    framed_gap: Gap | None = None  # with free frames alone, where something remains
+
+
+def opened(answer: Conclusion, data: Measurements, tell: Report = lambda _: None) -> Opened:
+    """What the poses kept aside say of an answer; a built term that makes any region worse is taken back.
+
+    Names that hold beside it stay: they and the term have passed all that is asked before. What is told by its odds
+    alone, and not by blocks left out, is taken back where tips are nearer without it.
+    """
+    asked = _with_or_without_built(answer, data)
+    if harmful := _harmful(asked, data):
+        names = ", ".join(t.name for t in harmful)
+        note = f"Found and taken back: {names}, without which tips of the poses kept aside are nearer."
+        asked = _opened(_without(asked.answer, harmful, tell), data)
+        asked = replace(asked, notes=(*asked.notes, note))
+    return replace(asked, framed_gap=_framed(asked.answer, data)) if asked.answer.partly else asked
+
+
+def _harmful(asked: Opened, data: Measurements) -> list[Term]:
+    """Effects told by their odds alone, without which poses kept aside are predicted better."""
+    part = asked.answer.partly
+    if part is None or asked.answer.interrupted or asked.judgement.verdict != "partial":
+        return []
+    listed = {finding.term.key for finding in asked.judgement.findings}
+    alone = [e.term for e in (one.evidence for one in part.parts) if e.is_told_by_odds and e.term.key in listed]
+    aside, group = data.subset(asked.answer.split.held_out_set), asked.answer.group[asked.answer.split.held_out_set]
+    results = []
+    for t in alone:
+        rest = part.bench.scored([other for other in asked.answer.chosen.terms if other.key != t.key])
+        fit = _beside_a_remainder(part, rest).fit
+        gap = open_test_set(asked.answer.base.fit, fit, aside, group, asked.answer.noise)
+        if MOST_WORSE * gap.after.rms_m < asked.gap.after.rms_m:
+            results.append(t)
+    return results
+
+
+def _without(answer: Conclusion, harmful: Sequence[Term], tell: Report) -> Conclusion:
+    """What holds of the answer without some effects. Nothing is sought in their place: it was less probable."""
+    assert answer.partly is not None
+    part, gone = answer.partly, {t.key for t in harmful}
+    known = replace(part.known, terms=tuple(t for t in part.known.terms if t.key not in gone))
+    rest = [t for t in answer.chosen.terms if t.key not in gone and not is_built(t)]
+    begun = part.bench.corrected(part.bench.scored(rest, part.chosen.fit))
+    again = concluded(
+        PartialSelector(part.bench, known, tell, begun), Selection(begun), known, part.split, part.block, part.base
+    )
+    path = (*answer.path, *again.path)
+    return replace(answer, chosen=again.chosen, judgement=again.judgement, partly=again, built=None, path=path)
+
+
+def _framed(answer: Conclusion, data: Measurements) -> Gap:
+    """What frames alone do for the poses kept aside."""
+    assert answer.partly is not None
+    bench, kept = answer.partly.bench, answer.split.held_out_set
+    frames = bench.handed_over(bench.scored([]))
+    return open_test_set(answer.base.fit, frames.fit, data.subset(kept), answer.group[kept], answer.noise)
+
+
+def _with_or_without_built(answer: Conclusion, data: Measurements) -> Opened:
+    if answer.built is None or answer.otherwise is None:
+        return _opened(answer, data)
+    result, without = _opened(answer, data), _opened(_only_named(answer, answer.built), data)
+    if where := _worse(result.gap, without.gap, data.subset(answer.split.held_out_set)):
+        less = without if without.judgement.findings else _opened(answer.otherwise, data)
+        return replace(less, notes=(*less.notes, f"A term was built and taken back: it is not good enough on {where}."))
+    return replace(result, named_gap=without.gap)
+
+
+def _only_named(answer: Conclusion, built: Built) -> Conclusion:
+    return replace(answer, chosen=built.named, built=None)
+
+
+def _worse(result: Gap, without: Gap, aside: Measurements) -> str:
+    """Where the poses kept aside are further off with a built term than without; empty if nowhere."""
+    rest, left = (max(gap.after.rms_m**2 - gap.floor_m**2, 0.0) for gap in (without, result))
+    if rest - left < LEAST_SHARE_ASIDE * rest:
+        return "the poses kept aside"
+    both = ~(excused(result.failed) | excused(without.failed) | result.outlying | without.outlying)
+    errors = []
+    for gap in (without, result):
+        every = np.full(aside.count, np.nan)
+        every[~(excused(gap.failed) | gap.outlying)] = gap.after_m
+        errors.append(every[both])
+    return worse_in(aside.subset(both), errors[0], errors[1])
+
+
+def _opened(answer: Conclusion, data: Measurements) -> Opened:
+    kept = answer.split.held_out_set
+    if answer.partly:
+        answer = replace(answer, chosen=_beside_a_remainder(answer.partly, answer.chosen))
+    aside, group = data.subset(kept), answer.group[kept]
+    gap = open_test_set(answer.base.fit, answer.chosen.fit, aside, group, answer.noise)
+    place = _place(answer, gap)
+    judgement, notes = _after_test_set(answer, gap, place)
+    written = _written(answer, judgement)
+    if written is not answer.chosen:  # errors are of the model that is handed over
+        judgement = replace(judgement, adequacy=_left(answer, written))
+        gap = open_test_set(answer.base.fit, written.fit, aside, group, answer.noise)
+        if doubt := contradiction(judgement.verdict, gap, place):
+            judgement, notes = replace(judgement, verdict="unexplained"), [*notes, doubt]
+    settled = answer.chosen if answer.partly else answer.bench.sized(answer.chosen)
+    built = {t.name for t in settled.terms if is_built(t)}
+    told = [symptom.sentence for symptom in symptoms(settled.fit) if symptom.owner not in built]
+    return Opened(judgement, written, gap, place, (*notes, *told), answer)
+
+
+def _after_test_set(answer: Conclusion, gap: Gap, place: Place) -> tuple[Judgement, list[str]]:
+    """A verdict that the held-out set or any figure contradicts is taken back.
+
+    Noise that had to be enlarged may have taken in a misfit: no allowance is made for it.
+    """
+    judgement, doubt = answer.judgement, contradiction(answer.judgement.verdict, gap, place)
+    if judgement.verdict == "partial" and doubt:
+        return replace(judgement, verdict="unexplained", findings=()), [doubt]
+    if judgement.verdict in ("partial", "unexplained"):
+        return judgement, []
+    left = judgement.adequacy.total
+    p = left_out_probability(gap.chi_square, left, _solved(answer.chosen), estimated=answer.is_rescaled)
+    if p > HELD_OUT_REJECTED and not doubt:
+        return judgement, []
+    kept = specific(answer.bench, answer.chosen, judgement.findings, judgement.adequacy)
+    note = f"The held-out set contradicts it: chi-square per degree of freedom {gap.chi_square.ratio:.2f}."
+    return replace(judgement, verdict="unexplained", findings=kept), [doubt or note]
+
+
+def _solved(scored: Scored) -> Residuals:
+    """Residuals of the poses that chi-squares are of, outliers among them."""
+    parts, kept = scored.fit.residuals, ~excused(scored.failed)
+    return Residuals(parts.r[kept], parts.J[kept], parts.weight[kept], parts.raw_norm[kept], parts.given[kept])
+
+
+def _written(answer: Conclusion, judgement: Judgement) -> Scored:
+    """The model with the effects of the verdict alone, as large as the data say, in numbers a robot file may have."""
+    bench, chosen = answer.bench, answer.chosen
+    built = answer.built.terms if answer.built else ()
+    listed = {finding.term.key for finding in judgement.findings} | {t.key for t in built}
+    kept = [t for t in chosen.terms if t.key in listed]
+    if answer.partly and len(kept) == len(chosen.terms):
+        return chosen
+    if answer.partly:
+        return _beside_a_remainder(answer.partly, answer.partly.bench.scored(kept, chosen.fit))
+    scored = bench.sized(chosen if len(kept) == len(chosen.terms) else bench.scored(kept, chosen.fit))
+    inside = within_file(scored.fit)
+    return scored if inside is scored.fit else replace(scored, fit=inside)
+
+
+def _left(answer: Conclusion, written: Scored) -> Adequacy:
+    """Whether noise alone is left beside the effects of the verdict."""
+    return left_by_names(answer.partly.bench, written) if answer.partly else remains(answer.bench, written)
+
+
+def _beside_a_remainder(partial: PartialDiagnosis, scored: Scored) -> Scored:
+    """A set as it is handed over where something remains."""
+    return partial.bench.handed_over(partial.bench.sized(scored))
+
+
+def _place(answer: Conclusion, gap: Gap) -> Place:
+    base = answer.base
+    fit, kept = base.fit, ~ignored(base)
+    error = distances(fit.chain.predict(fit.p, derivatives=False), fit.chain.data)
+    data, group = answer.bench.data.subset(kept), answer.bench.group[kept]
+    return localise(data, fit.residuals.r[kept], group, error[kept], gap.floor_m)
+
 
 AFTER_SLIP = "tighten that collar, home the drive and measure some of the first poses again"
 

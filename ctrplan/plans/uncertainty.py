@@ -1,8 +1,12 @@
-"""`ctrplan.plan_uncertainty`: what parameters and a registration known by intervals may do to a plan."""
+"""`ctrplan.plan_uncertainty`: what parameters and a registration known by intervals may do to a plan.
+
+How likely the tip misses its targets: drawn robots judged at each of them.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,13 +20,176 @@ from ctrplan.plans.planned_motion import PlannedMotion
 from ctrplan.scenario.scenario import Scenario
 from ctrplan.uncertainty.drawn_poses import DrawnPoses, DrivenPath, SimulatedPoses
 from ctrplan.uncertainty.parameters import uncertain_parameters
-from ctrplan.uncertainty.result import Uncertainty, closest_approach, intervals
-from ctrplan.uncertainty.target import Stop, end_stop
-from ctrplan.uncertainty.target_miss import goal_miss, judged, tour_miss
-from ctrplan.uncertainty.worst_case import Draws
+from ctrplan.uncertainty.result import GoalMiss, TourMiss, TurnMiss, Uncertainty, closest_approach, intervals
+from ctrplan.uncertainty.target import (
+    POSITION,
+    TANGENT,
+    Misses,
+    Stop,
+    TargetPose,
+    TipVector,
+    WorstCase,
+    end_stop,
+    quantile95,
+)
+from ctrplan.uncertainty.tip_slopes import TipSlopes
+from ctrplan.uncertainty.worst_case import (
+    OFF,
+    OFF_DIRECTION,
+    PLAY,
+    UNEXPLAINED,
+    BaseBall,
+    Chance,
+    Draws,
+    chance,
+    ranked,
+    ranked_turns,
+    sentence,
+    turn_sentence,
+)
 
 if TYPE_CHECKING:
-    from ctrplan.scenario.scenario import Goal
+    from ctrplan.scenario.scenario import Goal, Scenario
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """Misses of all draws and of those that were solved."""
+
+    all: Misses
+    solved: Misses
+
+    @classmethod
+    def of(cls, results: tuple[Misses, Misses], stop: Stop) -> Judged:
+        """With play of the drive."""
+        return cls(*(replace(m, off_m=m.off_m + stop.play_m, turned_rad=m.turned_rad + stop.play_rad) for m in results))
+
+    def missed(self, aim: TargetPose) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Position or direction."""
+        return self.all.missed(aim), self.solved.missed(aim)
+
+
+@dataclass(frozen=True, eq=False)
+class StopJudged:
+    """What a target asks for, and how drawn robots meet it."""
+
+    aim: TargetPose
+    any_friction: Judged
+    by_history: Judged | None
+
+
+def judged(
+    scenario: Scenario, drawn: DrawnPoses, stop: Stop, number: int, simulated: SimulatedPoses | None
+) -> StopJudged:
+    """The misses at a target, the `number`-th before the last: unexplained errors are those of another pose."""
+    draws = drawn.draws.elsewhere(number) if number else drawn.draws
+    aim = TargetPose.of(scenario, stop.goal, drawn.slopes.tip_m[stop.places[-1], 0])
+    any_friction = Judged.of(drawn.any_friction(aim, stop.places, draws), stop)
+    if simulated is None:
+        return StopJudged(aim, any_friction, None)
+    return StopJudged(aim, any_friction, Judged.of(drawn.by_history(aim, stop.places, draws, simulated), stop))
+
+
+def goal_miss(scenario: Scenario, drawn: DrawnPoses, stop: Stop, result: StopJudged) -> GoalMiss:
+    """The result at a target."""
+    aim, history = result.aim, result.by_history
+    worst, place = _worst_off(scenario, drawn, stop, aim)
+    contributors = ranked(worst.given, {**worst.saved, UNEXPLAINED: scenario.robot.model_error_m})
+    is_judged = aim.tolerance_m is not None
+    return GoalMiss(
+        worst_m=worst.size,
+        contributors=contributors,
+        friction_state=worst.friction_state,
+        beyond_first_order_m=worst.beyond_first_order,
+        tolerance_m=aim.tolerance_m,
+        chance_any_friction=chance(*result.any_friction.missed(aim)) if is_judged else None,
+        chance_by_history=chance(*history.missed(aim)) if history and is_judged else None,
+        quantile_any_friction_m=quantile95(result.any_friction.all.off_m),
+        quantile_by_history_m=quantile95(history.all.off_m) if history else None,
+        sentence=sentence(worst.size, contributors),
+        name=stop.goal.name,
+        sample=int(stop.samples[place]),
+        turn=None if aim.direction is None else _turn(scenario, drawn, stop, result),
+    )
+
+
+def _turn(scenario: Scenario, drawn: DrawnPoses, stop: Stop, result: StopJudged) -> TurnMiss:
+    aim, history = result.aim, result.by_history
+    assert aim.direction is not None and aim.direction_tolerance_rad is not None
+    base = BaseBall.of(0.0, scenario.registration.rotation_sigma_rad)
+    vector = _vector(drawn, int(stop.places[-1]), TANGENT, aim.direction, base)
+    worst = _as_angle(vector.worst(OFF_DIRECTION, {}), stop.play_rad)
+    contributors = ranked_turns(worst.given, worst.saved)
+    return TurnMiss(
+        worst_rad=worst.size,
+        contributors=contributors,
+        friction_state=worst.friction_state,
+        beyond_first_order_rad=worst.beyond_first_order,
+        tolerance_rad=aim.direction_tolerance_rad,
+        chance_any_friction=chance(
+            *(m.turned_away(aim) for m in (result.any_friction.all, result.any_friction.solved))
+        ),
+        chance_by_history=chance(*(m.turned_away(aim) for m in (history.all, history.solved))) if history else None,
+        quantile_any_friction_rad=quantile95(result.any_friction.all.turned_rad),
+        quantile_by_history_rad=quantile95(history.all.turned_rad) if history else None,
+        sentence=turn_sentence(worst.size, contributors),
+    )
+
+
+def _worst_off(scenario: Scenario, drawn: DrawnPoses, stop: Stop, aim: TargetPose) -> tuple[WorstCase, int]:
+    """The worst of a target's places, and which that is."""
+    registration = scenario.registration
+    base = BaseBall.of(registration.position_sigma_m, registration.rotation_sigma_rad)
+    rest = {UNEXPLAINED: scenario.robot.model_error_m, PLAY: stop.play_m}
+    cases = []
+    for k, w in enumerate(stop.places.tolist()):
+        target = aim.nearest_m(drawn.slopes.tip_m[w, 0], k == len(stop.places) - 1)
+        cases.append(_vector(drawn, w, POSITION, target, base).worst(OFF, rest))
+    place = int(np.argmax([case.size for case in cases]))
+    return cases[place], place
+
+
+def _vector(drawn: DrawnPoses, w: int, part: slice, target: Array, base: BaseBall) -> TipVector:
+    one = slice(w, w + 1)
+    slopes = TipSlopes(drawn.slopes.pose[one], drawn.slopes.pose_by[one])
+    return TipVector(drawn.parameters, drawn.theta[one], drawn.l[one], slopes, part, target, base)
+
+
+def _as_angle(chord: WorstCase, play_rad: float) -> WorstCase:
+    """[rad] of a chord on the unit sphere, shares in proportion, and play of the drive added."""
+    angle = 2 * float(np.arcsin(min(chord.size / 2, 1.0))) if np.isfinite(chord.size) else np.inf
+    scale = angle / chord.size if 0 < chord.size < np.inf else 1.0
+
+    def scaled(values: Mapping[str, float]) -> dict[str, float]:
+        return {name: scale * value for name, value in values.items()}
+
+    given = scaled(chord.given) | ({PLAY: play_rad} if play_rad else {})
+    return replace(
+        chord,
+        size=angle + play_rad,
+        given=given,
+        saved=scaled(chord.saved),
+        beyond_first_order=scale * chord.beyond_first_order,
+    )
+
+
+def tour_miss(results: Sequence[StopJudged]) -> TourMiss | None:
+    """None of less than two targets that can be missed."""
+    results = [stop for stop in results if stop.aim.tolerance_m is not None]
+    if len(results) < 2:
+        return None
+    histories = [(stop, stop.by_history) for stop in results if stop.by_history is not None]
+    return TourMiss(
+        targets=len(results),
+        chance_any_friction=_any_missed([(stop, stop.any_friction) for stop in results]),
+        chance_by_history=_any_missed(histories) if len(histories) == len(results) else None,
+    )
+
+
+def _any_missed(results: Sequence[tuple[StopJudged, Judged]]) -> Chance:
+    missed = [judged.missed(stop.aim) for stop, judged in results]
+    return chance(*(np.any(events, axis=0) for events in zip(*missed, strict=True)))
+
 
 ON_LINE = 8  # samples along a line, evenly; and the one where the frictionless tip is farthest from it
 

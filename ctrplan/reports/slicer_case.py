@@ -1,31 +1,243 @@
-"""A plan's motion -> contents of the files of a case folder, by name; the scene that loads them comes last."""
+"""A plan's motion -> contents of the files of a case folder, by name; the scene that loads them comes last.
+
+Files that 3D Slicer reads, made without it: scenes, models, markups, transforms and sequences.
+"""
 
 from __future__ import annotations
+
+import io
+import json
+import zipfile
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal
+from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
 from ctrplan.anatomy.patient_frame import Frame
 from ctrplan.base.arrays import Array
 from ctrplan.base.surface import Surface
-from ctrplan.files.slicer_markups import SCENE
-from ctrplan.files.slicer_scene import (
-    MarkupType,
-    Node,
-    browser_node,
-    itk_transform_text,
-    markup_nodes,
-    markups_text,
-    model_nodes,
-    model_sequence,
-    ply_model,
-    scene_text,
-    sequence_node,
-    storage_node,
-)
-from ctrplan.reports import looks as looks
+from ctrplan.files.slicer_markups import SCENE, SPACE, lps_mm, to_lps
+from ctrplan.reports import looks
 from ctrplan.reports.plan_scene import WrittenMotion
 from ctrplan.reports.robot_surface import stand, swept_surface
 from ctrplan.reports.words import millimetres
+
+
+def rgb(colour: str) -> list[float]:
+    """Red, green and blue in [0, 1] of "#RRGGBB"."""
+    return [round(int(colour[k : k + 2], 16) / 255, 4) for k in (1, 3, 5)]
+
+
+def itk_transform_text(position_m: Array, R: Array, frame: Frame) -> str:
+    """A rigid motion x -> R x + position from the robot's frame to the anatomy's, as ITK writes it.
+
+    ITK's transforms go the way that resampling needs, from the parent to what is moved, in LPS and mm: the file holds
+    x -> A' (x - t) with A, t of the motion to LPS. Slicer turns that round when it reads, so that what is put under
+    the transform, in files that it takes for LPS, moves from the robot's frame to the patient.
+    """
+    A, t = to_lps(frame) @ R, lps_mm(position_m, frame)
+    parameters = [*(A.T).ravel().tolist(), *(-A.T @ t).tolist()]
+    return (
+        "#Insight Transform File V1.0\n#Transform 0\nTransform: AffineTransform_double_3_3\n"
+        f"Parameters: {' '.join(f'{value + 0.0:.12g}' for value in parameters)}\nFixedParameters: 0 0 0\n"
+    )
+
+
+SCHEMA = (
+    "https://raw.githubusercontent.com/slicer/slicer/master/Modules/Loadable/Markups/Resources/Schema/"
+    "markups-schema-v1.0.3.json#"
+)
+MarkupType = Literal["Curve", "Line", "Fiducial"]
+DIGITS = 6  # of a mm
+
+
+def markups_text(
+    kind: MarkupType,
+    points_m: Array,
+    frame: Frame,
+    *,
+    colour: str = "#808080",
+    labels: Sequence[str] = (),
+    visible: bool = True,
+) -> str:
+    """A file with one markup through points (K, 3) [m] of the anatomy's frame, locked; colour as "#RRGGBB".
+
+    `labels` name the points, and are shown where there are any.
+    """
+    names = labels or [""] * len(points_m)
+    rows = zip(np.round(lps_mm(points_m, frame), DIGITS).tolist(), names, strict=True)
+    markup = {
+        "type": kind,
+        "coordinateSystem": SPACE,
+        "coordinateUnits": "mm",
+        "locked": True,
+        "labelFormat": "%N-%d",
+        "controlPoints": [_point(k, place, name) for k, (place, name) in enumerate(rows, start=1)],
+        "display": _display(kind, colour, bool(labels), visible),
+    }
+    return json.dumps({"@schema": SCHEMA, "markups": [markup]}, indent=1) + "\n"
+
+
+def _point(number: int, place: list[float], label: str) -> dict[str, Any]:
+    return {
+        "id": str(number),
+        "label": label,
+        "position": place,
+        "selected": True,
+        "locked": True,
+        "visibility": True,
+        "positionStatus": "defined",
+    }
+
+
+def _display(kind: MarkupType, colour: str, labelled: bool, visible: bool) -> dict[str, Any]:
+    shown = {"color": rgb(colour), "selectedColor": rgb(colour), "visibility": visible, "opacity": 1.0}
+    size = 1.2 if kind == "Fiducial" else 0.2  # points of a curve would hide it
+    return shown | {"pointLabelsVisibility": labelled, "propertiesLabelVisibility": False, "glyphScale": size}
+
+
+@dataclass(frozen=True)
+class Node:
+    """An element: its id is made of `kind` and `number` as Slicer makes it."""
+
+    kind: str  # "Model" of vtkMRMLModelNode
+    number: int | str
+    name: str
+    attributes: Mapping[str, str] = field(default_factory=dict)
+    references: Mapping[str, Sequence[Node]] = field(default_factory=dict)  # by role
+
+    @property
+    def id(self) -> str:
+        """What other nodes call it."""
+        return f"vtkMRML{self.kind}Node{self.number}"
+
+
+def scene_text(nodes: Iterable[Node]) -> str:
+    """The content of a .mrml file."""
+    return '<MRML version="Slicer5.0.0" userTags="">\n' + "".join(map(_element, nodes)) + "</MRML>\n"
+
+
+def model_nodes(
+    number: int, name: str, file: str, colour: str, *, opacity: float = 1.0, visible: bool = True
+) -> tuple[Node, Node, Node]:
+    """A model with its file and its looks; the first one is the model."""
+    look = {"color": _numbers(colour), "opacity": f"{opacity:g}", "visibility": _flag(visible)}
+    storage = storage_node("ModelStorage", number, file)
+    display = Node("ModelDisplay", number, f"{name} display", look)
+    return Node("Model", number, name, {}, {"display": [display], "storage": [storage]}), display, storage
+
+
+def markup_nodes(kind: str, number: int, name: str, file: str, visible: bool = True) -> tuple[Node, Node, Node]:
+    """A markup ("Curve", "Line", "Fiducial") with its file; colours come with the file. The first one is the markup."""
+    display_kind = "MarkupsFiducialDisplay" if kind == "Fiducial" else "MarkupsDisplay"
+    storage = storage_node("MarkupsJsonStorage", number, file)
+    display = Node(display_kind, number, f"{name} display", {"visibility": _flag(visible)})
+    references = {"display": [display], "storage": [storage]}
+    return Node(f"Markups{kind}", number, name, {}, references), display, storage
+
+
+def storage_node(kind: str, number: int, file: str) -> Node:
+    """Where a node's data are, in a file of the scene's folder."""
+    return Node(kind, number, file, {"fileName": file, "coordinateSystem": SPACE})
+
+
+def _element(node: Node) -> str:
+    references = "".join(f"{role}:{' '.join(to.id for to in nodes)};" for role, nodes in node.references.items())
+    own = {"id": node.id, "name": node.name, **node.attributes} | ({"references": references} if references else {})
+    return f" <{node.kind} {' '.join(f'{key}={quoteattr(value)}' for key, value in own.items())}></{node.kind}>\n"
+
+
+def _flag(value: bool) -> str:
+    return "true" if value else "false"
+
+
+def _numbers(colour: str) -> str:
+    return " ".join(f"{value:g}" for value in rgb(colour))
+
+
+FACE = np.dtype([("count", "u1"), ("corners", "<i4", 3)])
+
+
+def ply_model(surface: Surface, frame: Frame) -> bytes:
+    """The file's content: vertices in mm, in single precision; Slicer takes the frame from the comment."""
+    vertices = lps_mm(surface.vertices_m, frame).astype("<f4")
+    faces = np.empty(len(surface.faces), FACE)
+    faces["count"], faces["corners"] = 3, surface.faces
+    header = [
+        "ply",
+        "format binary_little_endian 1.0",
+        f"comment SPACE={SPACE}",
+        "comment unit mm",
+        f"element vertex {len(vertices)}",
+        *(f"property float {axis}" for axis in "xyz"),
+        f"element face {len(faces)}",
+        "property list uchar int vertex_indices",
+        "end_header",
+    ]
+    return "\n".join(header).encode() + b"\n" + vertices.tobytes() + faces.tobytes()
+
+
+MADE = (1980, 1, 1, 0, 0, 0)  # the same plan makes the same file
+
+
+def model_sequence(name: str, times_s: Sequence[float], surfaces: Sequence[Surface], frame: Frame) -> bytes:
+    """The content of a .seq.mrb file; surfaces in m, in the anatomy's frame. `name` is of letters, digits and _."""
+    content = io.BytesIO()
+    models = [model_nodes(k, f"{name}_{k}", f"Data/{name}_{k}.ply", "#808080")[::2] for k in _index_values(times_s)]
+    index = sequence_node("SequenceIndex", name, times_s, {"singletonTag": "SequenceIndex"})
+    files = {f"{name}.mrml": scene_text([index, *(node for pair in models for node in _bare(*pair))]).encode()}
+    for k, surface in zip(_index_values(times_s), surfaces, strict=True):
+        files[f"Data/{name}_{k}.ply"] = ply_model(surface, frame)
+    with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as bundle:
+        for path, data in files.items():
+            bundle.writestr(zipfile.ZipInfo(f"{name}/{path}", MADE), data, zipfile.ZIP_DEFLATED)
+    return content.getvalue()
+
+
+def sequence_node(
+    number: int | str, name: str, times_s: Sequence[float], attributes: dict[str, str], storage: Node | None = None
+) -> Node:
+    """The node that says the time of each model of a bundle."""
+    values = ";".join(
+        f"vtkMRMLModelNode{k}:{time:.4f}" for k, time in zip(_index_values(times_s), times_s, strict=True)
+    )
+    index = {
+        "indexName": "time",
+        "indexUnit": "s",
+        "indexType": "numeric",
+        "numericIndexValueTolerance": "0.00001",
+        "indexValues": values,
+    }
+    return Node("Sequence", number, name, index | attributes, {"storage": [storage]} if storage else {})
+
+
+def browser_node(name: str, fps: float, pairs: Sequence[tuple[Node, Node]]) -> Node:
+    """Plays sequences together: pairs of a sequence and the model that shows it, the first one with the time."""
+    references: dict[str, list[Node]] = {}
+    for k, (sequence, shown) in enumerate(pairs):
+        references |= {f"sequenceNodeRef{k}": [sequence], f"dataNodeRef{k}": [shown]}
+    attributes = {
+        "playbackActive": "false",
+        "playbackRateFps": f"{fps:.3g}",
+        "playbackItemSkippingEnabled": "true",
+        "playbackLooped": "true",
+        "selectedItemNumber": "0",
+        "virtualNodePostfixes": " ".join(str(k) for k in range(len(pairs))),
+    }
+    return Node("SequenceBrowser", 1, name, attributes, references)
+
+
+def _index_values(times_s: Sequence[float]) -> range:
+    return range(1, len(times_s) + 1)
+
+
+def _bare(model: Node, storage: Node) -> Iterator[Node]:
+    """A model without looks, which are those of the model that shows it."""
+    yield Node(model.kind, model.number, model.name, model.attributes, {"storage": [storage]})
+    yield storage
+
 
 PERCENTS = tuple(range(0, 101, 10))  # of the motion's time, at which centrelines are written
 MOST_POINTS = 300  # of a curve: Slicer draws each of them

@@ -16,7 +16,7 @@ from ctrplan.base.arrays import Array
 from ctrplan.calibration.discrepancy import decay
 from ctrplan.diagnosis import CATALOGUE, Diagnosis, diagnose
 from ctrplan.diagnosis.conclusion import Conclusion
-from ctrplan.diagnosis.test_set import opened
+from ctrplan.diagnosis.workflow import opened
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.reports.diagnosis_figures import selection_errors
 from ctrplan.reports.diagnosis_page import diagnosis_report_html

@@ -20,7 +20,7 @@ from ctrplan.anatomy.patient_frame import Frame
 from ctrplan.base.surface import Surface
 from ctrplan.errors import InputError
 from ctrplan.files.slicer_markups import patient_frame
-from ctrplan.files.slicer_scene import itk_transform_text, markups_text, model_sequence, ply_model
+from ctrplan.reports.slicer_case import itk_transform_text, markups_text, model_sequence, ply_model
 from ctrplan.scenario.scenario import Scenario
 
 # Nothing of it looks the same from another side. In the patient: P is 10 mm left of the origin, 20 behind, 30 above.

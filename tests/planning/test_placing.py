@@ -22,8 +22,7 @@ from ctrplan.cli import main
 from ctrplan.errors import InputError, NoAnswerError
 from ctrplan.planning import base_screen as screening
 from ctrplan.planning.base_pose import BaseFrame, BasePose, Patch, base_pose, placed
-from ctrplan.planning.base_screen import PoseScore, Screen
-from ctrplan.planning.place import Placement, place
+from ctrplan.planning.place import Placement, PoseScore, Screen, place
 
 PAIR = ROBOTS / "table_5_pair.toml"
 WAY = {"rotate outer": 20.0, "rotate inner": 140.0, "translate inner": 10.0}  # there and back

@@ -23,6 +23,7 @@ from ctrplan.files.plan_folder import _made
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.motion.play import play_turn
 from ctrplan.plans.plan import Plan, _plain
+from ctrplan.plans.uncertainty import judged
 from ctrplan.reports.plan_page import uncertainty_section
 from ctrplan.reports.words import uncertainty_rows
 from ctrplan.scenario.prediction import start_states
@@ -31,7 +32,6 @@ from ctrplan.uncertainty.drawn_poses import BeyondFirstOrder, DrawnPoses
 from ctrplan.uncertainty.parameters import uncertain_parameters
 from ctrplan.uncertainty.result import Uncertainty
 from ctrplan.uncertainty.target import TargetPose, end_stop
-from ctrplan.uncertainty.target_miss import judged
 from ctrplan.uncertainty.tip_slopes import poses_at
 from ctrplan.uncertainty.worst_case import CHI95, Chance, Draws, chance, wilson
 
