@@ -43,7 +43,7 @@ def refusal(path: Path, content: str | bytes) -> str:
         (b"<!DOCTYPE html>\n<p>404", "is a web page"),
         (b"version https://git-lfs.github.com/spec/v1\noid", "is a pointer of Git LFS"),
         ("x_m,y_m\n1,2\n".encode("utf-16"), "is not UTF-8 text, but UTF-16: save it as UTF-8"),
-        (gzip.compress(b"x_m,y_m\n1,2\n"), "is packed by gzip: unpack it first"),
+        (gzip.compress(b"x_m,y_m\n1,2\n", mtime=0), "is packed by gzip: unpack it first"),
         (b"PK\x03\x04 of a spreadsheet", "is packed by zip: unpack it first"),
     ],
 )
