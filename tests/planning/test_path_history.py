@@ -167,7 +167,13 @@ def test_what_settling_changed_is_what_is_compared(
 ) -> None:
     given = as_given(checker, turned_last)
     plan = assemble(
-        checker.scenario, [given], settled.certificate, planner="given path", seed=0, time_s=0.0, ends=[settled.corners]
+        checker.scenario,
+        [given],
+        settled.certificate,
+        planner="given path",
+        seed=0,
+        clock_s=0.0,
+        ends=[settled.corners],
     )
     ways = {other.name: other for other in plan.reorder.alternatives}
     assert ways["as driven"].problem == next(iter(plan.certificate.problems), "")  # never "not valid" beside it

@@ -181,7 +181,7 @@ def test_legs_that_go_on_in_one_direction_are_no_stop() -> None:
     case = scenario("pair_free")
     corners = case.start + np.array([[0.0, 0, 0], [0, 0.1, 0], [0, 0.3, 0], [0, 0.3, 0.01]])
     given = as_given(MotionChecker(case), corners)
-    plan = assemble(case, [given], certify(case, corners), planner="given path", seed=0, time_s=0.0)
+    plan = assemble(case, [given], certify(case, corners), planner="given path", seed=0, clock_s=0.0)
     assert len(plan.legs) == 3 and plan.certificate.stops == plan.trajectory.stops == 1
 
 

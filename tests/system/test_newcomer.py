@@ -53,7 +53,8 @@ MISTAKES: dict[str, tuple[str, str, str, str, str]] = {
     ),
     "a kind of file for a kind of part": (
         "plan task.toml", "task.toml", 'kind = "mesh"', 'kind = "stl"',
-        "task.toml: anatomy.1.kind = 'stl': must be one of capsule, mesh, sphere, surface, volume; did you mean mesh?",
+        "task.toml: anatomy.1.kind = 'stl': must be one of box, capsule, mesh, sphere, surface, volume; did you mean "
+        "mesh?",
     ),
     "a unit in words": (
         "plan task.toml", "task.toml", 'unit = "mm"', 'unit = "millimeters"',
