@@ -53,7 +53,7 @@ class Suspect:
     axes: Array
 
 
-class Sweep:
+class MotionSweep:
     """Rounds of rows and a descent each; `is_done` once no interval is left in which the claim could be broken."""
 
     def __init__(self, case: AuditedPlan) -> None:

@@ -15,7 +15,7 @@ import numpy as np
 
 from ctrplan.audit.audited_plan import AuditedPlan, WorstFigure
 from ctrplan.audit.counterexamples import HistoryHunt, StateHunt
-from ctrplan.audit.sweep import Sweep
+from ctrplan.audit.sweep import MotionSweep
 from ctrplan.base.arguments import EVENT, PROGRESS, SEED, Choice, Number, Whole, checked
 from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.base.long_work import Progress, StageProgress, interrupt_event, part_of
@@ -338,9 +338,9 @@ class _Budget:
 
 def _hunt(case: AuditedPlan, states: StateHunt, histories: HistoryHunt, budget: _Budget) -> None:
     """Rounds of the sweep, of states and of histories, the same work each; a robot of one tube has no histories."""
-    hunts: list[Sweep | StateHunt | HistoryHunt] = [states]
+    hunts: list[MotionSweep | StateHunt | HistoryHunt] = [states]
     if case.plan.scenario.anatomy:
-        hunts.insert(0, Sweep(case))
+        hunts.insert(0, MotionSweep(case))
     if case.pairs:
         hunts.append(histories)
     spent = dict.fromkeys(hunts, 0)

@@ -46,11 +46,11 @@ Look = Callable[["Shape"], None]
 FrictionStart = Start | ObservedHistory | HistoryState  # the last one is where the first configuration is
 MOST_REMEMBERED = 100  # ends of paths
 MOST_STARTS = 4  # lists of start states whose paths are remembered
-_ENDS: WeakKeyDictionary[Robot, dict[tuple[FrictionStart, ...], dict[bytes, _End]]] = WeakKeyDictionary()
+_ENDS: WeakKeyDictionary[Robot, dict[tuple[FrictionStart, ...], dict[bytes, _PathEnd]]] = WeakKeyDictionary()
 
 
 @dataclass(frozen=True, eq=False)
-class _End:
+class _PathEnd:
     """Where the histories along a path end."""
 
     tip_m: Array  # (S, 3); NaN where one failed
@@ -228,13 +228,13 @@ def _begun(robot: Robot, start: FrictionStart, accuracy: Accuracy, options: Hist
     return robot.history(start, accuracy=accuracy, options=options)
 
 
-def _end_after(robot: Robot, q: Array, before: _End | None, starts: Sequence[FrictionStart]) -> _End:
+def _end_after(robot: Robot, q: Array, before: _PathEnd | None, starts: Sequence[FrictionStart]) -> _PathEnd:
     """Where histories are after moving on to q (m,) from where others ended, or at a start there."""
     if before is not None and not before.states:
         return before
     histories = _restored(robot, before.states) if before else begun_histories(robot, starts)
     tips = _follow(robot, histories, q[None]).tip_m[:, -1]
-    return _End(tips, _saved(histories) if np.all(np.isfinite(tips)) else [])
+    return _PathEnd(tips, _saved(histories) if np.all(np.isfinite(tips)) else [])
 
 
 def _saved(histories: Sequence[History]) -> list[HistoryState]:
