@@ -26,6 +26,7 @@ SAME_TURN = 1e-9  # rad or m by which collars may be off after a whole turn
 UNITS: dict[Kind, tuple[str, float]] = {"rotation": ("deg", math.pi / 180), "translation": ("mm", 1e-3)}
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class Joint:
     """One actuator; its value in rad or m, zero at home."""

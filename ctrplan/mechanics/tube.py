@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from ctrplan.base.arguments import Number
 from ctrplan.base.arrays import Array
+from ctrplan.base.package import shown
 from ctrplan.errors import InputError
 
 SOFTEST_NM2, STIFFEST_NM2 = 1e-9, 1e6
@@ -58,6 +59,7 @@ class TubeSection:
         return math.hypot(self.curvature_x_per_m, self.curvature_y_per_m)
 
 
+@shown
 @dataclass(frozen=True)
 class Tube:
     """One tube, its sections from base to tip; torsional stiffness is bending_stiffness_Nm2 / (1 + poisson_ratio)."""

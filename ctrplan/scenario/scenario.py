@@ -76,6 +76,7 @@ def path_cost_mm(weights: Cost, *, length_mm: float, legs: int, integral_mm: flo
     return cost + weights.error_goal * left_m * MM_PER_M
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class Goal:
     """Either joint values, or a tip position in the anatomy's frame, possibly with a tip direction.
