@@ -53,7 +53,7 @@ FEW = 6  # entries that are shown one by one
 
 
 def shown(cls: T) -> T:
-    """A dataclass that shows itself in at most MOST_LINES: its fields by their sizes and ranges, and a headline.
+    """A class that shows itself in at most MOST_LINES: the fields of a dataclass by sizes and ranges, and a headline.
 
     The headline is what its method `headline` returns, or else its property `sentence`. Notebooks show it as a table.
     """
@@ -89,7 +89,7 @@ def _headline(given: Any) -> str:
 def _rows(given: Any) -> list[tuple[str, str]]:
     """Names and values of the fields that are shown, as many as there is room for."""
     rows = []
-    for each in fields(given):
+    for each in fields(given) if is_dataclass(given) else ():
         if each.repr and not each.name.startswith("_"):
             try:
                 rows.append((each.name, summary(getattr(given, each.name))))

@@ -6,6 +6,7 @@ import argparse
 import json
 import sys
 
+from ctrplan.commands.terminal import tell_next
 from ctrplan.storage.output_folder import output_folder, write_results
 
 DESCRIPTION = (
@@ -39,10 +40,23 @@ def run(arguments: argparse.Namespace) -> int:
     result = check(arguments.file, robot=arguments.robot)
     content = {"name": result.name, "kind": result.kind, "flags": result.flags, "notes": result.notes, **result.facts}
     print(json.dumps(content, indent=1) if arguments.json else result.text)
+    if not arguments.json:
+        tell_next(_following(arguments, result.kind) if not result.flags else "mend what is marked, and check again")
     if folder is not None:
         write_results(folder, {f"{name}.png": _png(figure) for name, figure in result.figures().items()})
         print(f"ctrplan: written to {folder}", file=sys.stderr)
     return 1 if result.flags else 0
+
+
+def _following(arguments: argparse.Namespace, kind: str) -> str:
+    """What to do with a file of that kind."""
+    file, robot = arguments.file, arguments.robot
+    return {
+        "robot": f"ctrplan init scenario task.toml --robot {file}; ctrplan view {file}, a slider for every joint",
+        "scenario": f"ctrplan plan {file} -o out",
+        "measurements": f"ctrplan calibrate {robot} {file} -o calibrated; ctrplan diagnose {robot} {file} -o found",
+        "plan": f"ctrplan verify {file}",
+    }[kind]
 
 
 def _png(figure: object) -> bytes:

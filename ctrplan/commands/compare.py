@@ -61,6 +61,8 @@ def run(arguments: argparse.Namespace) -> int:
         write_results(folder, {OUTPUTS[0]: page, OUTPUTS[1]: stream.getvalue()})
         print(f"ctrplan: written to {folder}/{', '.join(OUTPUTS)}", file=sys.stderr)
         tell_next(f"open {folder / OUTPUTS[0]}, both plans in one scene")
+    elif not arguments.json:
+        tell_next("-o DIR draws both plans in one scene")
     return 0
 
 

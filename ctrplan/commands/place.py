@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from ctrplan.base.arguments import LONGEST_MM, SEED, Number, Whole
 from ctrplan.base.long_work import INTERRUPTED, interrupt_event
 from ctrplan.commands.options import add_allow_outside_option, add_number, add_set_option
-from ctrplan.commands.terminal import PATIENCE_S, ProgressBar, aligned, finite, warn
+from ctrplan.commands.terminal import PATIENCE_S, ProgressBar, aligned, finite, tell_next, warn
 from ctrplan.errors import InputError, NoAnswerError
 
 if TYPE_CHECKING:
@@ -94,6 +94,8 @@ def run(arguments: argparse.Namespace) -> int:
             )
         print(json.dumps(_json(result), indent=1) if arguments.json else _text(scenario, result))
         _write(arguments, file, _picked(arguments, scenario, result))
+        if not arguments.json:
+            tell_next(f"ctrplan plan {file} -o out")
         return INTERRUPTED if result.interrupted else 0
 
 

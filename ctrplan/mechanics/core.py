@@ -17,6 +17,7 @@ from ctrplan import _model
 from ctrplan.base.arguments import EXECUTOR, PROGRESS, Choice, Flag, Made, Number, Texts, Whole, checked, require
 from ctrplan.base.arrays import Array, numbers
 from ctrplan.base.long_work import Progress, core_threads, part_of
+from ctrplan.base.package import shown
 from ctrplan.errors import InputError
 from ctrplan.mechanics.core_arrays import (
     core_density,
@@ -64,6 +65,7 @@ ACCURACY, FIRST_ORDER = Choice(*get_args(Accuracy)), Choice("search", "certifica
 THREADS = Whole(0, MOST_THREADS, " (0: every core)")
 
 
+@shown
 class Mechanics:
     """A robot's compiled model. Thread-safe: concurrent calls use separate workspaces; the GIL is released."""
 
@@ -89,6 +91,10 @@ class Mechanics:
             self._model = _model.Model(
                 [core_tube(tube) for tube in tubes], [core_pair(*pair) for pair in pairs], core_loads(loads)
             )
+
+    def headline(self) -> str:
+        """How many tubes."""
+        return f"{self.n} tubes, {len(self._given[0][-1].sections)} sections of the innermost"
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickled as the numbers it was made of, and compiled again where it is read."""

@@ -104,6 +104,7 @@ class HistoryState:
     __reduce__ = of_this_process("lead another History along the same path and save that")
 
 
+@shown
 class History:
     """A robot moved along a joint path, waypoint by waypoint. Memory does not grow with the path.
 
@@ -122,7 +123,7 @@ class History:
         """`start` is the state at the first waypoint: "released" is free of friction, a sign per pair (or share in
         [-1, 1]) fully loaded in that corner, "oscillated" fully loaded and then released as in Section V-A.
         """
-        self._mechanics = mechanics
+        self._mechanics, self._start = mechanics, start
         self._accuracy: Accuracy = accuracy
         self.options = options or HistoryOptions()
         self._phi = _start_phi(start, mechanics.n - 1)
@@ -131,6 +132,10 @@ class History:
         self._at: tuple[Array, Array] | None = None
 
     __reduce__ = of_this_process("make another by Robot.history and lead it along the same path")
+
+    def headline(self) -> str:
+        """Where it started."""
+        return f"of {self._mechanics.n} tubes, which started {self._start}"
 
     def advance(self, theta_b: ArrayLike, l_b: ArrayLike) -> HistoryStep:
         """Moves all joints to base rotations (n,) [rad] and translations (n,) [m]; the first call starts there.

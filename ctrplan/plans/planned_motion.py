@@ -41,6 +41,7 @@ class Leg:
     kind: LegKind
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class Compensation:
     """Joints commanded so that the predicted tip arrives, not the frictionless one."""

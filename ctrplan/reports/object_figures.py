@@ -78,6 +78,21 @@ class Page:
         write_atomically(path, self.html)
 
 
+def _brief(figure: Any) -> Any:
+    """The plotly figure, which a prompt shows in a line: by itself it prints all its numbers."""
+    kind = type(figure)
+
+    class Scene(kind):  # type: ignore[misc, valid-type]
+        def __repr__(self) -> str:
+            return f"Scene of {len(self.frames)} poses, shown by a notebook or show(), written by write_html(path)"
+
+        def __reduce__(self) -> Any:
+            return kind, super().__reduce__()[1]
+
+    figure.__class__ = Scene
+    return figure
+
+
 def show(subject: Plan | Diagnosis | Study | StudyTable, **keys: Any) -> Any:
     """What turns and answers: a plan's moving scene (a plotly figure), a diagnosis's or a study's report (a `Page`).
 
@@ -93,7 +108,7 @@ def show(subject: Plan | Diagnosis | Study | StudyTable, **keys: Any) -> Any:
         from ctrplan.reports.plan_motion import scene_figure
         from ctrplan.reports.plan_scene import plan_scene
 
-        return scene_figure(plan_scene(subject, **keys))
+        return _brief(scene_figure(plan_scene(subject, **keys)))
     if isinstance(subject, Diagnosis):
         from ctrplan.reports.diagnosis_figures import selection_errors
         from ctrplan.reports.diagnosis_page import diagnosis_report_html

@@ -307,3 +307,30 @@ def test_progress_without_a_terminal_is_a_line_every_ten_seconds(
         clock[0] += 60
         bar.show("search", 0.5)
     assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["check", ROBOT],
+        ["check", str(SCENARIOS / "pair_free.toml")],
+        ["bound", ROBOT, "--theta-deg", "0", "0", "0", "--l-mm", "0", "-17", "-34"],
+        [
+            "place",
+            str(SCENARIOS / "vessel.toml"),
+            "--candidates",
+            "4",
+            "--confirm",
+            "1",
+            "--quiet",
+            "-o",
+            "{}/placed.toml",
+        ],
+        ["init", "robot", "{}/robot.toml"],
+    ],
+)
+def test_a_command_ends_with_what_to_do_next(
+    command: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([part.format(tmp_path) for part in command]) == 0
+    assert "next: " in capsys.readouterr().out.splitlines()[-1]
