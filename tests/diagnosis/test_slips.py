@@ -32,15 +32,22 @@ def at_rest(seed: int, count: int = 40) -> Measurements:
     return Measurements(np.arange(n), theta, l, np.arange(n), nothing, nothing, 3.0 * np.arange(n))
 
 
-def slipped(data: Measurements, joint: str, pose: int, values: dict[str, dict[str, float]], seed: int) -> Measurements:
-    """What is measured where a joint's zero is another one from a pose on."""
+def with_zero(
+    data: Measurements, joint: str, way: Array, values: dict[str, dict[str, float]], seed: int
+) -> Measurements:
+    """What is measured where a joint's zero is off by so many times (K,) the size of JOINTS."""
     tube, size, is_turn = JOINTS[joint]
     off = np.zeros(data.theta_commanded.shape)
-    off[pose:, tube] = size
+    off[:, tube] = size * way
     theta = data.theta_commanded + (off if is_turn else 0)
     l = data.l_commanded + (0 if is_turn else off)  # noqa: E741 (as in the equations)
     moved = measured(ROBOT, replace(data, theta_commanded=theta, l_commanded=l), values, seed)
     return replace(moved, theta_commanded=data.theta_commanded, l_commanded=data.l_commanded)
+
+
+def slipped(data: Measurements, joint: str, pose: int, values: dict[str, dict[str, float]], seed: int) -> Measurements:
+    """What is measured where a joint's zero is another one from a pose on."""
+    return with_zero(data, joint, (np.arange(data.count) >= pose).astype(float), values, seed)
 
 
 BASE = {"calibration": {"precurvature_factor_1_1": 1.04, "stiffness_factor_2": 0.95}}
@@ -72,22 +79,11 @@ def test_what_is_no_slip_is_told_for_none(values: dict[str, dict[str, float]], s
     assert found_slip(ROBOT, measured(ROBOT, data, BASE | values, seed), NOISE) is None
 
 
-def drifting(joint: str, way: Array) -> Measurements:
-    data = at_rest(5)
-    tube, size, is_turn = JOINTS[joint]
-    off = np.zeros(data.theta_commanded.shape)
-    off[:, tube] = size * way
-    theta = data.theta_commanded + (off if is_turn else 0)
-    l = data.l_commanded + (0 if is_turn else off)  # noqa: E741 (as in the equations)
-    moved = measured(ROBOT, replace(data, theta_commanded=theta, l_commanded=l), BASE)
-    return replace(moved, theta_commanded=data.theta_commanded, l_commanded=data.l_commanded)
-
-
 @pytest.mark.parametrize("joint", JOINTS)
 def test_a_joint_that_drifts_has_not_slipped(joint: str) -> None:
-    count = at_rest(5).count
-    for way in (np.linspace(-1, 1, count), np.cos(np.linspace(0, 2 * np.pi, count))):
-        assert found_slip(ROBOT, drifting(joint, way), NOISE) is None
+    data = at_rest(5)
+    for way in (np.linspace(-1, 1, data.count), np.cos(np.linspace(0, 2 * np.pi, data.count))):
+        assert found_slip(ROBOT, with_zero(data, joint, way, BASE, 1), NOISE) is None
 
 
 def test_a_slip_is_named_with_its_row_and_is_in_the_json() -> None:
