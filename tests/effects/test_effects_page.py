@@ -60,7 +60,7 @@ def test_the_example_of_a_new_effect_works(tmp_path: Path) -> None:
         grown = chain.predict(p, derivatives=False).position_m
         ratio = np.linalg.norm(grown, axis=1) / np.linalg.norm(plain, axis=1)
         np.testing.assert_allclose(ratio, 1 + 0.01 * (warm.more["temperature_C"] - 20)[warm.rows])
-        pool = chain_of(robot, _pool(warm), {"thermal_scale": None})
+        pool = chain_of(robot, _pool(warm, robot), {"thermal_scale": None})
         shown, cold = (pool.predict(q, derivatives=False).position_m for q in (p, pool.neutral))
         assert np.ptp(np.linalg.norm(shown, axis=1) / np.linalg.norm(cold, axis=1)) > 0.02
         simulated_with_and_without_its_column(tmp_path)
