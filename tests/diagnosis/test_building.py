@@ -16,7 +16,7 @@ from measured_data import SIGMA_M, measured, pair_robot, waypoints
 
 from ctrplan.calibration.residuals import Noise
 from ctrplan.cli import main
-from ctrplan.diagnosis import CATALOGUE, Diagnosis, diagnose, partial_diagnosis, test_set
+from ctrplan.diagnosis import CATALOGUE, Diagnosis, diagnose, partial_diagnosis, workflow
 from ctrplan.diagnosis import built_term as term_building
 from ctrplan.diagnosis.adequacy import noise_floor
 from ctrplan.diagnosis.built_term import refusals
@@ -118,7 +118,7 @@ def test_no_name_stays_that_blocks_left_out_speak_against(monkeypatch: pytest.Mo
 
 
 def test_names_stay_where_the_poses_kept_aside_take_the_term_back(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(test_set, "LEAST_SHARE_ASIDE", 2.0)
+    monkeypatch.setattr(workflow, "LEAST_SHARE_ASIDE", 2.0)
     after = diagnose(ROBOT, rippled(FURTHER), catalogue={"sensor_offset": CATALOGUE["sensor_offset"]})
     assert after.verdict == "partial" and [t.name for t in after.listed] == ["sensor_offset"]
     assert after.built is None and any("taken back" in note for note in after.notes)

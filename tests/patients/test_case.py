@@ -20,7 +20,7 @@ from ctrplan.anatomy import clearance_grid
 from ctrplan.errors import InputError, NoAnswerError
 from ctrplan.patients.case import Case, case
 from ctrplan.patients.work import BASES, PLACED, SCENARIO, read_bases
-from ctrplan.planning import base_screen as screening
+from ctrplan.planning import place as screening
 from ctrplan.reports import plan_page
 from ctrplan.storage.toml_document import read_document
 

@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 import ctrplan
 from ctrplan.cli import main
 from ctrplan.errors import InputError, NoAnswerError
-from ctrplan.planning import base_screen as screening
+from ctrplan.planning import place as screening
 from ctrplan.planning.base_pose import BaseFrame, BasePose, Patch, base_pose, placed
 from ctrplan.planning.place import Placement, PoseScore, Screen, place
 
