@@ -1,27 +1,32 @@
 """What does path history do to a robot, and is its simulation right? Figures and tables of docs/history.md.
 
-    python benchmarks/run.py [--write] history [--histories N] [section_v] [loop] [bound] [release] [numerics]
+    python benchmarks/run.py [--write] history [--histories N] [section_v] [loop] [erasure] [bound] [release] [numerics]
 
 All sections if none is named. `bound` simulates 2,000 random histories, which takes tens of minutes; with --histories N
 of each robot. section_v: Section V-B of the paper, eight path histories to each of 37 base angles; loop: the hysteresis
-of Fig. 1.
+of Fig. 1; erasure: corners of friction and the released state at one configuration, driven one way until tips agree.
 """
 
 from __future__ import annotations
 
+import itertools
 from functools import cache
 
 import common
 import numpy as np
-from common import panels, save, table
+from common import ROBOTS, panels, save, table
 from history_bound import HISTORIES as COUNT
 from history_bound import PAIR, PAIR_L_M, bound, norm_mm
 from history_numerics import numerics, release
 from matplotlib.figure import Figure
 
 from ctrplan.base.arrays import Array
+from ctrplan.files.robot_file import robot_from_dict
+from ctrplan.mechanics.history import HistoryOptions
 from ctrplan.mechanics.shapes import Shape, Status
 from ctrplan.reports import looks
+from ctrplan.robot.robot import Robot
+from ctrplan.storage.toml_document import read_document
 
 COLOURS = (*looks.SERIES, looks.ENVELOPE, looks.CORNER)
 ANGLES_DEG = np.arange(0, 361, 10)
@@ -208,10 +213,75 @@ def loop() -> None:
     table("loop", head, rows)
 
 
+def way_to(
+    robot: Robot,
+    theta: Array,
+    l: Array,  # noqa: E741
+    turn: Array,
+    slide: Array,
+    rows: int,
+    options: HistoryOptions | None = None,
+) -> tuple[float, list[float]]:
+    """Largest distance [mm] of tips at first, and shares of the way after which 1 and 0.1 % of it are left."""
+    starts = ["released", *itertools.product((1.0, -1.0), repeat=robot.n - 1)]
+    share, tips = np.linspace(0, 1, rows + 1)[:, None], []
+    for start in starts:
+        tips.append(robot.history(start, options=options).follow(theta + share * turn, l + share * slide).position_m)
+    apart = np.max([np.linalg.norm(a - b, axis=1) for a, b in itertools.combinations(tips, 2)], axis=0)
+    last = [np.flatnonzero(apart > left * apart[0]) for left in (0.01, 0.001)]
+    return 1e3 * apart[0], [(above[-1] + 1) / rows if above[-1] < rows else np.inf for above in last]
+
+
+def said(motion: float, unit: str) -> str:
+    return f"{motion:.{0 if unit == 'deg' else 1}f} {unit}" if np.isfinite(motion) else "never"
+
+
+def erasure() -> None:
+    rows = []
+    pair, three = (read_document(ROBOTS / name).content for name in ("table_5_pair.toml", "three_tube.toml"))
+    for angle, mu, gap in (
+        (60, 0.2, None),
+        (170, 0.2, None),
+        (60, 0.5, None),
+        (170, 0.5, None),
+        (120, 0.2, 0.005),
+        (120, 0.2, 0.15),
+    ):
+        contact = {**pair["contact"][0], "friction_coefficient": mu, **({} if gap is None else {"clearance_mm": gap})}
+        robot = robot_from_dict({**pair, "contact": [contact]})
+        place = np.array([0, -90e-3])
+        what = f"pair, {angle} deg, friction {mu}" + (f", clearance {gap} mm" if gap else "")
+        first, left = way_to(robot, np.radians([0, angle]), place, np.zeros(2), np.array([0, 30e-3]), 300)
+        rows.append((what, "slide", f"{first:.1f} mm", *(said(30 * x, "mm") for x in left)))
+        if gap is None:
+            first, left = way_to(robot, np.radians([0, angle]), place, np.radians([0, 180]), np.zeros(2), 360)
+            rows.append((what, "turn", f"{first:.1f} mm", *(said(180 * x, "deg") for x in left)))
+    pair_robot, at = robot_from_dict(pair), (np.radians([0, 120]), np.array([0, -90e-3]))
+    for what, options in (
+        ("0.25 mm, 0.5 deg", HistoryOptions(translation_m=0.25e-3, rotation_rad=np.radians(0.5))),
+        ("0.05 mm, 0.1 deg", HistoryOptions(translation_m=0.05e-3, rotation_rad=np.radians(0.1))),
+    ):
+        for motion, turn, slide, scale, unit in (("slide", 0, 30e-3, 30, "mm"), ("turn", np.pi, 0, 180, "deg")):
+            first, left = way_to(pair_robot, *at, np.array([0, turn]), np.array([0, slide]), 300, options)
+            said_of = (f"{first:.1f} mm", *(said(scale * x, unit) for x in left))
+            rows.append((f"pair, 120 deg, friction 0.2, steps of {what}", motion, *said_of))
+    robot, at = robot_from_dict(three), (np.radians([0, 60, 40]), np.array([0, -17e-3, -80e-3]))
+    moves = {
+        "inner slides": ([0, 0, 0], [0, 0, 40e-3]),         "inner turns": ([0, 0, np.pi], [0, 0, 0]),
+        "middle and inner turn": ([0, -np.pi, np.pi / 2], [0, 0, 0]),
+        "all turn together": ([np.pi] * 3, [0, 0, 0]),
+    }  # fmt: skip
+    for what, (turn, slide) in moves.items():
+        first, left = way_to(robot, *at, np.array(turn), np.array(slide), 200)
+        scale, unit = (180, "deg") if any(turn) else (1e3 * max(map(abs, slide)), "mm")
+        rows.append(("three tubes", what, f"{first:.1f} mm", *(said(scale * x, unit) for x in left)))
+    table("erasure", ("robot", "motion", "apart at first", "1 % is left after", "0.1 %"), rows)
+
+
 def main() -> None:
     parser = common.parser(__doc__)
     parser.add_argument("sections", nargs="*", metavar="SECTION")
     parser.add_argument("--histories", type=int, default=COUNT, help="random histories of each robot")
     given = parser.parse_args()
-    known = {"section_v": section_v, "loop": loop, "release": release, "numerics": numerics}
+    known = {"section_v": section_v, "loop": loop, "erasure": erasure, "release": release, "numerics": numerics}
     common.sections(given.sections, {**known, "bound": lambda: bound(given.histories)}, parser.error)

@@ -192,7 +192,7 @@ def ratio(pairs: list[tuple[dict[str, Any], dict[str, Any]]], key: str) -> str:
 
 
 def medians(pairs: list[tuple[dict[str, Any], dict[str, Any]]], key: str) -> str:
-    """Of the aware plans and of the blind ones."""
+    """Medians of the aware plans and of the blind ones."""
     if not pairs:
         return "none"
     return " / ".join(f"{np.median([pair[k][key] for pair in pairs]):.3f} mm" for k in (0, 1))

@@ -76,7 +76,7 @@ class Number(Kind):
 
 
 class Limited(Number):
-    """The same in the words of files."""
+    """A number within limits; its rule is worded as those of files are, without the kind."""
 
     @property
     def rule(self) -> str:

@@ -82,7 +82,7 @@ def file_inside(name: str, document: Document, allow_outside: bool, *path: Step)
 
 
 def path_inside(name: str, document: Document, *path: Step) -> Path:
-    """As `file_inside`, of a file or a folder; nothing outside is allowed."""
+    """The file or folder that key `path` names, which must lie in the document's folder or below and exist."""
     return _inside(name, document, False, Path.exists, *path)
 
 

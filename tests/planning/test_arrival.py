@@ -10,15 +10,15 @@ import shlex
 import signal
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
+from arriving_pair import GOAL, PATH, SHORT, START, arrival, pair
 from places import SCENARIOS
 
 import ctrplan
 from ctrplan.certificate import arrival as arrivals
-from ctrplan.certificate.arrival import Arrival, friction_variants
+from ctrplan.certificate.arrival import friction_variants
 from ctrplan.certificate.certificate import joined_certificates
 from ctrplan.certificate.certify import certify
 from ctrplan.certificate.other_equilibria import _windings, other_start
@@ -32,31 +32,10 @@ from ctrplan.files.scenario_file import load_scenario
 from ctrplan.mechanics.friction import FrictionLaw
 from ctrplan.mechanics.history import HistoryOptions
 from ctrplan.motion.checker import MotionChecker
-from ctrplan.planning import compensate as compensation
-from ctrplan.planning.compensate import _Place, compensate
+from ctrplan.planning.compensate import compensate
 from ctrplan.planning.endings import erase
 from ctrplan.scenario.prediction import TIP_TOLERANCE_M, ball_centre, predict, start_states, step_error
-from ctrplan.scenario.scenario import Registration, Scenario
-
-START = np.array([0.0, 0.0, -0.03])
-GOAL = np.array([1.0, 3.2, 0.02])  # of the pair: friction moves its tip by 5 mm
-PATH = np.array([START, [*GOAL[:2], START[2]], GOAL])
-SHORT = np.array([GOAL - [0.0, 0.1, 0.0], GOAL])  # too short a turn to erase anything
-
-
-def pair(*overrides: str) -> Scenario:
-    """To the tip of GOAL."""
-    bare = load_scenario(SCENARIOS / "pair_free.toml")
-    tip = bare.robot.solve(*bare.robot.drive.collars(GOAL)).tip_m * 1e3
-    return load_scenario(
-        SCENARIOS / "pair_free.toml", [f"goal={{tip_mm={tip.round(3).tolist()}, tolerance_mm=1}}", *overrides]
-    )
-
-
-def arrival(scenario: Scenario, path: np.ndarray[Any, Any] = PATH) -> Arrival:
-    found = certify(scenario, path).arrival
-    assert found is not None
-    return found
+from ctrplan.scenario.scenario import Registration
 
 
 def test_shares_add_up_and_states_are_erased_by_slip() -> None:
@@ -293,82 +272,6 @@ def test_a_path_of_someone_elses_leads_from_start_to_goal() -> None:
     aimed = replace(aimed, goal=replace(aimed.goal, direction=direction, direction_tolerance_rad=0.05))
     with pytest.raises(ctrplan.InputError, match="deg off"):
         ctrplan.reorder(PATH, aimed)
-
-
-def test_corrections_change_the_last_legs_or_add_two() -> None:
-    turns, delta = np.array([True, True, False]), np.array([0.1, -0.2, 0.001])
-    within, added = _Place(PATH, 2), _Place(PATH, 2, of_its_own=True)
-    np.testing.assert_allclose(within.path(turns, delta)[-1], GOAL + delta)
-    assert len(within.path(turns, delta)) == len(PATH) and within.unchanged(turns) == 0
-    longer = added.path(turns, delta)
-    np.testing.assert_array_equal(longer[: len(PATH)], PATH)
-    np.testing.assert_allclose(np.diff(longer, axis=0)[-2:], [[0.1, -0.2, 0], [0, 0, 0.001]], atol=1e-12)
-    assert added.unchanged(turns) == len(PATH) - 1 and len(added.path(turns, 0 * delta)) == len(PATH)
-
-
-def test_a_correction_keeps_clear_of_what_stands_beside_the_way() -> None:
-    """A body beside the last leg leaves no room for the leg to be moved: legs of their own at the end do it."""
-    scenario = load_scenario(SCENARIOS / "ventricle.toml")
-    plan = ctrplan.plan(scenario)
-    found = plan.certificate.arrival
-    assert found is not None and found.by_cause.offset_m < TIP_TOLERANCE_M and plan.certificate.min_clearance_m >= 0
-
-
-def test_what_the_first_correction_leaves_is_corrected_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where the first round can make but half of every correction, the second makes half of the rest."""
-    ways = compensation._corrected_ways
-
-    def halves(*given: Any) -> Any:
-        for way in ways(*given):
-            if not way.is_whole:
-                yield way
-                return
-
-    case, turned_last = pair(), np.array([START, [*START[:2], GOAL[2]], GOAL])
-    case = replace(case, goal=replace(case.goal, tolerance_m=4e-3))
-    before = certify(case, turned_last)
-    monkeypatch.setattr(compensation, "_corrected_ways", halves)
-    result = compensate(MotionChecker(case), turned_last, before)
-    found, at_first = result.certificate.arrival, before.arrival
-    assert found is not None and at_first is not None and at_first.by_cause.offset_m > 0.2e-3
-    assert found.by_cause.offset_m < 0.35 * at_first.by_cause.offset_m
-    np.testing.assert_allclose(result.corners[-1] - GOAL, result.compensation.correction, atol=1e-12)
-
-
-def test_a_line_gets_corners_where_friction_takes_the_tip_off_between_them(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A line that begins with a reversal: friction builds up, and the tip does not follow the joints in proportion."""
-    case, corners = pair(), np.linspace(GOAL, GOAL - [0.0, 0.4, 0.01], 3)
-    robot, start = case.robot, [(1.0,)]
-    tips = [robot.solve(*robot.drive.collars(q)).tip_m for q in corners]
-    tips[0] = predict(robot, corners[:1], start).tip_m[0, 0]
-    case = replace(case, start=GOAL, goal=replace(case.goal, tip_m=tips[-1], line_m=np.array(tips)))
-    checker, certificate = MotionChecker(case), certify(case, corners)
-    line, worst = compensation._line(checker, corners), list[float]()
-    for most in (compensation.MOST_INSERTED, 0):
-        monkeypatch.setattr(compensation, "MOST_INSERTED", most)
-        whole, moved = compensation._corrected_line(checker, corners, certificate, start)
-        assert whole.shape == moved.shape and np.array_equal(moved[0], corners[0])
-        fine = np.vstack([np.linspace(a, b, 20) for a, b in itertools.pairwise(moved)])
-        worst.append(float(line.off_m(predict(robot, fine, start).tip_m[0], is_end=False).max()))
-    assert worst[0] < worst[1] / 3
-
-
-def test_what_joints_limits_leave_of_the_offset_is_said() -> None:
-    """The tube that must move on stands at its stop: the rest, and what stops it, are told."""
-    case = pair()
-    joints = [
-        replace(j, lower=min(a, b) - 1e-6, upper=max(a, b) + 1e-6)
-        for j, a, b in zip(case.robot.drive.joints, START, GOAL, strict=True)
-    ]
-    stopped = replace(case, robot=replace(case.robot, drive=replace(case.robot.drive, joints=tuple(joints))))
-    turned_last = np.array([START, [*START[:2], GOAL[2]], GOAL])
-    result = compensate(MotionChecker(stopped), turned_last, certify(stopped, turned_last))
-    found = result.certificate.arrival
-    assert found is not None and found.by_cause.offset_m > TIP_TOLERANCE_M
-    assert result.compensation.note.startswith(f"{found.by_cause.offset_m * 1e3:.2f} mm of the known offset: ")
-    assert "within the joints' limits" in result.compensation.note
-    free = compensate(MotionChecker(case), turned_last, certify(case, turned_last))
-    assert not free.compensation.note
 
 
 INTERVALS = ("[0.3, 0.1]", "[0.2]", "[0.1, 0.2, 0.3]", "[-0.1, 0.2]", "[nan, 0.2]", "[]", "['a', 0.2]")

@@ -24,7 +24,7 @@ def one(states: Array) -> Array:
 
 
 def test_a_term_is_the_integral_along_the_joint_length() -> None:
-    """Of 1 it is the length, whatever the stations; of a value that grows evenly it is that in the middle."""
+    """A term of 1 costs the length, whatever the stations; of a value that grows evenly it is that in the middle."""
     a, b = FREE.start, FREE.goal.joints
     assert b is not None
     terms = [
