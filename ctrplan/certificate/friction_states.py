@@ -28,7 +28,6 @@ LOOK_EVERY = 4  # samples, between which what changes slowly along the path is t
 # all uniform states (1,632 histories, but for a fold, which is a snap).
 UNEVEN_FRICTION_M = 0.05e-3
 TIGHT_M = 0.1e-3  # how much less than the clearance of solved shapes is reported where nothing was found below it
-SAME_BRANCH_M = 0.5e-3  # between bodies of one friction state, walked to and solved from scratch
 # Of bodies that were not solved but interpolated along the path: shares of how much their bending away from the sign
 # corners changes over the samples, of that bending, and once more of it from one mesh to another.
 BEND_CHANGE, BEND_SHARE, BEND_MESH, BEND_SPREAD = 0.5, 0.05, 0.2, 0.03

@@ -19,7 +19,6 @@ from ctrplan.base.long_work import cores
 from ctrplan.certificate.anatomy_distance import AnatomyDistance
 from ctrplan.certificate.friction_states import (
     POINT_SPACING_M,
-    SAME_BRANCH_M,
     CornerShapes,
     corner_states,
     mesh_allowance_m,
@@ -27,6 +26,7 @@ from ctrplan.certificate.friction_states import (
 from ctrplan.certificate.variants import NO_EQUILIBRIUM
 from ctrplan.certificate.walked_piece import Piece, composed, shapes_of
 from ctrplan.errors import CtrplanError
+from ctrplan.mechanics.equilibria import SAME_SHAPE_M
 from ctrplan.mechanics.shapes import Status
 from ctrplan.mechanics.walk import PathDensity, PathSamples
 from ctrplan.motion.checker import path_limits
@@ -96,7 +96,7 @@ def _on_certificate_mesh(
         if not all(at in rows for rows in places):
             continue
         rows = [(walk, of_walk[at]) for walk, of_walk in zip(walks, places, strict=True)]
-        if max(_apart_m(scenario, piece, rows, sample)) > SAME_BRANCH_M:
+        if max(_apart_m(scenario, piece, rows, sample)) > SAME_SHAPE_M:
             continue
         shapes = composed(scenario, rows, piece, sample)
         bodies = shapes.bodies_m

@@ -26,9 +26,10 @@ from numpy.typing import NDArray
 
 from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.base.long_work import cores
-from ctrplan.certificate.friction_states import BEYOND_BOUND_M, SAME_BRANCH_M
+from ctrplan.certificate.friction_states import BEYOND_BOUND_M
 from ctrplan.certificate.walked_piece import Piece
 from ctrplan.errors import InputError, SolverError
+from ctrplan.mechanics.equilibria import SAME_SHAPE_M
 from ctrplan.mechanics.shapes import Status
 from ctrplan.mechanics.walk import PathDensity
 from ctrplan.robot.robot import Robot
@@ -88,7 +89,7 @@ def _other_start(robot: Robot, joints: Array, is_loaded: bool, is_absolute: bool
         away = float(np.linalg.norm(path.position_m[-1] - bound.frictionless.tip_m)) - bound.position_m
         # Where friction is let go of, another branch shows even if it is nearer than the bound.
         apart = float(np.linalg.norm(let_go - bound.frictionless.tip_m))
-        return float(np.nan_to_num(max(away, apart if apart > SAME_BRANCH_M else 0.0)))
+        return float(np.nan_to_num(max(away, apart if apart > SAME_SHAPE_M else 0.0)))
 
     with ThreadPoolExecutor() as pool:
         result = list(pool.map(beyond, approaches))
@@ -206,7 +207,7 @@ def other_equilibrium(robot: Robot, pieces: Sequence[Piece], lengths_mm: Sequenc
 
     with ThreadPoolExecutor(cores()) as pool:
         farthest = max(pool.map(look, enumerate(pieces)), key=lambda other: other.apart_m)
-    return farthest if farthest.apart_m > SAME_BRANCH_M else None
+    return farthest if farthest.apart_m > SAME_SHAPE_M else None
 
 
 def _rows(piece: Piece, length_mm: float) -> list[int]:

@@ -14,9 +14,10 @@ import numpy as np
 
 from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.certificate.certificate import CertificateSamples
-from ctrplan.certificate.friction_states import SAME_BRANCH_M, SPACING_M, bound_allowance_m, mesh_allowance_m
+from ctrplan.certificate.friction_states import SPACING_M, bound_allowance_m, mesh_allowance_m
 from ctrplan.certificate.walked_piece import Piece
 from ctrplan.drive.legs import distance_from_polyline
+from ctrplan.mechanics.equilibria import SAME_SHAPE_M
 from ctrplan.mechanics.shapes import Accuracy
 from ctrplan.mechanics.walk import PathLimits
 from ctrplan.motion.checker import breach, path_limits, shares_in_words
@@ -111,7 +112,7 @@ def problems_of_walk(scenario: Scenario, space: JointSpace, corners: Array, piec
             results.append(f"On {where}: {piece.walks.fault}.")
         elif before is not None and _apart(scenario, before, piece) > BRANCH_TOLERANCE_M:
             results.append(f"On {where}: the shape depends on the way there, several equilibria exist.")
-        if piece.apart_m > SAME_BRANCH_M:
+        if piece.apart_m > SAME_SHAPE_M:
             results.append(f"On {where}: another equilibrium exists for the same joints and friction.")
         if (leap := float(piece.motion_m.max())) > LEAP_M:
             results.append(

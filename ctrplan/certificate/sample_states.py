@@ -26,7 +26,6 @@ from ctrplan.certificate.friction_states import (
     BEND_SHARE,
     BEND_SPREAD,
     POINT_SPACING_M,
-    SAME_BRANCH_M,
     CornerShapes,
     Solved,
     State,
@@ -36,6 +35,7 @@ from ctrplan.certificate.friction_states import (
 )
 from ctrplan.certificate.variants import Point
 from ctrplan.certificate.walked_piece import Piece, filled_radius
+from ctrplan.mechanics.equilibria import SAME_SHAPE_M
 from ctrplan.mechanics.friction import Doubts, bodies_between
 from ctrplan.mechanics.shapes import FrictionBodies
 
@@ -143,7 +143,7 @@ class SampleStates:
                 solved = [Solved(*row) for row in rows]
                 self._solved |= dict(zip(wanted, solved[len(first) :], strict=True))
         states = [self._solved[state] for state in asked]
-        if self.apart_m <= SAME_BRANCH_M:
+        if self.apart_m <= SAME_SHAPE_M:
             return states
         return [replace(one, body_m=np.full_like(one.body_m, np.nan)) for one in states]
 

@@ -54,7 +54,7 @@ STEP_M = 4e-3  # of the integration from the tips, of fourth order: angles are w
 GRID = {1: 12, 2: 12, 3: 6, 4: 6}  # angles along each pair: none of 120 random configurations had one between them
 NEAR_CELLS, DENSER = 1.5, 4  # of the grid, within which the first step has to lead; else so many times as dense
 SAME_RAD = 1e-4  # between angles of one equilibrium
-SAME_TIP_M = 0.5e-3  # between tips of one shape, solved with and without clearance
+SAME_SHAPE_M = 0.5e-3  # between solutions of one shape: walked to or found afresh, with clearance or without
 
 
 @shown
@@ -99,7 +99,7 @@ class Equilibria:
         apart = sorted(
             ((float(np.linalg.norm(shape.tip_m - tip_m)), shape) for shape in self.stable), key=lambda pair: pair[0]
         )
-        return [(distance, shape) for distance, shape in apart[1:] if distance > apart[0][0] + SAME_TIP_M]
+        return [(distance, shape) for distance, shape in apart[1:] if distance > apart[0][0] + SAME_SHAPE_M]
 
     def headline(self) -> str:
         """How many, as it shows itself."""

@@ -35,9 +35,8 @@ from ctrplan.scenario.tip_solver import angle_to, target_in_robot_frame
 from ctrplan.uncertainty.target import TargetPose
 
 ITERATIONS = 8
-ROUNDS = 2  # of corrections, the second of what the first could not certify, a budget
+ROUNDS = 2  # of corrections: of what the first could not certify, and of a line with corners put in; a budget
 LOOKED_AT = 4  # places between corners of a line, a budget
-MOST_INSERTED = 2  # times that corners are put between those of a line, a budget
 CLOSE_M = 0.02e-3  # of the predicted tip to the target; better than histories are simulated
 REFINED = 2  # times that the middle over all coefficients of friction is looked at again, a budget
 DAMPING = 1e-4  # of the least-squares step, in units of (mm per mm) squared
@@ -314,7 +313,7 @@ def _corrected_line(
     reversal friction builds up, and the tip does not follow the joints in proportion.
     """
     moved = _on_line(checker, corners, certificate, starts)
-    for _ in range(MOST_INSERTED):
+    for _ in range(ROUNDS):
         leg, share = _off_between(checker, moved, starts)
         if not len(leg):
             break

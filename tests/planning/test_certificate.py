@@ -18,7 +18,7 @@ from ctrplan.certificate.certify import SimulatedBodies, certify
 from ctrplan.certificate.friction_cube import CubeQuery, Needed, cube_minima
 from ctrplan.certificate.friction_states import (
     POINT_SPACING_M,
-    SAME_BRANCH_M,
+    SAME_SHAPE_M,
     Solved,
     State,
     bound_allowance_m,
@@ -137,7 +137,7 @@ def test_another_equilibrium_of_a_corner_refuses_the_motion(seed: int, number: i
     assert f"{found.apart_m * 1e3:.1f} mm away, reached {way}" in found.sentence
     calm = walk_pieces(resting(AT), space, AT[None], "search", None)
     assert other_equilibrium(ROBOT, calm, [0.0]) is None
-    assert ROBOT.mechanics.corners_apart(*ROBOT.drive.collars(AT)).max() < SAME_BRANCH_M
+    assert ROBOT.mechanics.corners_apart(*ROBOT.drive.collars(AT)).max() < SAME_SHAPE_M
 
 
 def test_a_body_that_curls_back_to_the_plate_is_refused() -> None:

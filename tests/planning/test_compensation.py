@@ -69,8 +69,8 @@ def test_a_line_gets_corners_where_friction_takes_the_tip_off_between_them(monke
     case = replace(case, start=GOAL, goal=replace(case.goal, tip_m=tips[-1], line_m=np.array(tips)))
     checker, certificate = MotionChecker(case), certify(case, corners)
     line, worst = compensation._line(checker, corners), list[float]()
-    for most in (compensation.MOST_INSERTED, 0):
-        monkeypatch.setattr(compensation, "MOST_INSERTED", most)
+    for most in (compensation.ROUNDS, 0):
+        monkeypatch.setattr(compensation, "ROUNDS", most)
         whole, moved = compensation._corrected_line(checker, corners, certificate, start)
         assert whole.shape == moved.shape and np.array_equal(moved[0], corners[0])
         fine = np.vstack([np.linspace(a, b, 20) for a, b in itertools.pairwise(moved)])
