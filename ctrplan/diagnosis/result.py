@@ -93,8 +93,12 @@ class Diagnosis:
 
     @cached_property
     def other_tubes(self) -> list[str]:
-        """Clauses about tubes that are not those of the robot file."""
-        return other_tubes(self.chosen.fit)
+        """Clauses about tubes that are not those of the robot file.
+
+        Where something remains unexplained calibration may have gone there to hide it: then nothing is said of tubes.
+        """
+        is_settled = self.verdict in ("named", "no_missing_effect")
+        return other_tubes(self.chosen.fit) if is_settled else []
 
     @property
     def listed(self) -> tuple[Term, ...]:

@@ -193,6 +193,7 @@ def test_what_is_found_beside_a_rest_and_leaves_none_is_named(monkeypatch: pytes
 def test_the_report_splits_the_gap() -> None:
     page = diagnosis_report_html(partial(), selection_errors(partial()))
     assert "remains, unexplained" in page and "Beside all others" in page and "In part:" in page
+    assert partial().other_tubes == [] and "not the tube of the file" not in page  # calibration hides what remains
     assert "noise of the measurement" in page and "remain (rms, noise taken out)" in page
 
 

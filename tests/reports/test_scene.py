@@ -94,7 +94,8 @@ def test_legs_in_one_direction_end_in_passing(make_plan: Callable[..., Plan]) ->
 
 def test_goal_is_the_tip_asked_for_or_the_last_one(plan: Plan, turned: Plan) -> None:
     np.testing.assert_array_equal(goal_tip(plan), plan.scenario.goal.tip_m)
-    by_joints = replace(turned, scenario=replace(turned.scenario, goal=replace(plan.scenario.goal, tip_m=None)))
+    goal = replace(plan.scenario.goal, tip_m=None, joints=turned.waypoints[-1])
+    by_joints = replace(turned, scenario=replace(turned.scenario, goal=goal))
     np.testing.assert_array_equal(goal_tip(by_joints), tip_path(turned)[-1])
 
 

@@ -173,7 +173,7 @@ def test_a_drive_that_pushes_tubes_through_the_plate_is_refused(tmp_path: Path) 
 @pytest.mark.parametrize(
     ("lines", "words"),
     [
-        ([], ["header"]),
+        ([], ["is empty"]),
         ([HEADER], ["at least one row"]),
         (["theta_1_rad,theta_2_rad,l_1_m", "0,0,0"], ["l_2_m", "missing"]),
         (["theta_1_deg,theta_2_deg,l_1_m,l_2_m", ROWS[0]], ["theta_1_rad", "found theta_1_deg", "rad"]),
