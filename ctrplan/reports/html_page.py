@@ -6,9 +6,13 @@ import base64
 import json
 import math
 import zlib
+from collections.abc import Sequence
 from functools import cache
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from ctrplan.base.package import __version__
 from ctrplan.reports import looks, words
@@ -107,33 +111,48 @@ def script(name: str) -> str:
 
 
 def plot(
-    figure: Any, name: str, *, with_library: bool = False, script: str | None = None, kind: str = "plot"
+    figure: Any,
+    name: str,
+    *,
+    frames: Sequence[dict[str, Any]] = (),
+    with_library: bool = False,
+    script: str | None = None,
+    kind: str = "plot",
 ) -> Markup:
     """A plotly figure in an element called `name`; the first one on a page brings plotly.js with it.
 
-    `script` runs once the figure stands. A figure without a height fills that of `kind`, a class of the style.
-    Texts of the figure must be escaped by whoever made it.
+    `frames` are those of a moving figure, plain objects with arrays. `script` runs once the figure stands. A figure
+    without a height fills that of `kind`, a class of the style. Texts of the figure must be escaped by whoever made it.
     """
     buttons = BUTTONS_3D if "scene" in figure.layout else BUTTONS_2D
     config = json.dumps({"displaylogo": False, "responsive": True, "modeBarButtons": [list(buttons)]})
     height = f"{figure.layout.height}px" if figure.layout.height else "100%"
     place = f'<div id="{name}" class="plotly-graph-div" style="height:{height}; width:100%;"></div>'
-    call = f'drawn("{name}", "{packed(figure.to_json())}", {config}).then(() => {{{script or ""}\n}});'
+    call = f'drawn("{name}", "{packed(_json(figure, frames))}", {config}).then(() => {{{script or ""}\n}});'
     first = f"<script>{_library()}</script>" if with_library else ""
     return Markup(f'<div class="{kind}">{first}{place}<script>{call}</script></div>')
 
 
+def _json(figure: Any, frames: Sequence[dict[str, Any]]) -> str:
+    text: str = figure.to_json()
+    return f'{text[:-1]},"frames":{json.dumps(list(frames), default=_typed_array)}}}' if frames else text
+
+
+def _typed_array(values: NDArray[np.float32]) -> dict[str, str]:
+    """Numbers of single precision as plotly.js reads them."""
+    return {"dtype": "f4", "bdata": base64.b64encode(values.astype("<f4").tobytes()).decode("ascii")}
+
+
 def packed(text: str) -> str:
     """Compressed, in letters and digits: packed.js makes the text of it again."""
-    return base64.b64encode(zlib.compress(text.encode(), 9)).decode("ascii")
+    return base64.b64encode(zlib.compress(text.encode())).decode("ascii")
 
 
 @cache
 def _library() -> str:
     """plotly.js, a third of its size."""
-    from plotly.offline import get_plotlyjs
-
-    return f'{script("packed.js")}\nconst plotly = library("{packed(get_plotlyjs())}");\n'
+    library = (files("plotly") / "package_data" / "plotly.min.js").read_text(encoding="utf-8")
+    return f'{script("packed.js")}\nconst plotly = library("{packed(library)}");\n'
 
 
 @cache

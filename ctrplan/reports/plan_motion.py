@@ -138,6 +138,7 @@ def clearance_section(plan: Plan) -> Markup:
 
 
 SWEPT_OPACITY, SWEPT_TRIANGLES = 0.10, 15_000
+SWEPT_NODES = 150_000  # of a grid about as fine as so many triangles can show
 BOUND_COLOURS = ("#2F6FB0", "#B07AA1", looks.TIP_PATH.colour)  # of the least, half of and the largest worst case
 BOUND_SCALE = [[share, colour] for share, colour in zip((0.0, 0.5, 1.0), BOUND_COLOURS, strict=True)]
 SWATCH = f"linear-gradient(90deg, {', '.join(BOUND_COLOURS)})"
@@ -148,12 +149,28 @@ def scene_figure(scene: PlanScene) -> go.Figure:
 
     What the motion comes to is there and not shown: the pose at the goal, the closest one, the space that is swept.
     """
+    figure = start_figure(scene)
+    figure.frames = motion_frames(scene)
+    return figure
+
+
+def motion_frames(scene: PlanScene) -> list[dict[str, Any]]:
+    """plotly's frames, one a pose, as plain objects: what of the start's first traces changes."""
+    results = []
+    for step in scene.path:
+        line = {"type": "scatter3d", **xyz(_tips_until(scene.plan, step.time_s))}
+        data = [*moved_traces(step), line]
+        results.append({"name": f"{step.time_s:.3f}", "data": data, "traces": list(range(len(data)))})
+    return results
+
+
+def start_figure(scene: PlanScene) -> go.Figure:
+    """The scene before the motion, without frames."""
     plan, path = scene.plan, scene.path
-    names = [f"{step.time_s:.3f}" for step in path]
     moving = [*robot_traces(scene.start), _tip_path(plan, scene.start.time_s)]
     anatomy = [anatomy_surface(part) for part in plan.scenario.anatomy]
     swept = mesh_trace(
-        thinned(swept_surface(path), SWEPT_TRIANGLES),
+        thinned(swept_surface(path, SWEPT_NODES), SWEPT_TRIANGLES),
         looks.ENVELOPE_LOOK.colour,
         SWEPT_OPACITY,
         "space the envelope sweeps",
@@ -162,10 +179,6 @@ def scene_figure(scene: PlanScene) -> go.Figure:
         trace.update(visible=False, meta={"later": True}) for trace in (*_at_goal(scene), *_narrowest(scene), swept)
     ]
     figure = go.Figure([*moving, *_still(scene), *later, *anatomy_traces(plan.scenario, anatomy)])
-    figure.frames = [
-        go.Frame(data=[*moved_traces(step), _tip_path(plan, step.time_s)], traces=list(range(len(moving))), name=name)
-        for step, name in zip(path, names, strict=True)
-    ]
     robots, foot = [step.envelope.surface(4).vertices_m for step in path], stand(plan.scenario).vertices_m
     points = np.concatenate([*robots, foot, goal_tip(plan)[None]])
     solid = np.concatenate([np.empty((0, 3)), *(s.vertices_m for s in anatomy)])
@@ -192,12 +205,10 @@ def _still(scene: PlanScene) -> list[Any]:
 
 def _tip_path(plan: Plan, time_s: float) -> Any:
     """The tip's way without friction up to a time, coloured by the worst case there."""
-    way, bound_mm = tip_path(plan), (plan.certificate.samples.bound_m * 1e3).astype(np.float32)
-    ahead = sample_time_s(plan) > time_s
-    ahead[0] = False  # a line without a point has no place
-    passed, largest = np.where(ahead[:, None], np.nan, way), max(float(np.nanmax(bound_mm)), 1e-6)
+    bound_mm = (plan.certificate.samples.bound_m * 1e3).astype(np.float32)
+    largest = max(float(np.nanmax(bound_mm)), 1e-6)
     return go.Scatter3d(
-        **xyz(passed),
+        **xyz(_tips_until(plan, time_s)),
         mode="lines",
         line={"color": bound_mm, "width": 6, "colorscale": BOUND_SCALE, "cmin": 0, "cmax": largest, "showscale": False},
         name=html.escape(f"{looks.TIP_PATH.name} so far, red where friction may err most"),
@@ -205,6 +216,13 @@ def _tip_path(plan: Plan, time_s: float) -> Any:
         customdata=bound_mm,
         hovertemplate="worst-case friction error %{customdata:.3g} mm<extra></extra>",
     )
+
+
+def _tips_until(plan: Plan, time_s: float) -> Array:
+    """(K, 3) [m] the tip at the certificate's samples, not a number of those that are still ahead."""
+    ahead = sample_time_s(plan) > time_s
+    ahead[0] = False  # a line without a point has no place
+    return np.where(ahead[:, None], np.nan, tip_path(plan))
 
 
 def _goal(plan: Plan) -> list[Any]:
@@ -244,9 +262,9 @@ SHORTEST_FRAME_MS, LONGEST_FRAME_MS = 60, 200  # a motion plays in real time whe
 def shown_motion(scene: PlanScene) -> dict[str, Any]:
     """Scene and player, figures of the first moment, which the player changes, and other ways, this plan first."""
     code = "".join(map(script, SCRIPTS)) + _starting(scene)
-    figure = scene_figure(scene)
+    figure = start_figure(scene)
     return {
-        "scene": plot(figure, "scene", with_library=True, script=code, kind="plot scene"),
+        "scene": plot(figure, "scene", frames=motion_frames(scene), with_library=True, script=code, kind="plot scene"),
         "last": len(scene.path) - 1,
         "start_s": scene.start.time_s,
         "thinned": _thinned(scene, figure),

@@ -54,11 +54,12 @@ def robot_traces(pose: RobotPose) -> list[Any]:
     return [*tubes, envelope, corners]
 
 
-def moved_traces(pose: RobotPose) -> list[Any]:
-    """What of `robot_traces` changes with the pose."""
+def moved_traces(pose: RobotPose) -> list[dict[str, Any]]:
+    """What of `robot_traces` changes with the pose, as plain objects, which plotly need not check 50 times."""
     tubes = [tube_surface(pose, i, SIDES) for i in range(len(pose.tubes))]
     surfaces = [*tubes, pose.envelope.surface(ENVELOPE_SIDES)]
-    return [*(go.Mesh3d(**xyz(surface.vertices_m)) for surface in surfaces), go.Scatter3d(**_corner_lines(pose))]
+    meshes = [{"type": "mesh3d", **xyz(surface.vertices_m)} for surface in surfaces]
+    return [*meshes, {"type": "scatter3d", **_corner_lines(pose)}]
 
 
 def _corner_lines(pose: RobotPose) -> dict[str, Any]:

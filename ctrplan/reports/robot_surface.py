@@ -194,8 +194,8 @@ STRIDE, FAR_CELLS = 4, 8
 SPACING_CELLS = 0.5  # of the spheres that stand for a rod, or thin ones would be beads on a string
 
 
-def swept_surface(poses: Sequence[RobotPose]) -> Surface:
-    """The union of all poses' envelopes, each a row of spheres along its centreline.
+def swept_surface(poses: Sequence[RobotPose], nodes: int = NODES) -> Surface:
+    """The union of all poses' envelopes, each a row of spheres along its centreline, from a grid of so many nodes.
 
     Which sphere a point is deepest in, or nearest to, is asked by its power |x - c|^2 - r^2: that is the nearest
     neighbour among the points (c, sqrt(R^2 - r^2)) in four dimensions, R being the largest radius.
@@ -204,11 +204,11 @@ def swept_surface(poses: Sequence[RobotPose]) -> Surface:
     largest = max(float(rod.radius_m.max()) for rod in rods)
     centres = np.concatenate([rod.centreline_m for rod in rods])
     lower, upper = centres.min(axis=0) - largest - FINEST_M, centres.max(axis=0) + largest + FINEST_M
-    cell = max(FINEST_M, float(np.cbrt((upper - lower).prod() / NODES)))
-    nodes, counts = _grid(lower - cell, upper + cell, cell)
+    cell = max(FINEST_M, float(np.cbrt((upper - lower).prod() / nodes)))
+    places, counts = _grid(lower - cell, upper + cell, cell)
     centres, radii = _spheres(rods, cell)
-    values = _depths(nodes, counts, centres, radii, cell)
-    vertices, faces, *_ = igl.marching_cubes(values, nodes, *counts, 0.0)
+    values = _depths(places, counts, centres, radii, cell)
+    vertices, faces, *_ = igl.marching_cubes(values, places, *counts, 0.0)
     return Surface(
         np.asarray(vertices, dtype=np.float64).reshape(-1, 3), np.asarray(faces, dtype=np.int64).reshape(-1, 3)
     )

@@ -18,7 +18,6 @@ from ctrplan.certificate.certify import SimulatedBodies, certify
 from ctrplan.certificate.friction_cube import CubeQuery, Needed, cube_minima
 from ctrplan.certificate.friction_states import (
     POINT_SPACING_M,
-    SAME_SHAPE_M,
     Solved,
     State,
     bound_allowance_m,
@@ -30,6 +29,7 @@ from ctrplan.certificate.walked_piece import walk_pieces
 from ctrplan.errors import InputError
 from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.files.scenario_file import scenario_from_dict
+from ctrplan.mechanics.equilibria import SAME_SHAPE_M
 from ctrplan.mechanics.shapes import Accuracy
 from ctrplan.motion.play import play_reach, play_shift
 from ctrplan.robot.robot import Robot
