@@ -138,13 +138,44 @@ def _most_probable(
 
 
 @dataclass(frozen=True, eq=False)
-class SizePart:
-    """Sums over one part of the poses' numbers at a size of the discrepancy: a normal system and a likelihood."""
+class SizeSums:
+    """Sums over one part of the poses' numbers at S sizes of the discrepancy: normal systems and likelihoods."""
 
-    size: float
-    H: Array
-    g: Array
-    likelihood: float  # twice the log-likelihood at the priors' centres, up to a constant
+    size: Array  # (S,)
+    H: Array  # (S, P, P)
+    g: Array  # (S, P)
+    likelihood: Array  # (S,) twice the log-likelihood at the priors' centres, up to a constant
+
+    @classmethod
+    def over(cls, fit: Linearised, blocks: Sequence[Numbered], sizes: Array) -> SizeSums:
+        """The sums of the numbers of some blocks; without blocks there is one size, 0, and no sum."""
+        count = len(fit.precision)
+        if not blocks:
+            return cls(np.zeros(1), np.zeros((1, count, count)), np.zeros((1, count)), np.zeros(1))
+        r, J = fit.r.ravel(), fit.J.reshape(fit.r.size, -1)
+        along_r = np.concatenate([(b.vectors.T @ r[numbers]).ravel() for numbers, b in blocks])
+        along_J = np.concatenate(
+            [np.tensordot(b.vectors.T, J[numbers], axes=1).reshape(-1, count) for numbers, b in blocks]
+        )
+        values = np.concatenate([np.repeat(b.values, numbers.shape[1]) for numbers, b in blocks])
+        usual = np.median(values)
+        alike = np.isclose(values, usual, rtol=0, atol=1e-9)  # approaches of one configuration, among them
+        flat, y = along_J[~alike], along_r[~alike]
+        same, of_same = along_J[alike], along_r[alike]
+        weight = 1 / (1 + sizes[:, None] ** 2 * values[~alike])
+        of_all = 1 / (1 + sizes**2 * usual)
+        weighted = (weight[:, :, None] * flat).transpose(0, 2, 1)
+        return cls(
+            sizes,
+            weighted @ flat + of_all[:, None, None] * (same.T @ same),
+            weighted @ y + of_all[:, None] * (same.T @ of_same),
+            np.log(weight).sum(axis=1) - weight @ y**2 + len(of_same) * np.log(of_all) - of_all * (of_same @ of_same),
+        )
+
+    def of(self, columns: Sequence[int]) -> SizeSums:
+        """The sums of some of the parameters."""
+        kept = np.array(columns, dtype=np.int_)
+        return SizeSums(self.size, self.H[:, kept[:, None], kept], self.g[:, kept], self.likelihood)
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,8 +183,8 @@ class Spectrum:
     """A fit in the eigenvectors of the discrepancy's blocks, where its covariance is diagonal: sums at every size."""
 
     precision: Array  # (P,) of the parameters' priors
-    position: Sequence[SizePart]
-    tangent: Sequence[SizePart]
+    position: SizeSums
+    tangent: SizeSums
 
     @classmethod
     def at(cls, fit: Linearised, blocks: Sequence[Block]) -> Spectrum:
@@ -168,56 +199,37 @@ class Spectrum:
         fit: Linearised,
         position: Sequence[Numbered],
         tangent: Sequence[Numbered],
-        sizes: tuple[Sequence[float], Sequence[float]] = (SIZES.tolist(), SIZES.tolist()),
+        sizes: tuple[Array, Array] = (SIZES, SIZES),
     ) -> Spectrum:
         """The linearised fit whose positions and tangents have blocks of their own; sizes: those required, of each."""
-        return cls(fit.precision, cls._parts(fit, position, sizes[0]), cls._parts(fit, tangent, sizes[1]))
+        return cls(fit.precision, SizeSums.over(fit, position, sizes[0]), SizeSums.over(fit, tangent, sizes[1]))
 
     def of(self, columns: Sequence[int]) -> Spectrum:
         """The linearised fit in some of the parameters, the others being where they do nothing."""
-        kept = np.ix_(columns, columns)
-        parts = [
-            [replace(one, H=one.H[kept], g=one.g[columns]) for one in which] for which in (self.position, self.tangent)
-        ]
-        return Spectrum(self.precision[columns], *parts)
-
-    @staticmethod
-    def _parts(fit: Linearised, blocks: Sequence[Numbered], sizes: Sequence[float]) -> list[SizePart]:
-        if not blocks:
-            return [SizePart(0.0, np.zeros((len(fit.precision),) * 2), np.zeros(len(fit.precision)), 0.0)]
-        r, J = fit.r.ravel(), fit.J.reshape(fit.r.size, -1)
-        along_r = np.concatenate([(b.vectors.T @ r[numbers]).ravel() for numbers, b in blocks])
-        along_J = np.concatenate(
-            [np.tensordot(b.vectors.T, J[numbers], axes=1).reshape(-1, J.shape[1]) for numbers, b in blocks]
-        )
-        values = np.concatenate([np.repeat(b.values, numbers.shape[1]) for numbers, b in blocks])
-        alike = np.isclose(values, np.median(values), rtol=0, atol=1e-9)  # approaches of one configuration, among them
-        flat, y = along_J[~alike], along_r[~alike]
-        same, of_same = along_J[alike], along_r[alike]
-        H, g, square = same.T @ same, same.T @ of_same, float(of_same @ of_same)
-        results = []
-        for size in sizes:
-            weight = 1 / (1 + size**2 * values[~alike])
-            weighted, one = flat * weight[:, None], float(1 / (1 + size**2 * np.median(values)))
-            fits = float(np.log(weight).sum() - weight @ y**2) + len(of_same) * np.log(one) - one * square
-            results.append(SizePart(size, weighted.T @ flat + one * H, weighted.T @ y + one * g, fits))
-        return results
+        return Spectrum(self.precision[columns], self.position.of(columns), self.tangent.of(columns))
 
     def highest(self) -> tuple[float, float, float]:
         """The highest evidence, and the sizes of position and tangent that it has: one by one, until both stay."""
-        position, tangent = self.position[0], self.tangent[0]
+        position, tangent = 0, 0
         while True:
-            better = max(self.position, key=lambda part: self.evidence(part, tangent))
-            best = max(self.tangent, key=lambda part: self.evidence(better, part))
-            if better is position and best is tangent:
-                return self.evidence(position, tangent), position.size, tangent.size
+            better = int(self._evidences(slice(None), tangent).argmax())
+            evidences = self._evidences(better, slice(None))
+            best = int(evidences.argmax())
+            if better == position and best == tangent:
+                return float(evidences[best]), float(self.position.size[position]), float(self.tangent.size[tangent])
             position, tangent = better, best
 
-    def evidence(self, position: SizePart, tangent: SizePart) -> float:
-        """Twice the logarithm of it, up to a constant."""
-        scale = 1 / np.sqrt(self.precision)
-        H = (position.H + tangent.H) * np.outer(scale, scale) + np.eye(len(scale))
+    @property
+    def without_error(self) -> float:
+        """Twice the logarithm of the evidence beside noise alone, up to a constant."""
+        return float(self._evidences(slice(0, 1), 0)[0])
+
+    def _evidences(self, position: int | slice, tangent: int | slice) -> Array:
+        """(S,) twice their logarithms, up to a constant: all sizes of the one beside a size of the other."""
+        first, second, scale = self.position, self.tangent, 1 / np.sqrt(self.precision)
+        H = (first.H[position] + second.H[tangent]) * np.outer(scale, scale) + np.eye(len(scale))
         factor = np.linalg.cholesky(H)
-        z = np.linalg.solve(factor, scale * (position.g + tangent.g))
-        gained = float(z @ z - 2 * np.log(np.diag(factor)).sum())
-        return position.likelihood + tangent.likelihood + gained
+        z = np.linalg.solve(factor, ((first.g[position] + second.g[tangent]) * scale)[..., None])[..., 0]
+        volume = np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(axis=-1)
+        evidences: Array = first.likelihood[position] + second.likelihood[tangent] + (z**2).sum(axis=-1) - 2 * volume
+        return evidences

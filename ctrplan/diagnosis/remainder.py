@@ -29,7 +29,6 @@ from ctrplan.calibration.discrepancy import (
     Discrepancy,
     Linearised,
     Numbered,
-    SizePart,
     Spectrum,
     block_of,
     decay,
@@ -247,10 +246,9 @@ class SmoothError:
         """The spectrum of a fit of these poses beside the error, at every size."""
         return Spectrum.apart(fit, self.position, self.tangent)
 
-    def at(self, fit: Linearised, position: float, tangent: float) -> tuple[SizePart, SizePart]:
+    def at(self, fit: Linearised, position: float, tangent: float) -> Spectrum:
         """The fit beside the error at one size of each, over the noise."""
-        spectrum = Spectrum.apart(fit, self.position, self.tangent, ([position], [tangent]))
-        return spectrum.position[0], spectrum.tangent[0]
+        return Spectrum.apart(fit, self.position, self.tangent, (np.array([position]), np.array([tangent])))
 
 
 def at_rest(data: Measurements, share: float, axes: Array) -> list[SmoothError]:

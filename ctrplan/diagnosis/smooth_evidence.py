@@ -90,7 +90,7 @@ class SmoothEvidence:
         some, result = self._only(self._columns(self._among)), []
         for error in self._errors:
             spectrum = error.spectrum(some)
-            result.append((spectrum.highest()[0] - spectrum.evidence(spectrum.position[0], spectrum.tangent[0]), error))
+            result.append((spectrum.highest()[0] - spectrum.without_error, error))
         value, error = max(result, key=lambda one: one[0])
         return value / 2, error
 
@@ -161,10 +161,10 @@ class SmoothEvidence:
 
     def _beside(self, probable: _Probable, rest: Sequence[Term], variants: Sequence[Term]) -> list[Gain]:
         """Gains of variants with one covariance."""
-        position, tangent = probable.error.at(self._fit, probable.position, probable.tangent)
+        at = probable.error.at(self._fit, probable.position, probable.tangent)
         scale = 1 / np.sqrt(self._fit.precision)
-        H = (position.H + tangent.H) * np.outer(scale, scale) + np.eye(len(scale))
-        g = (position.g + tangent.g) * scale
+        H = (at.position.H[0] + at.tangent.H[0]) * np.outer(scale, scale) + np.eye(len(scale))
+        g = (at.position.g[0] + at.tangent.g[0]) * scale
         plain = _evidence(H, g, self._columns(rest))
         return [Gain(t, _evidence(H, g, self._columns([*rest, t])) - plain) for t in variants]
 

@@ -11,7 +11,7 @@ from measured_data import SIGMA_M, SIGMA_RAD, measured, pair_robot, waypoints
 from scipy.stats import multivariate_normal
 
 from ctrplan.base.arrays import Array
-from ctrplan.calibration.discrepancy import Linearised, Spectrum, block_of, shared
+from ctrplan.calibration.discrepancy import SIZES, Linearised, Spectrum, block_of, shared
 from ctrplan.calibration.residuals import Noise
 from ctrplan.diagnosis import CATALOGUE, smooth_evidence
 from ctrplan.diagnosis import partial_diagnosis as rules
@@ -127,12 +127,14 @@ def test_evidence_is_the_density_of_the_measurements() -> None:
     block = (block_of(np.arange(6), shared(6, 0.8)),)
     some = [0, 2]
     spectrum = Spectrum.at(whole, block).of(some)
-    position, tangent = spectrum.position[7], spectrum.tangent[4]
-    other = spectrum.position[12]
-    for a, b in ((position, other), (other, position)):
-        difference = spectrum.evidence(a, tangent) - spectrum.evidence(b, tangent)
-        dense = [log_density(r, J[:, :, some], precision[some], one.size, tangent.size) for one in (a, b)]
-        assert difference / 2 == pytest.approx(dense[0] - dense[1], rel=1e-9)
+    dense = [
+        [log_density(r, J[:, :, some], precision[some], a, b) for b in SIZES[::8].tolist()] for a in SIZES[::8].tolist()
+    ]
+    ours = np.stack([spectrum._evidences(slice(None, None, 8), k) for k in range(0, len(SIZES), 8)], axis=1) / 2
+    np.testing.assert_allclose(ours - ours[0, 0], np.array(dense) - dense[0][0], rtol=1e-9, atol=1e-9)
+    value, position, tangent = spectrum.highest()
+    assert value / 2 >= ours.max() and {position, tangent} <= set(SIZES.tolist())
+    assert spectrum.without_error / 2 == pytest.approx(ours[0, 0])
 
 
 def test_some_parameters_of_a_spectrum_are_a_spectrum_of_their_own() -> None:
