@@ -78,13 +78,13 @@ def localise(
     joints = (joints - joints.mean(axis=0)) / np.maximum(joints.std(axis=0), TINY)
     own = {*data.more, "time"}  # quantities that are none of the robot's
     ways = [
-        (_quarters(values), order[:0] if name in own and _likeness(joints[order]) > IN_ORDER else order)
+        (_quarters(values), order[:0] if name in own and _likeness(joints[None, order])[0] > IN_ORDER else order)
         for name, values in known.items()
         for order in [_in_order(values)]
     ]
     rng = np.random.default_rng(SEED)
-    observed = _shares(r, ways)
-    chance = np.array([_shares(moved, ways) for moved in _shuffles(r, group, rng)])
+    (observed,) = _shares(r[None], ways)
+    chance = _shares(_shuffles(r, group, rng), ways)
     middle, spread = chance.mean(axis=0), np.maximum(chance.std(axis=0), 1e-12)
     z = ((observed - middle) / spread).max(axis=1)
     highest = ((chance - middle) / spread).max(axis=(1, 2))
@@ -95,7 +95,7 @@ def localise(
     ]
     order = np.argsort(-beyond)
     ranked = tuple(trends[k] for k in order)
-    between = _share(r, np.unique(group, return_inverse=True)[1])
+    between = float(_share(r[None], np.unique(group, return_inverse=True)[1])[0])
     rms_m = float(np.sqrt(np.mean(error_m**2)))
     return Place(ranked, _sentence(opening, ranked, known, error_m, floor_m, between), between, rms_m)
 
@@ -153,24 +153,30 @@ def _in_order(values: Array) -> NDArray[np.intp]:
 
 
 def _shares(r: Array, ways: Sequence[tuple[NDArray[np.int_], NDArray[np.intp]]]) -> Array:
-    """(Q, 2) of the sum of squares, what means over quarters of each quantity explain, and what neighbours do.
+    """(D, Q, 2) of the sum of squares, what means over quarters of each quantity explain, and what neighbours do.
 
-    Neighbours in the order of a quantity are alike where errors depend on it smoothly, in whatever way: up and down
-    again as well, which leaves the means of quarters alike.
+    r (D, K, 5): residuals in D orders. Neighbours in the order of a quantity are alike where errors depend on it
+    smoothly, in whatever way: up and down again as well, which leaves the means of quarters alike.
     """
-    return np.array([[_share(r, part), _likeness(r[order])] for part, order in ways])
+    return np.stack([np.stack([_share(r, part), _likeness(r[:, order])], axis=1) for part, order in ways], axis=1)
 
 
-def _likeness(r: Array) -> float:
-    """Correlation of neighbours (G, 5), by von Neumann's ratio."""
-    return float(1 - (np.diff(r, axis=0) ** 2).sum() / max(2 * (r**2).sum(), 1e-12)) if len(r) > 1 else 0.0
+def _likeness(r: Array) -> Array:
+    """(D,) correlations of neighbours (D, G, 5), by von Neumann's ratio."""
+    if r.shape[1] < 2:
+        return np.zeros(len(r))
+    apart, square = (np.diff(r, axis=1) ** 2).sum(axis=(1, 2)), (r**2).sum(axis=(1, 2))
+    alike: Array = 1 - apart / np.maximum(2 * square, 1e-12)
+    return alike
 
 
-def _share(r: Array, part: NDArray[np.int_]) -> float:
-    """The share of the sum of squares that means over classes explain."""
-    count = np.bincount(part)
-    means = np.stack([np.bincount(part, weights=column) for column in r.T], axis=1)
-    return float((means**2 / np.maximum(count, 1)[:, None]).sum() / max((r**2).sum(), 1e-12))
+def _share(r: Array, part: NDArray[np.int_]) -> Array:
+    """(D,) shares of the sum of squares of residuals (D, K, 5) that means over classes (K,) explain."""
+    members = part == np.arange(part.max() + 1)[:, None]
+    sums = members.astype(float) @ r
+    explained = (sums**2 / np.maximum(members.sum(axis=1), 1)[:, None]).sum(axis=(1, 2))
+    share: Array = explained / np.maximum((r**2).sum(axis=(1, 2)), 1e-12)
+    return share
 
 
 def _bounded(r: Array) -> Array:
@@ -181,14 +187,10 @@ def _bounded(r: Array) -> Array:
     return bounded
 
 
-def _shuffles(r: Array, group: NDArray[np.int_], rng: np.random.Generator) -> list[Array]:
-    """Residuals with whole configurations exchanged and approaches exchanged inside them."""
+def _shuffles(r: Array, group: NDArray[np.int_], rng: np.random.Generator) -> Array:
+    """Residuals (PERMUTATIONS, K, 5) with whole configurations exchanged and approaches exchanged inside them."""
     numbers = [np.flatnonzero(group == number) for number in np.unique(group)]
-    shuffled = []
-    for _ in range(PERMUTATIONS):
-        order = np.concatenate([rng.permutation(numbers[k]) for k in rng.permutation(len(numbers))])
-        places = np.concatenate(numbers)
-        moved = np.empty_like(r)
-        moved[places] = r[order]
-        shuffled.append(moved)
+    places, shuffled = np.concatenate(numbers), np.empty((PERMUTATIONS, *r.shape))
+    for moved in shuffled:
+        moved[places] = r[np.concatenate([rng.permutation(numbers[k]) for k in rng.permutation(len(numbers))])]
     return shuffled

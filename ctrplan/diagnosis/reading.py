@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import combinations, permutations, product
 from typing import Any
 
@@ -315,6 +315,7 @@ class _File:
     data: Measurements
     kept: NDArray[np.int_]
     done: tuple[_Again, ...]
+    solved: dict[tuple[bytes, bytes], Array] = field(default_factory=dict)  # tips of the robot as the file has it
 
     def pairs(self, one: _Again) -> tuple[Array, Array]:
         """(M, 3) [m] measured and predicted tips, read in one more way, where there is an equilibrium."""
@@ -330,11 +331,20 @@ class _File:
         theta_b, l_b = joints if data.of_collars else read.collars(*joints)
         inside = nested(read, l_b)
         try:
-            model, _, _ = read.mechanics.tips(theta_b, inside)
+            model = self._tips(read, theta_b, inside)
         except InputError:  # no tube stands there
             return position[:0], position[:0]
         good = np.isfinite(model).all(axis=1) & (np.abs(l_b - inside).max(axis=1) < REGISTERED_M)
         return position[kept][good], model[good]
+
+    def _tips(self, read: Robot, theta_b: Array, l_b: Array) -> Array:
+        """(K, 3) [m]; those of the robot as the file has it once for all readings that leave its joints alone."""
+        key = theta_b.tobytes(), l_b.tobytes()
+        if read is not self.robot:
+            return read.mechanics.tips(theta_b, l_b)[0]
+        if key not in self.solved:
+            self.solved[key] = read.mechanics.tips(theta_b, l_b)[0]
+        return self.solved[key]
 
     def rms_m(self, one: _Again) -> float:
         """Distance [mm] of the tips from the measured ones; infinite where most poses have no equilibrium."""
