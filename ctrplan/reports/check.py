@@ -342,7 +342,7 @@ def _of_plan(plan: WrittenPlan) -> Check:
         plan.scenario.name,
         "plan",
         tuple(lines),
-        scenario.flags,
+        (*plan.warnings, *scenario.flags),
         scenario.notes,
         scenario.facts,
         scenario.robot,
