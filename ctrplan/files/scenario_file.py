@@ -13,8 +13,8 @@ import msgspec
 import numpy as np
 from msgspec import Meta, Struct
 
-from ctrplan.anatomy.image import images_kept
 from ctrplan.anatomy.parts import AnatomyPart
+from ctrplan.anatomy.structure import images_kept
 from ctrplan.base.arrays import MOST_TURNS_DEG, Array, read_only, shortest_rotation, unit
 from ctrplan.drive.drive import Joint
 from ctrplan.errors import InputError

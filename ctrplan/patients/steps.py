@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from ctrplan.anatomy.image import images_kept
 from ctrplan.anatomy.patient_frame import Frame
 from ctrplan.anatomy.shape import Role
+from ctrplan.anatomy.structure import images_kept
 from ctrplan.base.arrays import MM_PER_M, Array, shortest_rotation
 from ctrplan.errors import InputError, NoAnswerError
 from ctrplan.files.file_content import content_at
