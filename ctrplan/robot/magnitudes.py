@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from ctrplan.base.arrays import are_radians
+from ctrplan.base.arrays import are_degrees, are_radians
 from ctrplan.drive.drive import UNITS
 from ctrplan.robot.robot import diametral_gap_m
 
@@ -38,6 +38,7 @@ TANGENT_NOISE = 0.02, 30.0, 0.1, 10.0  # deg, likewise; the last two are those o
 FINE_TURN = 0.005, 5.0, 0.01, 2.0  # deg within which a drive follows, likewise
 FINE_WAY_M = 5e-7, 1e-3, 1e-6, 5e-4  # m, likewise
 MOST_FRICTION = 1.0  # of dry metal on metal
+WRITTEN = 9  # digits behind the point that a change of units leaves as they were
 WRITTEN_M = 1e-6  # to which diameters and clearances are written
 ONCE_S = 0.5, 300.0  # a drive takes for a whole turn, or for the length of the robot, at full speed
 SPEED: dict[str, tuple[float, float]] = {"rotation": (5.0, 360.0), "translation": (1.0, 50.0)}  # deg/s, mm/s, usual
@@ -241,6 +242,8 @@ def _drive_doubts(robot: Robot) -> Iterator[Doubt]:
     longest, drive = reach_m(robot), robot.drive
     if are_radians(np.degrees(drive.home_theta_rad)):
         yield Doubt(("home", "theta_deg"), "are whole parts of a turn in radians: are they in radians?")
+    if are_degrees(np.round(drive.home_theta_rad, WRITTEN)):
+        yield Doubt(("home", "theta_deg"), "are whole numbers of radians: are they degrees given for radians?")
     moved = float(np.abs(drive.home_l_m).max())
     if 0 < moved < TRAVEL / 10 * longest and likely_unit(moved, "mm", 0.05 * longest, longest) == "m":
         yield Doubt(("home", "l_mm"), f"moves bases by {moved * 1e3:.3g} mm at most: are these in metres?")
@@ -260,6 +263,9 @@ def _drive_doubts(robot: Robot) -> Iterator[Doubt]:
             yield Doubt(("joint", k, "moves"), f"{rule}: are these m per m?")
         if joint.kind == "rotation" and are_radians(np.degrees([low, high])):
             yield Doubt(("joint", k), f"turns by {math.degrees(span):.4g} deg: are its limits in radians?")
+        if joint.kind == "rotation" and are_degrees(np.round([low, high], WRITTEN)):
+            rule = f"turns by {math.degrees(span):.4g} deg: are its limits degrees given for radians?"
+            yield Doubt(("joint", k), rule)
 
 
 ANGLES = {"radians": 180 / math.pi, "arcminutes": 1 / 60}  # deg
@@ -277,6 +283,9 @@ def _rate_doubts(robot: Robot) -> Iterator[Doubt]:
         for n, name in enumerate(("velocity", "acceleration", "jerk")):
             key = ("joint", k, f"max_{name}_{unit}_s{'' if n == 0 else n + 1}")
             readings = {words: rates[n] * factor for words, factor in (said[n], minutes[n])}
+            in_code = rates[n] / other[1]  # of a number that was said in the file's unit to code, which has SI
+            if float(f"{in_code:.4g}") == float(f"{in_code:.9g}"):
+                readings[f"{unit}/s{('', '^2', '^3')[n]} given for {said[n][0]}"] = in_code
             doubt = _speed_doubt(robot, joint, readings, rates) if n == 0 else _rise_doubt(rates, n, readings)
             if doubt:
                 yield Doubt(key, doubt)

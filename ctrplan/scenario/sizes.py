@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ctrplan.anatomy.parts import AnatomyPart
-from ctrplan.base.arrays import Array, are_radians
+from ctrplan.base.arrays import Array, are_degrees, are_radians
 from ctrplan.robot.magnitudes import IN_WORDS, UNITS_M, reach_m
 from ctrplan.robot.robot import Robot
 
@@ -68,6 +68,9 @@ def joint_doubts(robot: Robot, values: Mapping[str, object]) -> Iterator[tuple[s
     if are_radians(angles.values()):
         rule = "is a whole part of a turn in radians, as its neighbours are: are these in radians?"
         yield next(iter(angles)), SizeDoubt("rad", rule, False)
+    if are_degrees(np.round(np.radians(list(angles.values())), 9)):
+        rule = "is a whole number of radians, as its neighbours are: are these degrees given for radians?"
+        yield next(iter(angles)), SizeDoubt("deg", rule, False)
     ways = {name: x for name, x in given.items() if joints[name].kind == "translation" and x}
     most, length = max(map(abs, ways.values()), default=0.0), reach_m(robot)
     if 0 < most * UNITS_M["mm"] < NEAR / 10 * length and PLAUSIBLE[0] * length <= most <= length:

@@ -360,3 +360,39 @@ def test_tolerances_and_margins_of_a_scenario_by_what_they_would_mean(said: str,
     flags = ctrplan.check(scenario).flags
     assert len(told) == len(flags) == bool(phrase)
     assert all(re.search(phrase, text) for text in (*told, *flags))
+
+
+@pytest.mark.parametrize(
+    ("joint", "change", "phrase"),
+    [
+        (
+            0,
+            {"max_velocity": 60.0},
+            r"max_velocity_deg_s = 3437.7.* turn: is it in deg/min or deg/s given for rad/s\?",
+        ),
+        (
+            3,
+            {"max_velocity": 10.0},
+            r"max_velocity_mm_s = 10000.0 mm/s: takes 0.027 s .*: is it in mm/s given for m/s\?",
+        ),
+        (
+            3,
+            {"max_acceleration": 50.0},
+            r"max_acceleration_mm_s2 = 50000.0 .*: is it in mm/min\^2 or mm/s\^2 given for m/s\^2\?",
+        ),
+        (0, {"lower": -180.0, "upper": 180.0}, r"turns by 2.063e\+04 deg: are its limits degrees given for radians\?"),
+    ],
+)
+def test_units_of_files_given_in_code_are_named(joint: int, change: dict[str, float], phrase: str) -> None:
+    robot = load_robot(THREE)
+    joints = list(robot.drive.joints)
+    joints[joint] = replace(joints[joint], **change)
+    with pytest.warns(UserWarning, match=phrase):
+        robot.with_(drive=replace(robot.drive, joints=tuple(joints)))
+
+
+def test_a_start_in_degrees_given_in_code_is_named() -> None:
+    scenario = load_scenario(SCENARIOS / "vessel.toml")
+    start = np.array([0.0, 90.0, -60.0, scenario.start[3]])
+    with pytest.warns(UserWarning, match=r"start.rotate middle = 5156.6.*: are these degrees given for radians\?"):
+        scenario.with_(start=start)
