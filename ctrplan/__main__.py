@@ -1,4 +1,4 @@
-"""`python -m ctrplan`: the command line where the command itself is not on the path."""
+"""Where `python -m ctrplan` begins."""
 
 import sys
 

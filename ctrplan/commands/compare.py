@@ -49,7 +49,7 @@ def run(arguments: argparse.Namespace) -> int:
     folder = output_folder(arguments.output, OUTPUTS) if arguments.output is not None else None
     names = arguments.first, arguments.second
     first, second = (load_plan(name, allow_outside=arguments.allow_outside) for name in names)
-    warn([*first.warnings, *second.warnings])
+    warn(dict.fromkeys((*first.warnings, *second.warnings)))
     rows = compared(first, second)
     if arguments.json:
         print(json.dumps({title: {"a": a, "b": b, "unit": unit} for title, a, b, unit in rows}, indent=1))
