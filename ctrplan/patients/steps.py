@@ -408,6 +408,8 @@ class SlicerStep(CaseStep):
 
         folder = output_folder(str(work.file(SLICER)), [SCENE])
         written = load_plan(work.file(f"{PLAN}/plan.json"), work.scenario(PLACED))
+        for warning in written.warnings:
+            work.note(warning)
         motion = written_motion(written, STEPS, lambda share: work.progress("solving", share))
         said = work.request.get("frame") if written.scenario.frame is None else None  # of a scenario that people wrote
         files = case_files(motion, patient_frame(written.scenario, said))

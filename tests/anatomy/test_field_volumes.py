@@ -386,6 +386,10 @@ def test_a_meta_image_that_says_a_place_twice_is_refused(keys: Any, phrase: str,
         read_image(mha(tmp_path / "a.mha", **keys))
 
 
+def test_remarks_may_be_repeated(tmp_path: Path) -> None:
+    check(read_image(mha(tmp_path / "a.mha", Comment="one", comment="another")), TURNED)
+
+
 def test_what_a_meta_image_says_twice_alike_is_read(tmp_path: Path) -> None:
     place = " ".join(map(repr, (TURNED * AFFINE[:, 3]).tolist()))
     image = read_image(mha(tmp_path / "a.mha", Position=place, CenterOfRotation="0 0 0", AnatomicalOrientation="LPI"))
