@@ -101,6 +101,12 @@ def robot_doubts(robot: Robot) -> Iterator[Doubt]:
             yield Doubt(("measurement", "position_sigma_mm"), f"is no noise of a tracker{_asked(units)}")
         if (turned := robot.measurement.tangent_sigma_rad) is not None:
             yield from _small("tangent_sigma_deg", "measurement", math.degrees(turned), TANGENT_NOISE, ANGLES)
+    for k, marker in enumerate(robot.markers):
+        if 0 < marker.distance_m < OUTER_M[0] and (
+            units := _likely_units(marker.distance_m, "mm", 1e-3, reach_m(robot))
+        ):
+            rule = f"is less than the thinnest tube is wide{_asked(units[:1])}"
+            yield Doubt(("marker", k, f"from_{marker.end}_mm"), rule)
     if robot.model_error_m > 0.1 * reach_m(robot):
         rule = f"is more than a tenth of the robot's {reach_m(robot) * 1e3:.3g} mm"
         yield Doubt(("model_error_mm",), rule + _asked(_likely_units(robot.model_error_m, "mm", 0, 0.01)))
@@ -159,13 +165,20 @@ def _stiffness_doubts(tube: Tube, i: int) -> Iterator[Doubt]:
 
 
 def _radii_doubt(robot: Robot) -> list[Doubt]:
-    """Of diameters that are radii every tube is sixteen times as stiff as one of its size and usual metal."""
+    """Of diameters that are radii a tube is sixteen times as stiff as one of its size and usual metal.
+
+    Thin walls may be so by rounding: it counts where all tubes are, or where one has room to be twice as wide.
+    """
     implied = [implied_young_Pa(tube) for tube in robot.tubes]
-    if not all(any(low <= young / 16 <= high for low, high in METALS_PA) for young in implied):
-        return []
-    said = ", ".join(f"{young:.3g}" for young in implied)
-    rule = f"makes Young's moduli of {said} Pa with the stiffnesses of the tubes, sixteen times those of usual metals"
-    return [Doubt(("tube", 0, "outer_diameter_mm"), f"{rule}: are these radii?")]
+    stiff = [i for i, young in enumerate(implied) if any(low <= young / 16 <= high for low, high in METALS_PA)]
+    if len(stiff) == robot.n:
+        said = f"makes Young's moduli of {', '.join(f'{young:.3g}' for young in implied)} Pa"
+        stiff = [0]
+    else:
+        stiff = [i for i in stiff if i and 2 * robot.tubes[i].outer_diameter_m < robot.tubes[i - 1].inner_diameter_m]
+        said = f"makes a Young's modulus of {implied[stiff[0]]:.3g} Pa" if stiff else ""
+    rule = f"{said}, sixteen times that of a usual metal: are these radii?"
+    return [Doubt(("tube", i, "outer_diameter_mm"), rule) for i in stiff[:1]]
 
 
 def _contact_doubts(robot: Robot, i: int, are_diameters: bool) -> Iterator[Doubt]:

@@ -57,7 +57,7 @@ def test_no_shipped_scenario_is_in_doubt(file: Path) -> None:
         (
             "tube.1.outer_diameter_mm=1.32;tube.1.inner_diameter_mm=1.195;tube.2.outer_diameter_mm=1.155;"
             "tube.2.inner_diameter_mm=0.975;tube.3.outer_diameter_mm=0.91;tube.3.inner_diameter_mm=0.8",
-            r"outer_diameter_mm = 1.32 mm: makes Young's moduli of 1.04e\+12, 1.18e\+12, .* Pa .*: are these radii\?",
+            r"outer_diameter_mm = 1.32 mm: makes Young's moduli of 1.04e\+12, 1.18e\+12, .* Pa.*: are these radii\?",
         ),
         (
             "contact.1.clearance_mm=0.085",
