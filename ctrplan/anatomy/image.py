@@ -1,4 +1,4 @@
-"""A volume, kept while several structures need it, and what the header of its file says where readers do not.
+"""A volume, and what the header of its file says where readers do not.
 
 That is frame, units, spacing, place and scaling. A reader fills in what a file leaves open (a spacing of 1 mm, an
 origin of 0, axes along the patient's) and passes over what it does not know (centimetres, a scaling of the values).
@@ -14,9 +14,8 @@ import re
 import tempfile
 import zlib
 from codecs import BOM_UTF8
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
-from contextvars import ContextVar
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any, NamedTuple
@@ -77,38 +76,6 @@ class Image:
     def voxel_mm3(self) -> float:
         """Volume of a voxel."""
         return float(np.prod(self.spacing_m * MM_PER_M))
-
-
-MOST_KEPT_BYTES = 600_000_000  # of voxels that are kept; what was read last stays
-Key = tuple[Path, int, int]  # with size and time of writing
-_KEPT: ContextVar[dict[Key, Image] | None] = ContextVar("kept", default=None)
-
-
-@contextmanager
-def images_kept() -> Iterator[None]:
-    """Within it an image that was read is not read again, unless its file has changed or others took its room."""
-    if _KEPT.get() is not None:
-        yield
-        return
-    before = _KEPT.set({})
-    try:
-        yield
-    finally:
-        _KEPT.reset(before)
-
-
-def image_of(path: Path, read: Callable[[Path], Image]) -> Image:
-    """The image of a file, read where it is not kept. Raises what `read` does."""
-    images = _KEPT.get()
-    if images is None:
-        return read(path)
-    told = path.stat()
-    key = (path.resolve(), told.st_size, told.st_mtime_ns)
-    if key not in images:
-        images[key] = read(path)
-        while len(images) > 1 and sum(image.voxels.nbytes for image in images.values()) > MOST_KEPT_BYTES:
-            del images[next(iter(images))]
-    return images[key]
 
 
 HEADER_BYTES, PIECE, LARGEST_SIZE = 1 << 16, 1 << 24, 1 << 40
@@ -260,7 +227,10 @@ def _fields(head: bytes, mark: str) -> dict[str, str]:
     for line in text.split("\n"):
         name, there, value = line.strip().partition(mark)
         if there and not name.startswith("#") and not (mark == ":" and value.startswith("=")):
-            results[name.strip().lower()] = value.strip()
+            key = name.strip().lower()
+            first = results.setdefault(key, value.strip())
+            if mark == "=" and key != "comment" and first.split() != value.split():  # NRRD's reader refuses it itself
+                raise ImageRefusal(f"says {name.strip()} twice, and differently: leave the wrong line out")
     return results
 
 
@@ -336,31 +306,30 @@ def check_length(there: int, due: int, slices: int, keys: tuple[str, ...]) -> No
 
 def _numbers(fields: Mapping[str, str], key: str, count: int | None = None) -> Array:
     """Finite numbers of a field. Raises ImageRefusal that names it."""
-    said = fields.get(key.lower(), "")
-    try:
+    said, result = fields.get(key.lower(), ""), np.array([np.nan])
+    with suppress(ValueError):
         result = np.array(said.split(), dtype=np.float64)
-    except ValueError:
-        result = np.array([np.nan])
     if not len(result) or not np.isfinite(result).all() or count not in (None, len(result)):
         rule = f"must be {count or ''}{' ' if count else ''}numbers with a decimal point, and blanks between them"
         raise ImageRefusal(f"says {key} = {said[:60]}: {rule}")
     return result
 
 
-def _nrrd(fields: dict[str, str]) -> Header:
-    if "space directions" not in fields and "spacings" not in fields:
+OTHER_NAMES = {name.replace(" ", ""): name for name in ("axis mins", "axis maxs", "old min", "old max")}
+OTHER_NAMES["centers"] = "centerings"
+
+
+def _nrrd(said: dict[str, str]) -> Header:
+    fields = {OTHER_NAMES.get(name, name): value for name, value in said.items()}
+    if not {"space directions", "spacings"} & set(fields):
         raise ImageRefusal("does not say the size of its voxels (no space directions, no spacings)")
     if "space origin" not in fields and ("space directions" in fields or "axis mins" not in fields):
         raise ImageRefusal("does not say where its first voxel is (no space origin)")
     space = fields.get("space", "").lower()
     unit = _unit(fields, "space units" if "space directions" in fields else "units")
-    scaling = ("old min", "old max")
-    notes = (
-        ("says that its values were made of others (old min, old max): thresholds are of the values it holds",)
-        if any(name in fields for name in scaling)
-        else ()
-    )
-    corners = _nrrd_corners(fields)
+    was = "says that its values were made of others (old min, old max): thresholds are of the values it holds"
+    notes = (was,) if "old min" in fields or "old max" in fields else ()
+    corners = _nrrd_corners(fields) if "space directions" in fields else _straight_corners(fields)
     if corners is not None:
         corners = corners * unit * ((1, -1, 1) if space in TURNED_SPACES else (1, 1, 1))
     return Header(SPACES.get(space), corners, unit, notes=notes)
@@ -378,8 +347,7 @@ def _unit(fields: dict[str, str], key: str) -> float:
     named = {word.lower() for word in said if word not in ("", "???", "none")} or {"mm"}
     units = {unit_mm(word) for word in named}
     if None in units or len(units) > 1:
-        rule = f"has places in {', '.join(sorted(named))} ({key})"
-        raise ImageRefusal(f"{rule}: must be one of mm, cm, m, um for all axes")
+        raise ImageRefusal(f"has places in {', '.join(sorted(named))} ({key}): must be mm, cm, m or um for all axes")
     return float(units.pop() or 1.0)
 
 
@@ -403,16 +371,44 @@ def _nrrd_corners(fields: dict[str, str]) -> Array | None:
     return np.stack([origin, origin + (np.array(sizes) - 1) @ axes])
 
 
+def _straight_corners(fields: dict[str, str]) -> Array | None:
+    """(2, 3) first and last voxel by spacings and axis mins, in the file's unit; None where there is a space origin.
+
+    An axis begins at the first voxel's centre (node) or half a voxel before it (cell). Raises ImageRefusal.
+    """
+    if "space origin" in fields or len(sizes := _numbers(fields, "sizes")) != 3:
+        return None
+    spacing, mins = (_numbers(fields, name, 3) for name in ("spacings", "axis mins"))
+    centers = set(fields.get("centerings", "").lower().split())
+    if "axis maxs" in fields:
+        steps = (_numbers(fields, "axis maxs", 3) - mins) / spacing
+        fits = {kind for kind, n in (("cell", sizes), ("node", sizes - 1)) if np.allclose(steps, n, atol=0.01)}
+        if not fits & (centers or fits):
+            raise ImageRefusal("says two sizes of its voxels, by axis mins and maxs and by spacings: they must agree")
+        centers = centers or fits & {"cell"}  # which readers take where the file says none
+    if centers not in ({"cell"}, {"node"}):
+        rule = "does not say whether axis mins is where the first voxel begins or its centre (centerings)"
+        raise ImageRefusal(f"{rule}: say cell or node for all axes, or save it with space directions")
+    first = mins + (spacing / 2 if centers == {"cell"} else 0.0)
+    return np.stack([first, first + (sizes - 1) * spacing])
+
+
+PLACES, TURNS = ("Offset", "Position", "Origin"), ("TransformMatrix", "Rotation", "Orientation")
 META_SLOPE, META_OFFSET = "ElementToIntensityFunctionSlope", "ElementToIntensityFunctionOffset"
 
 
 def _meta(fields: dict[str, str]) -> Header:
     if "elementspacing" not in fields and "elementsize" not in fields:
         raise ImageRefusal("does not say the size of its voxels (no ElementSpacing)")
-    if not any(name in fields for name in ("offset", "position", "origin")):
+    if not any(name.lower() in fields for name in PLACES):
         raise ImageRefusal("does not say where its first voxel is (no Offset)")
     letters = fields.get("anatomicalorientation", "").upper()
-    matrix = fields.get("transformmatrix") or fields.get("rotation") or fields.get("orientation") or "1 0 0 0 1 0 0 0 1"
+    for names in (PLACES, TURNS):
+        named = [name for name in names if name.lower() in fields]
+        for name in named[1:]:
+            if not np.allclose(_numbers(fields, name), _numbers(fields, named[0])):
+                raise ImageRefusal(f"says {named[0]} and {name}, which differ: save it with one")
+    matrix = next((fields[name.lower()] for name in TURNS if name.lower() in fields), "1 0 0 0 1 0 0 0 1")
     unit = _unit(fields, "distanceunits")
     if len(sizes := _numbers(fields, "DimSize")) != 3:  # which is refused as it is
         return Header(None, unit_mm=unit)
@@ -420,19 +416,24 @@ def _meta(fields: dict[str, str]) -> Header:
     slope = _numbers(known, META_SLOPE if META_SLOPE.lower() in fields else "slope", 1)[0]
     intercept = _numbers(known, META_OFFSET if META_OFFSET.lower() in fields else "intercept", 1)[0]
     axes = _numbers(known, "matrix", 9).reshape(3, 3)
-    origin = _numbers(fields, next(name for name in ("Offset", "Position", "Origin") if name.lower() in fields), 3)
-    spacing, size = (
-        _numbers(fields, name if name.lower() in fields else other, 3)
-        for name, other in (("ElementSpacing", "ElementSize"), ("ElementSize", "ElementSpacing"))
-    )
+    origin = _numbers(fields, next(name for name in PLACES if name.lower() in fields), 3)
+    named = [name for name in ("ElementSpacing", "ElementSize") if name.lower() in fields]
+    spacing, size = (_numbers(fields, name, 3) for name in (named[0], named[-1]))
     corners = np.stack([origin, origin + ((sizes - 1) * spacing) @ axes]) * unit
+    if _numbers({"centerofrotation": "0"} | fields, "CenterOfRotation").any() and not np.allclose(axes, np.eye(3)):
+        raise ImageRefusal("turns about a point of its own (CenterOfRotation): save it with Offset alone")
     said = len(letters) == 3 and not set(letters) - set("RLAPIS")
     frame: Frame | None = "LPS" if said and _runs_from(axes) == letters else None
-    notes = (
-        ("says voxels of one size (ElementSize) and of another distance (ElementSpacing): the distance is taken",)
-        if not np.allclose(np.abs(spacing), np.abs(size), rtol=1e-3)
-        else ()
-    )
+    notes: tuple[str, ...] = ()
+    if not np.allclose(np.abs(spacing), np.abs(size), rtol=1e-3):
+        notes = (
+            "says voxels of one size (ElementSize) and of another distance (ElementSpacing): the distance is taken",
+        )
+    if said and frame is None:
+        rule = (
+            f"says sides by letters (AnatomicalOrientation = {letters}) that its axes (TransformMatrix) do not run from"
+        )
+        notes += (f"{rule}: the letters are passed over",)
     return Header(frame, corners, unit, slope or 1.0, intercept, notes)
 
 

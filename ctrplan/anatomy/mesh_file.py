@@ -9,7 +9,7 @@ import re
 import warnings
 from os import PathLike
 from pathlib import Path
-from typing import BinaryIO, Literal, TypeVar, cast
+from typing import Any, BinaryIO, Literal, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -234,6 +234,7 @@ def _check_gltf(path: Path) -> None:
         if head[:4] != b"glTF" or int.from_bytes(head[4:8], "little") != 2 or head[16:20] != b"JSON":
             raise MeshRefusal("can't be read as GLB: it is no binary glTF of version 2")
         content = json.loads(stream.read(int.from_bytes(head[12:16], "little")))
+        vertices = stream.read()[8:]  # behind the length and the kind of their chunk
     needed = [name for name in content.get("extensionsRequired", ()) if not str(name).startswith(GLTF_PLAIN)]
     if needed:
         raise MeshRefusal(f"needs glTF's extension {needed[0]}: export it without, uncompressed")
@@ -244,6 +245,47 @@ def _check_gltf(path: Path) -> None:
         raise MeshRefusal("has triangle fans of glTF: export it as triangles")
     if any(buffer.get("uri") for buffer in content.get("buffers", ())):
         raise MeshRefusal("has its vertices in another file: export it as one .glb")
+    _check_nodes(content)
+    for place in {p["attributes"]["POSITION"] for mesh in content.get("meshes", ()) for p in mesh["primitives"]}:
+        _check_vertices(content, content["accessors"][place], vertices)
+
+
+GLTF_MOVING = ("EXT_mesh_gpu_instancing", "EXT_meshopt_compression")  # which a file may use without needing them
+GLTF_FLOAT = 5126
+SAME = 1e-5  # share of the largest coordinate by which the bounds that glTF states may differ from its vertices
+
+
+def _check_nodes(content: dict[str, Any]) -> None:
+    """Raises MeshRefusal for what moves vertices besides one matrix, or one translation, rotation and scale a node."""
+    nodes = content.get("nodes", [])
+    for node in nodes:
+        if "matrix" in node and (others := {"translation", "rotation", "scale"} & set(node)):
+            raise MeshRefusal(f"places a node of glTF twice, by matrix and by {min(others)}: export it with one")
+    if any("skin" in node and "mesh" in node for node in nodes):
+        raise MeshRefusal("has a skin of glTF, whose joints move its vertices: export it without")
+    if any(any(each.get("weights", ())) for each in [*nodes, *content.get("meshes", ())]):
+        raise MeshRefusal("has morph targets of glTF that are at work: export it as it shall be, without")
+    for each in [*nodes, *content.get("bufferViews", ())]:
+        for name in set(GLTF_MOVING) & set(each.get("extensions", ())):
+            raise MeshRefusal(f"uses glTF's {name}: export it without")
+
+
+def _check_vertices(content: dict[str, Any], accessor: dict[str, Any], data: bytes) -> None:
+    """Raises MeshRefusal for vertices that are no floats, and for others than the bounds that the file states."""
+    if "bufferView" not in accessor:
+        raise MeshRefusal("has vertices of glTF without numbers (are they compressed?): export it uncompressed")
+    if accessor.get("componentType") != GLTF_FLOAT or accessor.get("normalized"):
+        raise MeshRefusal("has vertices of glTF that are no plain floats: export it without quantization")
+    view, count = content["bufferViews"][accessor["bufferView"]], accessor["count"]
+    start, step = view.get("byteOffset", 0) + accessor.get("byteOffset", 0), view.get("byteStride", 12)
+    rows: Array = np.ndarray((count, 3), "<f4", data, start, (step, 4)).astype(np.float64)
+    bounds = rows.min(axis=0), rows.max(axis=0)
+    for there, name in zip(bounds, ("min", "max"), strict=True):
+        stated = accessor.get(name, there)
+        if np.abs(there - stated).max() > SAME * np.abs(bounds).max():
+            ends = " to ".join(", ".join(f"{x:.4g}" for x in end) for end in bounds)
+            said = ", ".join(f"{x:.4g}" for x in stated)
+            raise MeshRefusal(f"is damaged: its vertices reach from {ends}, but glTF's {name} states {said}")
 
 
 def _by_trimesh(stream: BinaryIO, kind: str, group: str | None) -> tuple[Array, Indices]:

@@ -4,11 +4,16 @@ A label map says of each voxel's centre whether it is inside. Its occupancy is s
 being a normal distribution of s = SIGMA voxels. Within any plane through its middle it has no second moment, so that
 the level 1/2 stays where a curved surface is (a normal distribution alone draws a tube of radius R in by s^2 / (2 R)).
 Every voxel's centre stays on its side. Grey values need no smoothing: the surface is where they cross the threshold.
+An image is kept while several structures of it are read.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -263,3 +268,35 @@ def _joined(results: list[str]) -> str:
 def _volume(image: Image, label: int, layer: int) -> str:
     voxels = image.voxels if image.voxels.ndim == 3 else image.voxels[..., layer]
     return f"{np.count_nonzero(voxels == label) * image.voxel_mm3 / 1e3:.3g} ml"
+
+
+MOST_KEPT_BYTES = 600_000_000  # of voxels that are kept; what was read last stays
+Key = tuple[Path, int, int]  # with size and time of writing
+_KEPT: ContextVar[dict[Key, Image] | None] = ContextVar("kept", default=None)
+
+
+@contextmanager
+def images_kept() -> Iterator[None]:
+    """Within it an image that was read is not read again, unless its file has changed or others took its room."""
+    if _KEPT.get() is not None:
+        yield
+        return
+    before = _KEPT.set({})
+    try:
+        yield
+    finally:
+        _KEPT.reset(before)
+
+
+def image_of(path: Path, read: Callable[[Path], Image]) -> Image:
+    """The image of a file, read where it is not kept. Raises what `read` does."""
+    images = _KEPT.get()
+    if images is None:
+        return read(path)
+    told = path.stat()
+    key = (path.resolve(), told.st_size, told.st_mtime_ns)
+    if key not in images:
+        images[key] = read(path)
+        while len(images) > 1 and sum(image.voxels.nbytes for image in images.values()) > MOST_KEPT_BYTES:
+            del images[next(iter(images))]
+    return images[key]

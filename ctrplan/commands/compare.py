@@ -10,7 +10,7 @@ import sys
 from typing import TYPE_CHECKING, Any
 
 from ctrplan.commands.options import add_allow_outside_option
-from ctrplan.commands.terminal import aligned, finite, tell_next
+from ctrplan.commands.terminal import aligned, finite, tell_next, warn
 from ctrplan.storage.output_folder import output_folder, write_results
 
 if TYPE_CHECKING:
@@ -49,6 +49,7 @@ def run(arguments: argparse.Namespace) -> int:
     folder = output_folder(arguments.output, OUTPUTS) if arguments.output is not None else None
     names = arguments.first, arguments.second
     first, second = (load_plan(name, allow_outside=arguments.allow_outside) for name in names)
+    warn(dict.fromkeys((*first.warnings, *second.warnings)))
     rows = compared(first, second)
     if arguments.json:
         print(json.dumps({title: {"a": a, "b": b, "unit": unit} for title, a, b, unit in rows}, indent=1))

@@ -18,7 +18,7 @@ from ctrplan.base.arguments import (
     in_plain_digits,
     require,
 )
-from ctrplan.commands.terminal import ProgressBar
+from ctrplan.commands.terminal import ProgressBar, warn
 from ctrplan.errors import InputError
 from ctrplan.storage.output_folder import DEFAULT
 
@@ -148,16 +148,18 @@ def add_steps_option(parser: argparse.ArgumentParser, default: int) -> None:
 
 
 def read_plan(arguments: argparse.Namespace) -> WrittenPlan:
-    """The plan that the arguments name. Raises InputError."""
+    """The plan that the arguments name, with a warning for each file that was changed. Raises InputError."""
     from ctrplan.files.plan_file import load_plan
 
-    return load_plan(
+    plan = load_plan(
         arguments.plan,
         arguments.scenario,
         arguments.overrides,
         trajectory=arguments.trajectory,
         allow_outside=arguments.allow_outside,
     )
+    warn(plan.warnings)
+    return plan
 
 
 def solved_motion(plan: WrittenPlan, steps: int, bar: ProgressBar) -> WrittenMotion:

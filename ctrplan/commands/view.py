@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import webbrowser
 from contextlib import AbstractContextManager, nullcontext
 from typing import TYPE_CHECKING, Any
@@ -61,10 +62,12 @@ def run(arguments: argparse.Namespace) -> int:
 def loaded(arguments: argparse.Namespace) -> tuple[Scenario, WrittenPlan | None]:
     """The scenario of the file, and the plan if that is one. Raises InputError."""
     from ctrplan.files.plan_file import load_plan
+    from ctrplan.files.plan_inputs import SUFFIX
     from ctrplan.files.scenario_file import load_robot_or_scenario
 
-    if arguments.file.lower().endswith(".json"):
+    if arguments.file.lower().endswith((".json", SUFFIX)) or os.path.isdir(arguments.file):
         plan = load_plan(arguments.file, None, arguments.overrides, allow_outside=arguments.allow_outside)
+        warn(plan.warnings)
         return plan.scenario, plan
     return load_robot_or_scenario(arguments.file, arguments.overrides, allow_outside=arguments.allow_outside), None
 

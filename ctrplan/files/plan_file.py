@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -19,7 +19,7 @@ from ctrplan.certificate.certificate import FIGURES, Closest
 from ctrplan.drive.drive import Drive
 from ctrplan.errors import InputError
 from ctrplan.files.joint_path_file import played_columns
-from ctrplan.files.plan_inputs import plan_json_of, scenario_within
+from ctrplan.files.plan_inputs import changed_files, plan_json_of, scenario_within
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.plans.plan import SCHEMA_VERSION, SI_UNITS, Plan, plan_to_json
 from ctrplan.scenario.scenario import Scenario
@@ -214,6 +214,7 @@ class WrittenPlan:
     certified_places: Array  # (K,)
     closest: Closest | None = None  # where the robot is said to come closest to the anatomy, in any friction state
     file: str | None = None
+    warnings: tuple[str, ...] = ()  # of files that were changed after they were written
 
     @classmethod
     def of(cls, plan: Plan) -> WrittenPlan:
@@ -245,7 +246,8 @@ def load_plan(
     trajectory: another one. The scenario is one that was read before, that of the file named, the one in inputs.zip
     beside the plan, or else that of the file which the plan names, from here or from the plan's folder; `overrides` are
     those that files were planned with. Raises InputError, one sentence, for what is malformed, of an older version, or
-    of another scenario or robot; and for a trajectory that leaves the legs.
+    of another scenario or robot; and for a trajectory that leaves the legs. Files that were changed after they were
+    written are told by the plan's `warnings`.
     """
     with plan_json_of(file_name(path, "a plan.json")) as file:
         content = _json_object(file)
@@ -258,7 +260,11 @@ def load_plan(
             result = load_scenario(scenario or _scenario_file(entry, file), overrides, allow_outside=allow_outside)
         _check_origin(entry, result, file)
         beside = Path(file).parent / "trajectory.csv"
-        return _checked(result, content, file, played_samples(trajectory or beside, result.robot.drive))
+        written = _checked(result, content, file, played_samples(trajectory or beside, result.robot.drive))
+        told = {name: str(fault) for name, fault in changed_files(beside.parent).items()}
+        if trajectory is not None:
+            told.pop(beside.name, None)
+        return replace(written, warnings=tuple(told.values()))
 
 
 def _json_object(file: str) -> dict[str, Any]:

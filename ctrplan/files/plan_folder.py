@@ -18,7 +18,7 @@ from ctrplan.certificate.certificate import Certificate, CertificateSamples, Set
 from ctrplan.drive.trajectory import PERIOD_S, Trajectory, remade_trajectory
 from ctrplan.errors import InputError
 from ctrplan.files.plan_file import WrittenPlan, load_plan, played_samples
-from ctrplan.files.plan_inputs import plan_json_of
+from ctrplan.files.plan_inputs import changed_files, plan_json_of
 from ctrplan.plans.plan import Plan
 from ctrplan.plans.planned_motion import Compensation, Leg, ReorderReport, leg_kind
 from ctrplan.uncertainty.result import Uncertainty
@@ -35,12 +35,15 @@ def open_plan(
     """The plan that `save_plan` or `ctrplan plan` wrote into a folder; arguments as those of `ctrplan.load_plan`.
 
     Its figures are those of plan.json; its trajectory is made anew and must be the one in trajectory.csv. Raises
-    InputError for anything malformed, of another scenario or robot, or that does not belong together.
+    InputError for anything malformed, of another scenario or robot, or that does not belong together, and for a
+    plan.json that was changed after it was written.
     """
     with plan_json_of(os.fspath(folder)) as file:
         place = Path(file).parent
         written = load_plan(file, scenario, overrides)
         content, drive = written.content, written.scenario.robot.drive
+        if fault := changed_files(place).get("plan.json"):
+            raise fault
         try:
             return Plan(
                 scenario=written.scenario,
@@ -55,7 +58,7 @@ def open_plan(
                 work_s=content["work_s"],
                 first_found_s=content["first_found_s"],
                 first_certified_s=content["first_certified_s"],
-                notes=tuple(content["notes"]),
+                notes=(*content["notes"], *written.warnings),
                 compensation=_compensation(written),
                 interrupted=content["interrupted"],
                 ended_by=content["search_ended_by"],

@@ -7,6 +7,7 @@ others get one, and the manifest says which name stood there, so that the hash o
 from __future__ import annotations
 
 import copy
+import hashlib
 import io
 import json
 import os
@@ -22,7 +23,7 @@ from ctrplan.anatomy.image import data_files
 from ctrplan.errors import InputError
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.scenario.scenario import Scenario
-from ctrplan.storage.output_folder import write_atomically
+from ctrplan.storage.output_folder import CHECKSUMS, write_atomically
 from ctrplan.storage.toml_document import toml_text
 
 INPUTS, MANIFEST, SCENARIO = "inputs.zip", "manifest.json", "scenario.toml"
@@ -146,6 +147,35 @@ def plan_json_of(path: str) -> Iterator[str]:
         if (named := _as_given(error.file)) == error.file:
             raise
         raise InputError(error.rule, file=named, key=error.key, value=error.value, unit=error.unit) from None
+
+
+CHANGED = {
+    "plan.json": "its figures may not be those that were computed; ctrplan verify computes them anew",
+    "trajectory.csv": "the certificate is of the motion that was in it; ctrplan verify judges the one that is",
+    "trajectory.yaml": "it may drive another motion than trajectory.csv; ctrplan plan writes it again",
+    INPUTS: "scenario and robot have the plan's hashes all the same",
+}
+SHOWN = "it may show another plan than plan.json; ctrplan plan writes it again"
+
+
+def changed_files(folder: Path) -> dict[str, InputError]:
+    """Files of a plan's folder, by name, that are not those that were written together, and what that means.
+
+    Any of them may be edited: nothing that plan.json says is believed by `ctrplan verify`. Only where the figures are
+    taken as they stand, by `open_plan`, is this a reason to refuse. Without sums, as of plans of others, none is known.
+    """
+    try:
+        rows = (folder / CHECKSUMS).read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError):
+        return {}
+    changed = {}
+    for stated, _, name in (row.partition("  ") for row in rows):
+        path = folder / name
+        if name != Path(name).name or not path.is_file() or hashlib.sha256(path.read_bytes()).hexdigest() == stated:
+            continue
+        rule = f"was changed after it was written, by {CHECKSUMS}: {CHANGED.get(name, SHOWN)}"
+        changed[name] = InputError(rule, file=_as_given(path))
+    return changed
 
 
 def _as_given(file: str | os.PathLike[str] | None) -> str | os.PathLike[str] | None:

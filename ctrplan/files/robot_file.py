@@ -262,6 +262,7 @@ def _contact(entry: ContactEntry, i: int, document: Document) -> Contact:
     interval = friction if isinstance(friction, list) else [friction, friction]
     if len(interval) != 2 or not 0 <= interval[0] <= interval[1] <= LARGEST_FRICTION:
         rule = "must be a number from 0 to 2, or an interval [low, high] within 0 to 2 with low <= high"
+        rule += ": is it in %?" if len(interval) == 2 and LARGEST_FRICTION < max(interval) <= 100 else ""
         raise document.fault(rule, "contact", i, "friction_coefficient")
     clearance_m = None if entry.clearance_mm is None else entry.clearance_mm * 1e-3
     return Contact((interval[0], interval[1]), clearance_m)
@@ -318,7 +319,8 @@ def _build(document: Document) -> Robot:
     intervals = build_intervals(entry.uncertainty, robot, document)
     doubts = doubtful_numbers(robot, document)
     in_doubt = one_sentence(doubts, f"ctrplan check {document.file or 'ROBOT.toml'}")
-    warnings = (*in_doubt, *_ratio_warnings(entry, document), *_clearance_warnings(robot, document))
+    told = [text for text in _clearance_warnings(robot, document) if not _is_doubted(text, doubts)]
+    warnings = (*in_doubt, *_ratio_warnings(entry, document), *told)
     robot = replace(robot, intervals=intervals, warnings=warnings)
     if not robot.effects:
         return robot
@@ -371,6 +373,12 @@ def _ratio_warnings(entry: RobotEntry, document: Document) -> Iterator[str]:
                 f"{TORSIONAL} = {EI / (1 + ratio):.6g} in its place"
             )
             yield str(document.fault(rule, "tube", i, "poisson_ratio"))
+
+
+def _is_doubted(warning: str, doubts: Sequence[str]) -> bool:
+    """Whether a warning of a contact repeats what is in doubt of it."""
+    place, _, _ = warning.partition(": radial clearance")
+    return any(doubt.startswith(f"{place}.clearance_mm") for doubt in doubts)
 
 
 def _clearance_warnings(robot: Robot, document: Document) -> Iterator[str]:

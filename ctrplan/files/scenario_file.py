@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, cast, get_args
@@ -13,13 +13,14 @@ import msgspec
 import numpy as np
 from msgspec import Meta, Struct
 
-from ctrplan.anatomy.image import images_kept
 from ctrplan.anatomy.parts import AnatomyPart
+from ctrplan.anatomy.structure import images_kept
 from ctrplan.base.arrays import MOST_TURNS_DEG, Array, read_only, shortest_rotation, unit
 from ctrplan.drive.drive import Joint
 from ctrplan.errors import InputError
 from ctrplan.files.robot_file import load_robot, robot_from_dict
 from ctrplan.files.scenario_anatomy import anatomy_notes, anatomy_part, fixture, refuse_targets_outside_images
+from ctrplan.robot.magnitudes import one_sentence
 from ctrplan.robot.robot import Robot, nesting_violation
 from ctrplan.scenario.joint_space import bare_scenario
 from ctrplan.scenario.scenario import (
@@ -33,7 +34,7 @@ from ctrplan.scenario.scenario import (
     StartTurns,
     rotation_matrix,
 )
-from ctrplan.scenario.sizes import SizeDoubt, base_doubt, joint_doubts, part_doubts, place_doubt
+from ctrplan.scenario.sizes import SizeDoubt, base_doubt, joint_doubts, part_doubts, place_doubt, tolerance_doubts
 from ctrplan.storage.toml_document import (
     Angle,
     Document,
@@ -303,29 +304,67 @@ def _build(document: Document, for_robot: Sequence[str], allow_outside: bool, ma
 def _refuse_wrong_units(
     robot: Robot, goals: Sequence[Goal], base_m: Array, anatomy: Sequence[AnatomyPart], document: Document
 ) -> tuple[str, ...]:
-    """Sentences about places and parts that may be in another unit. Raises InputError for those that surely are."""
-    aims = [goal for goal in goals if goal.tip_m is not None]
-    tips = [goal.tip_m for goal in aims if goal.tip_m is not None]
-    found: list[tuple[SizeDoubt, InputError]] = []
-    if doubt := base_doubt(robot, tips, base_m):
-        found.append((doubt, document.fault(doubt.rule, "base", "position_mm")))
-    for goal, tip in zip(aims, tips, strict=True):
-        if not found and (doubt := place_doubt(robot, tip, base_m, "mm", anatomy)):
-            steps = [int(step) - 1 if step.isdecimal() else step for step in f"{goal.table}.{goal.tip_key}".split(".")]
-            found.append((doubt, document.fault(doubt.rule, *steps)))
-    for k, doubt in part_doubts(robot, anatomy, tips):
-        found.append((doubt, document.fault(doubt.rule, "anatomy", k, doubt.key)))
-    tables: list[tuple[Step, ...]] = [("start",), ("goal", "joints")]
-    tables += [("target", k, "joints") for k in range(len(document.content.get("target", ())))]
-    for place in tables:
-        table: Any = document.content
-        for step in place:
-            table = (table[step] if isinstance(step, int) else table.get(step)) or {}
-        found += [(doubt, document.fault(doubt.rule, *place, name)) for name, doubt in joint_doubts(robot, table)]
-    for doubt, fault in found:
+    """A sentence about what may be in another unit. Raises InputError for what surely is."""
+    doubts = list(_size_doubts(robot, goals, base_m, anatomy, document))
+    for doubt, fault in doubts:
         if doubt.is_sure:
             raise fault
-    return tuple(str(fault) for _, fault in found)
+    return one_sentence([str(fault) for _, fault in doubts], f"ctrplan check {document.file or 'SCENARIO.toml'}")
+
+
+def doubtful_sizes(scenario: Scenario) -> list[str]:
+    """A sentence for each number of a scenario's file, besides its robot's, that may be in another unit."""
+    document = Document(dict(scenario.content), scenario.path)
+    given = scenario.robot, scenario.targets, scenario.base_position_m, scenario.anatomy
+    return [str(fault) for _, fault in _size_doubts(*given, document)] if scenario.content else []
+
+
+def _size_doubts(
+    robot: Robot, goals: Sequence[Goal], base_m: Array, anatomy: Sequence[AnatomyPart], document: Document
+) -> Iterator[tuple[SizeDoubt, InputError]]:
+    aims = [goal for goal in goals if goal.tip_m is not None]
+    tips = [goal.tip_m for goal in aims if goal.tip_m is not None]
+    base = base_doubt(robot, tips, base_m)
+    if base:
+        yield base, document.fault(base.rule, "base", "position_mm")
+    for goal, tip in zip(aims, tips, strict=True) if not base else ():
+        if doubt := place_doubt(robot, tip, base_m, "mm", anatomy):
+            steps = [int(step) - 1 if step.isdecimal() else step for step in f"{goal.table}.{goal.tip_key}".split(".")]
+            yield doubt, document.fault(doubt.rule, *steps)
+            break
+    for k, doubt in part_doubts(robot, anatomy, tips):
+        yield doubt, document.fault(doubt.rule, "anatomy", k, doubt.key)
+    content = document.content
+    targets: list[tuple[Step, ...]] = [("target", k) for k in range(len(content.get("target", ())))]
+    for place in [("start",), ("goal", "joints"), *((*target, "joints") for target in targets)]:
+        for name, doubt in joint_doubts(robot, _table(content, place)):
+            yield doubt, document.fault(doubt.rule, *place, name)
+    bodies: list[tuple[Step, ...]] = [(kind, k) for kind in BODIES for k in range(len(content.get(kind, ())))]
+    within = {
+        (*place, key): float(_table(content, place)[key])
+        for place in (("base",), ("goal",), ("cost",), *targets, *bodies)
+        for key in WITHIN
+        if key in _table(content, place)
+    }
+    for where, doubt in tolerance_doubts(robot, within):
+        yield doubt, document.fault(doubt.rule, *where)
+
+
+BODIES = ("anatomy", "fixture")
+WITHIN = (
+    "tolerance_mm",
+    "margin_mm",
+    "max_error_goal_mm",
+    "position_sigma_mm",
+    "rotation_sigma_deg",
+    "direction_tolerance_deg",
+)
+
+
+def _table(content: Any, place: Sequence[Step]) -> dict[str, Any]:
+    for step in place:
+        content = (content[step] if isinstance(step, int) else content.get(step)) or {}
+    return cast(dict[str, Any], content)
 
 
 def _start_friction(entry: ScenarioEntry, document: Document) -> StartFriction:

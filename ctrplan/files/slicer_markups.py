@@ -76,7 +76,7 @@ class PlacedMarkup:
     labels: tuple[str, ...]  # of the points; empty texts where they have none
     frame: Frame | None
     is_line: bool
-    notes: tuple[str, ...] = ()  # of points that were left out
+    notes: tuple[str, ...] = ()  # of points that were left out, or are hidden
 
     @property
     def name(self) -> str:
@@ -109,7 +109,7 @@ def _text(file: str) -> str:
 
 def _from_json(file: str, text: str) -> list[PlacedMarkup]:
     try:
-        markups = json.loads(text)["markups"]
+        markups = json.loads(text, object_pairs_hook=lambda pairs: _object(file, pairs))["markups"]
         results = [_markup(file, markup, f"markups.{k}") for k, markup in enumerate(markups, start=1)]
     except (ValueError, RecursionError) as error:
         raise InputError(f"is no JSON ({error})", file=file) from None
@@ -120,30 +120,51 @@ def _from_json(file: str, text: str) -> list[PlacedMarkup]:
     return results
 
 
+def _object(file: str, pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """An object of JSON. Raises InputError for a key that it has twice with unlike values."""
+    result: dict[str, Any] = {}
+    for key, value in pairs:
+        if key in result and result[key] != value:
+            raise InputError(f"says {key} twice, and differently", file=file)
+        result[key] = value
+    return result
+
+
 def _markup(file: str, markup: dict[str, Any], key: str) -> PlacedMarkup:
     kind = markup.get("type")
     if kind not in (*LINES, *POINTS):
         rule = f"must be one of {', '.join((*POINTS, *LINES))}: nothing else says targets and entries"
         raise InputError(rule, file=file, key=f"{key}.type", value=kind)
     rows, labels, notes = list[list[float]](), list[str](), list[str]()
+    scale = _mm_per_unit(file, markup.get("coordinateUnits", "mm"), key)
     for k, point in enumerate(markup.get("controlPoints", []), 1):
         label, status = str(point.get("label", "")), point.get("positionStatus", PLACED)
         if status != PLACED:
             notes.append(_left_out(file, k, label, f"positionStatus is {status}"))
             continue
-        rows.append(_position(file, point.get("position"), f"{key}.controlPoints.{k}"))
+        rows.append(_position(file, point.get("position"), f"{key}.controlPoints.{k}", scale))
         labels.append(label)
+        if not (point.get("visibility", True) and point.get("selected", True)):
+            notes.append(_hidden(file, k, label))
     if not rows:
         rule = f"has no points{' that were placed' if notes else ''}"
         raise InputError(rule, file=file, key=key)
-    scale = _mm_per_unit(file, markup.get("coordinateUnits", "mm"), key)
+    if kind in LINES and len(rows) < 2:
+        raise InputError(f"is a {kind} of one point that was placed: it needs two", file=file, key=key)
     frame = _frame(file, markup, key)
-    return PlacedMarkup(file, np.array(rows) * scale, tuple(labels), frame, kind in LINES, tuple(notes))
+    return PlacedMarkup(file, np.array(rows), tuple(labels), frame, kind in LINES, tuple(notes))
 
 
 def _left_out(file: str, number: int, label: str, why: str) -> str:
-    called = f" ({label})" if label else ""
-    return f"{Path(file).name}: point {number}{called} is left out, it has no place ({why})"
+    return f"{_point(file, number, label)} is left out, it has no place ({why})"
+
+
+def _hidden(file: str, number: int, label: str) -> str:
+    return f"{_point(file, number, label)} is hidden or not selected in 3D Slicer, and is taken all the same"
+
+
+def _point(file: str, number: int, label: str) -> str:
+    return f"{Path(file).name}: point {number}{f' ({label})' if label else ''}"
 
 
 def _frame(file: str, markup: dict[str, Any], key: str) -> Frame | None:
@@ -153,22 +174,24 @@ def _frame(file: str, markup: dict[str, Any], key: str) -> Frame | None:
     for frame in FRAMES:
         if said == frame:
             return frame
-    raise InputError("must be RAS or LPS", file=file, key=f"{key}.coordinateSystem", value=said)
+    is_number = str(said) in FCSV_FRAMES
+    hint = " (of numbers 0 is RAS and 1 is LPS in .fcsv, here none is known)" if is_number else ""
+    raise InputError(f"must be RAS or LPS{hint}", file=file, key=f"{key}.coordinateSystem", value=said)
 
 
 def _mm_per_unit(file: str, said: Any, key: str) -> float:
     unit = said[0] if isinstance(said, list) and said else said  # with its coding scheme beside it
-    if unit not in MM_PER_UNIT:
+    if not isinstance(unit, str) or unit not in MM_PER_UNIT:
         rule = f"must be one of {', '.join(MM_PER_UNIT)}"
         raise InputError(rule, file=file, key=f"{key}.coordinateUnits", value=said)
     return MM_PER_UNIT[unit]
 
 
-def _position(file: str, position: Any, key: str) -> list[float]:
+def _position(file: str, position: Any, key: str, scale: float) -> list[float]:
     is_list = isinstance(position, list) and len(position) == 3
     if not is_list or not all(isinstance(x, (int, float)) and not isinstance(x, bool) for x in position):
         raise InputError("must have three numbers", file=file, key=f"{key}.position", value=position)
-    return _near(file, [float(x) for x in position], f"{key}.position")
+    return _near(file, [float(x) * scale for x in position], f"{key}.position")
 
 
 def _near(file: str, position: list[float], key: str) -> list[float]:
@@ -187,6 +210,8 @@ def _from_fcsv(file: str, text: str) -> PlacedMarkup:
         elif name == "CoordinateSystem":
             if value not in FCSV_FRAMES:
                 raise InputError("must be RAS or LPS", file=file, key=name, value=value)
+            if said not in (None, FCSV_FRAMES[value]):
+                raise InputError(f"says another frame than the line before, {said}", file=file, key=name, value=value)
             said = FCSV_FRAMES[value]
         elif name == "columns":
             columns = [column.strip() for column in value.split(",")]
@@ -201,6 +226,8 @@ def _from_fcsv(file: str, text: str) -> PlacedMarkup:
             continue
         points.append(_row(file, columns, cells, k))
         labels.append(label)
+        if "0" in (_cell(columns, cells, "vis"), _cell(columns, cells, "sel")):
+            notes.append(_hidden(file, k, label))
     if not points:
         raise InputError("holds no points that were placed", file=file)
     return PlacedMarkup(file, np.array(points), tuple(labels), said, is_line=False, notes=tuple(notes))
@@ -210,7 +237,8 @@ def _row(file: str, columns: Sequence[str], cells: Sequence[str], number: int) -
     texts = [_cell(columns, cells, axis) for axis in "xyz"]
     results = [in_plain_digits(text) for text in texts]
     if None in results:
-        raise InputError("must have three numbers", file=file, key=f"point {number}", value=", ".join(texts))
+        rule = "must have three numbers (commas between them, points in them)"
+        raise InputError(rule, file=file, key=f"point {number}", value=", ".join(texts))
     return _near(file, [float(x) for x in results if x is not None], f"point {number}")
 
 

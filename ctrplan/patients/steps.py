@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from ctrplan.anatomy.image import images_kept
 from ctrplan.anatomy.patient_frame import Frame
 from ctrplan.anatomy.shape import Role
+from ctrplan.anatomy.structure import images_kept
 from ctrplan.base.arrays import MM_PER_M, Array, shortest_rotation
 from ctrplan.errors import InputError, NoAnswerError
 from ctrplan.files.file_content import content_at
@@ -408,6 +408,8 @@ class SlicerStep(CaseStep):
 
         folder = output_folder(str(work.file(SLICER)), [SCENE])
         written = load_plan(work.file(f"{PLAN}/plan.json"), work.scenario(PLACED))
+        for warning in written.warnings:
+            work.note(warning)
         motion = written_motion(written, STEPS, lambda share: work.progress("solving", share))
         said = work.request.get("frame") if written.scenario.frame is None else None  # of a scenario that people wrote
         files = case_files(motion, patient_frame(written.scenario, said))

@@ -13,13 +13,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ctrplan.anatomy import image_file
-from ctrplan.anatomy.image import Image, ImageRefusal, UnfitImageRefusal, image_of
+from ctrplan.anatomy.image import Image, ImageRefusal, UnfitImageRefusal
 from ctrplan.anatomy.image_file import is_image
 from ctrplan.anatomy.mesh_file import SUFFIXES as MESHES
 from ctrplan.anatomy.mesh_file import usual_unit
 from ctrplan.anatomy.parts import AnatomyPart
 from ctrplan.anatomy.phases import Phases
 from ctrplan.anatomy.shape import Role
+from ctrplan.anatomy.structure import image_of
 from ctrplan.base.arrays import MM_PER_M
 from ctrplan.errors import InputError
 from ctrplan.files.slicer_markups import is_markups, read_markups

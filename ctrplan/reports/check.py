@@ -23,7 +23,7 @@ from ctrplan.files.measurement_file import load_measurements
 from ctrplan.files.plan_file import WrittenPlan, load_plan
 from ctrplan.files.plan_inputs import SUFFIX
 from ctrplan.files.robot_file import doubtful_numbers, load_robot
-from ctrplan.files.scenario_file import load_scenario
+from ctrplan.files.scenario_file import doubtful_sizes, load_scenario
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.mechanics.shapes import Bound, Status
 from ctrplan.mechanics.tube import TubeSection
@@ -41,6 +41,7 @@ if TYPE_CHECKING:
 SAMPLES = 64  # configurations whose bounds are looked at, a second or so of three tubes
 SHOWN = {"m": (1e3, " mm"), "rad": (180 / math.pi, " deg"), "mm": (1.0, " mm"), "number": (1.0, "")}
 HOUR_S = 3600.0
+MORE = "in doubt: ctrplan check"  # in the line that stands for several flags
 FAR_TURNED_DEG = 60.0  # a median error of tangents that no effect explains, where positions agree
 FAR_OFF = 0.1  # of the robot's length: a median error that no effect explains, where no other reading does
 
@@ -133,7 +134,7 @@ def _of_robot(robot: Robot) -> Check:
     lines, facts = _tubes(robot)
     more, bound, numbers = _bounds(robot)
     flags = doubtful_numbers(robot.ideal or robot, Document(dict(robot.content), robot.path))
-    notes = [text for text in robot.warnings if "in doubt: ctrplan check" not in text and text not in flags]
+    notes = [text for text in robot.warnings if MORE not in text and text not in flags]
     return Check(
         name=robot.name,
         kind="robot",
@@ -247,12 +248,13 @@ def _of_scenario(scenario: Scenario) -> Check:
         margin = f"margin {part.margin_m * 1e3:.3g} mm"
         lines.append(f"anatomy.{k}: {part.shape.name}, {_point(size / MM_PER_M)} mm across, {role}, {margin}")
     lines += [f"start: {_shown(scenario.robot, scenario.start)}", *_start(scenario)]
-    notes = [text for text in scenario.warnings if text not in scenario.robot.warnings]
+    flags = doubtful_sizes(scenario)
+    notes = [text for text in scenario.warnings if text not in (*scenario.robot.warnings, *flags) and MORE not in text]
     return Check(
         name=scenario.name,
         kind="scenario",
         lines=tuple(lines),
-        flags=robot.flags,
+        flags=(*flags, *robot.flags),
         notes=(*notes, *robot.notes),
         facts=robot.facts,
         robot=scenario.robot,
@@ -340,7 +342,7 @@ def _of_plan(plan: WrittenPlan) -> Check:
         plan.scenario.name,
         "plan",
         tuple(lines),
-        scenario.flags,
+        (*plan.warnings, *scenario.flags),
         scenario.notes,
         scenario.facts,
         scenario.robot,

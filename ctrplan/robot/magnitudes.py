@@ -12,9 +12,12 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from ctrplan.base.arrays import are_radians
+from ctrplan.base.arrays import are_degrees, are_radians
+from ctrplan.drive.drive import UNITS
+from ctrplan.robot.robot import diametral_gap_m
 
 if TYPE_CHECKING:
+    from ctrplan.drive.drive import Joint
     from ctrplan.mechanics.tube import Tube, TubeSection
     from ctrplan.robot.robot import Robot
 
@@ -23,6 +26,7 @@ IN_WORDS = {"m": "metres", "mm": "millimetres", "in": "inches", "cm": "centimetr
 YOUNG_PA = 5e7, 1.2e12  # a soft polymer, and diamond, the stiffest that there is
 WALL = 10.0  # times by which rounded diameters of thin walls may make an implied modulus greater
 USUAL_YOUNG_PA = 1e9, 3e11  # of a reading that explains a number
+METALS_PA = (2.8e10, 8.3e10), (1.8e11, 2.15e11)  # nickel-titanium (martensite to austenite) and steel, by data sheets
 MOST_ARC_RAD = 4 * math.pi  # of a section
 USUAL_ARC_RAD = math.radians(10), math.radians(225)  # of a reading that explains a number
 MOST_ELASTIC = 0.12  # strain from which no stiff tube comes back: superelastic ones bear a tenth
@@ -30,6 +34,15 @@ OUTER_M = 1e-4, 0.04  # outer diameters
 SLENDER = 8.0  # length over outer diameter of the shortest tube
 DENSITY = 200.0, 25_000.0  # kg/m^3, foam to platinum
 NOISE_M = 2e-6, 0.02  # standard deviation of a tracker
+TANGENT_NOISE = 0.02, 30.0, 0.1, 10.0  # deg, likewise; the last two are those of a reading that explains a number
+FINE_TURN = 0.005, 5.0, 0.01, 2.0  # deg within which a drive follows, likewise
+FINE_WAY_M = 5e-7, 1e-3, 1e-6, 5e-4  # m, likewise
+MOST_FRICTION = 1.0  # of dry metal on metal
+WRITTEN = 9  # digits behind the point that a change of units leaves as they were
+WRITTEN_M = 1e-6  # to which diameters and clearances are written
+ONCE_S = 0.5, 300.0  # a drive takes for a whole turn, or for the length of the robot, at full speed
+SPEED: dict[str, tuple[float, float]] = {"rotation": (5.0, 360.0), "translation": (1.0, 50.0)}  # deg/s, mm/s, usual
+RISE_S = 2e-3, 4.0, 0.02, 1.0  # to full speed, and to full acceleration; the last two are usual
 TRAVEL, MOST_TRAVEL = 0.01, 20.0  # lengths of the longest tube that a translation spans
 GREATER_SHEAR = -0.5 + 1e-9  # Poisson's ratio from which on the shear modulus is Young's and more
 
@@ -74,12 +87,26 @@ def robot_doubts(robot: Robot) -> Iterator[Doubt]:
     """Numbers of a robot that are most likely in another unit, tube by tube."""
     for i, tube in enumerate(robot.tubes):
         yield from _tube_doubts(tube, i)
+    radii = _radii_doubt(robot)
+    yield from radii
+    for i in range(len(robot.contacts)):
+        yield from _contact_doubts(robot, i, not radii)
     yield from _drive_doubts(robot)
+    yield from _rate_doubts(robot)
+    yield from _fineness_doubts(robot)
     if robot.measurement is not None:
         sigma = robot.measurement.position_sigma_m
         if not NOISE_M[0] <= sigma <= NOISE_M[1]:
             units = _likely_units(sigma, "mm", 2e-5, 5e-3)
             yield Doubt(("measurement", "position_sigma_mm"), f"is no noise of a tracker{_asked(units)}")
+        if (turned := robot.measurement.tangent_sigma_rad) is not None:
+            yield from _small("tangent_sigma_deg", "measurement", math.degrees(turned), TANGENT_NOISE, ANGLES)
+    for k, marker in enumerate(robot.markers):
+        if 0 < marker.distance_m < OUTER_M[0] and (
+            units := _likely_units(marker.distance_m, "mm", 1e-3, reach_m(robot))
+        ):
+            rule = f"is less than the thinnest tube is wide{_asked(units[:1])}"
+            yield Doubt(("marker", k, f"from_{marker.end}_mm"), rule)
     if robot.model_error_m > 0.1 * reach_m(robot):
         rule = f"is more than a tenth of the robot's {reach_m(robot) * 1e3:.3g} mm"
         yield Doubt(("model_error_mm",), rule + _asked(_likely_units(robot.model_error_m, "mm", 0, 0.01)))
@@ -95,9 +122,14 @@ def _tube_doubts(tube: Tube, i: int) -> Iterator[Doubt]:
         units = _likely_units(tube.length_m, "mm", 20e-3, 1.0)
         yield Doubt(("tube", i), rule + _asked(units, "are its lengths in"))
     yield from _stiffness_doubts(tube, i)
+    if 0 < tube.collar_length_m < outer and (units := _likely_units(tube.collar_length_m, "mm", 1e-3, 0.1)):
+        yield Doubt(("tube", i, "collar_length_mm"), f"is shorter than the tube is wide{_asked(units)}")
     straight = _aside_m(tube) < outer
     for k, section in enumerate(tube.sections):
-        if doubt := _bend_doubt(tube, section, straight=straight):
+        if section.length_m < outer / 4 and (units := _likely_units(section.length_m, "mm", 5e-3, 1.0)):
+            rule = f"is shorter than a quarter of the tube's diameter{_asked(units)}"
+            yield Doubt(("tube", i, "section", k, "length_mm"), rule)
+        elif doubt := _bend_doubt(tube, section, straight=straight):
             yield Doubt(("tube", i, "section", k), *doubt)
     density = tube.density_kg_m3
     if density and not DENSITY[0] <= density <= DENSITY[1]:
@@ -130,6 +162,38 @@ def _stiffness_doubts(tube: Tube, i: int) -> Iterator[Doubt]:
     if tube.max_strain > MOST_ELASTIC and young > low:
         rule = f"no material of {young / 1e9:.2g} GPa bears {100 * tube.max_strain:.3g} % and comes back: is it in %?"
         yield Doubt(("tube", i, "max_strain"), rule)
+
+
+def _radii_doubt(robot: Robot) -> list[Doubt]:
+    """Of diameters that are radii a tube is sixteen times as stiff as one of its size and usual metal.
+
+    Thin walls may be so by rounding: it counts where all tubes are, or where one has room to be twice as wide.
+    """
+    implied = [implied_young_Pa(tube) for tube in robot.tubes]
+    stiff = [i for i, young in enumerate(implied) if any(low <= young / 16 <= high for low, high in METALS_PA)]
+    if len(stiff) == robot.n:
+        said = f"makes Young's moduli of {', '.join(f'{young:.3g}' for young in implied)} Pa"
+        stiff = [0]
+    else:
+        stiff = [i for i in stiff if i and 2 * robot.tubes[i].outer_diameter_m < robot.tubes[i - 1].inner_diameter_m]
+        said = f"makes a Young's modulus of {implied[stiff[0]]:.3g} Pa" if stiff else ""
+    rule = f"{said}, sixteen times that of a usual metal: are these radii?"
+    return [Doubt(("tube", i, "outer_diameter_mm"), rule) for i in stiff[:1]]
+
+
+def _contact_doubts(robot: Robot, i: int, are_diameters: bool) -> Iterator[Doubt]:
+    """Of the pair i (from 0): its stated clearance by the gap of the diameters, and its friction."""
+    stated, gap = robot.contacts[i].clearance_m, diametral_gap_m(robot.tubes, i)
+    key: tuple[str | int, ...] = ("contact", i, "clearance_mm")
+    left = f"the {gap * 1e3:.4g} mm that the diameters leave on every side"
+    if stated is not None and abs(stated - 2 * gap) <= WRITTEN_M and are_diameters:
+        hint = "is it the difference of diameters, or are the diameters radii?"
+        yield Doubt(key, f"is twice {left}: {hint}")
+    elif stated is not None and (units := _likely_units(stated, "mm", 0.9 * gap, 1.1 * gap)):
+        yield Doubt(key, f"is not {left}{_asked(units[:1])}")
+    if (most := robot.contacts[i].friction_coefficient[1]) > MOST_FRICTION:
+        rule = f"rubs more than dry metal on metal, {MOST_FRICTION:g} at most"
+        yield Doubt(("contact", i, "friction_coefficient"), f"{rule}: is it in %?" if most <= 100 else rule)
 
 
 def _aside_m(tube: Tube) -> float:
@@ -191,6 +255,8 @@ def _drive_doubts(robot: Robot) -> Iterator[Doubt]:
     longest, drive = reach_m(robot), robot.drive
     if are_radians(np.degrees(drive.home_theta_rad)):
         yield Doubt(("home", "theta_deg"), "are whole parts of a turn in radians: are they in radians?")
+    if are_degrees(np.round(drive.home_theta_rad, WRITTEN)):
+        yield Doubt(("home", "theta_deg"), "are whole numbers of radians: are they degrees given for radians?")
     moved = float(np.abs(drive.home_l_m).max())
     if 0 < moved < TRAVEL / 10 * longest and likely_unit(moved, "mm", 0.05 * longest, longest) == "m":
         yield Doubt(("home", "l_mm"), f"moves bases by {moved * 1e3:.3g} mm at most: are these in metres?")
@@ -210,6 +276,80 @@ def _drive_doubts(robot: Robot) -> Iterator[Doubt]:
             yield Doubt(("joint", k, "moves"), f"{rule}: are these m per m?")
         if joint.kind == "rotation" and are_radians(np.degrees([low, high])):
             yield Doubt(("joint", k), f"turns by {math.degrees(span):.4g} deg: are its limits in radians?")
+        if joint.kind == "rotation" and are_degrees(np.round([low, high], WRITTEN)):
+            rule = f"turns by {math.degrees(span):.4g} deg: are its limits degrees given for radians?"
+            yield Doubt(("joint", k), rule)
+
+
+ANGLES = {"radians": 180 / math.pi, "arcminutes": 1 / 60}  # deg
+LENGTHS = {IN_WORDS[unit]: si for unit, si in UNITS_M.items() if unit in ("m", "um")}
+
+
+def _rate_doubts(robot: Robot) -> Iterator[Doubt]:
+    """Speeds by the time for a turn or the robot's length, accelerations and jerks by the time to reach them."""
+    for k, joint in enumerate(robot.drive.joints):
+        unit, si = UNITS[joint.kind]
+        rates = joint.max_velocity / si, joint.max_acceleration / si, joint.max_jerk / si
+        other = ("rad", 180 / math.pi) if joint.kind == "rotation" else ("m", 1e3)
+        said = [(f"{other[0]}/s{power}", other[1]) for power in ("", "^2", "^3")]
+        minutes = [(f"{unit}/min{power}", 60.0**-n) for n, power in enumerate(("", "^2", "^3"), start=1)]
+        for n, name in enumerate(("velocity", "acceleration", "jerk")):
+            key = ("joint", k, f"max_{name}_{unit}_s{'' if n == 0 else n + 1}")
+            readings = {words: rates[n] * factor for words, factor in (said[n], minutes[n])}
+            in_code = rates[n] / other[1]  # of a number that was said in the file's unit to code, which has SI
+            if float(f"{in_code:.4g}") == float(f"{in_code:.9g}"):
+                readings[f"{unit}/s{('', '^2', '^3')[n]} given for {said[n][0]}"] = in_code
+            doubt = _speed_doubt(robot, joint, readings, rates) if n == 0 else _rise_doubt(rates, n, readings)
+            if doubt:
+                yield Doubt(key, doubt)
+                break
+
+
+def _speed_doubt(
+    robot: Robot, joint: Joint, readings: dict[str, float], rates: tuple[float, float, float]
+) -> str | None:
+    speed, gear = rates[0], float(np.abs(joint.moves).max())
+    usual = [words for words, x in readings.items() if SPEED[joint.kind][0] <= x * gear <= SPEED[joint.kind][1]]
+    turns = joint.kind == "rotation"
+    whole, of = (
+        (360.0, "a turn") if turns else (reach_m(robot) * 1e3, f"the {reach_m(robot) * 1e3:.3g} mm of the robot")
+    )
+    once = whole / (speed * gear)
+    if usual and (not ONCE_S[0] <= once <= ONCE_S[1] or turns and are_radians([speed])):
+        return f"takes {once:.3g} s for {of}: is it in {_or(usual)}?"
+    if _is_beyond(rise := speed / rates[1]):
+        usual = [words for words in usual if RISE_S[2] <= readings[words] / rates[1] <= RISE_S[3]]
+        return f"is reached after {rise:.3g} s: is it in {_or(usual)}?" if usual else None
+    return None
+
+
+def _rise_doubt(rates: tuple[float, float, float], n: int, readings: dict[str, float]) -> str | None:
+    """Of the acceleration (n = 1) or the jerk (n = 2), by how long what is before it takes to be reached with it."""
+    usual = [words for words, x in readings.items() if RISE_S[2] <= rates[n - 1] / x <= RISE_S[3]]
+    if usual and _is_beyond(rise := rates[n - 1] / rates[n]):
+        return f"brings full {('speed', 'acceleration')[n - 1]} after {rise:.3g} s: is it in {_or(usual)}?"
+    return None
+
+
+def _is_beyond(rise_s: float) -> bool:
+    return not RISE_S[0] <= rise_s <= RISE_S[1]
+
+
+def _fineness_doubts(robot: Robot) -> Iterator[Doubt]:
+    """How exactly the drive is said to follow."""
+    fine = robot.drive.execution
+    yield from _small("rotation_deg", "execution", math.degrees(fine.rotation_rad), FINE_TURN, ANGLES)
+    in_mm = {words: 1e3 * si for words, si in LENGTHS.items()}
+    yield from _small("translation_mm", "execution", fine.translation_m * 1e3, [1e3 * x for x in FINE_WAY_M], in_mm)
+
+
+def _small(key: str, table: str, value: float, limits: Sequence[float], factors: dict[str, float]) -> Iterator[Doubt]:
+    """A deviation, by what deviations are: limits are the least and the most, and those of a reading that explains."""
+    low, high, *usual = limits
+    units = [words for words, factor in factors.items() if usual[0] <= value * factor <= usual[1]]
+    if value and not low <= value <= high and units:
+        rule = f"is {'finer' if value < low else 'coarser'} than any such part"
+        yield Doubt((table, key), f"{rule}: is it in {_or(units)}?")
 
 
 def _asked(units: Sequence[str], question: str = "is it in") -> str:

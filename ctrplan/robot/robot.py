@@ -397,6 +397,14 @@ def _as_in_a_file(robot: Robot) -> None:
         taken |= {"tubes", "contacts", "drive", "loads", "ideal", "model_error_m"}
     for name in taken:
         object.__setattr__(robot, name, getattr(read, name))
+    warn_of_doubts(read.warnings, 5)
+
+
+def warn_of_doubts(told: Sequence[str], stacklevel: int = 4) -> None:
+    """Warns whoever makes an object in code of numbers that may be in another unit: of sentences that ask."""
+    for text in told:
+        if "?" in text:
+            warnings.warn(text, stacklevel=stacklevel)
 
 
 def _warn_of_degrees(theta_b: ArrayLike) -> None:

@@ -26,7 +26,7 @@ from ctrplan.base.arrays import MILLIMETRE, MM_PER_M, Array, content_sha256, num
 from ctrplan.base.catalogue import AbstractStruct, Catalogue
 from ctrplan.base.package import shown
 from ctrplan.errors import InputError
-from ctrplan.robot.robot import Robot, changed
+from ctrplan.robot.robot import Robot, changed, warn_of_doubts
 from ctrplan.storage.toml_document import LARGEST_WEIGHT
 from ctrplan.storage.toml_faults import first_fault, unit_of
 
@@ -279,6 +279,7 @@ class Scenario:
             read = ctrplan.as_read(self)
             for name in ("content", "warnings", "goal", "via"):
                 object.__setattr__(self, name, getattr(read, name))
+            warn_of_doubts([text for text in read.warnings if text not in self.robot.warnings])
 
     def with_(self, *overrides: str, **changes: Any) -> Scenario:
         """The scenario with fields changed, and keys of its file by `overrides`, "planner.time_s=2"; checked.

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ctrplan.anatomy.parts import AnatomyPart
-from ctrplan.base.arrays import Array, are_radians
+from ctrplan.base.arrays import Array, are_degrees, are_radians
 from ctrplan.robot.magnitudes import IN_WORDS, UNITS_M, reach_m
 from ctrplan.robot.robot import Robot
 
@@ -21,6 +21,9 @@ PLAUSIBLE = 0.05, 1.05  # shares of it at which goals are
 LARGEST_PART = 25.0  # lengths of the robot
 LUMEN = 0.2, 5.0  # of a lumen whose size gives no reason to doubt it, wherever the goals are
 USUAL_PART = 0.02, 5.0  # of a part that is meant to be next to it
+WITHIN_M = 1e-5, 1e-4, 0.02  # least tolerance, margin or deviation; and those that are usual
+WITHIN = 0.2  # share of the robot's length that is the most of them
+TURNED_DEG = 0.02, 0.1, 20.0  # least deviation or tolerance of a direction; and those that are usual
 
 
 class SizeDoubt(NamedTuple):
@@ -65,6 +68,9 @@ def joint_doubts(robot: Robot, values: Mapping[str, object]) -> Iterator[tuple[s
     if are_radians(angles.values()):
         rule = "is a whole part of a turn in radians, as its neighbours are: are these in radians?"
         yield next(iter(angles)), SizeDoubt("rad", rule, False)
+    if are_degrees(np.round(np.radians(list(angles.values())), 9)):
+        rule = "is a whole number of radians, as its neighbours are: are these degrees given for radians?"
+        yield next(iter(angles)), SizeDoubt("deg", rule, False)
     ways = {name: x for name, x in given.items() if joints[name].kind == "translation" and x}
     most, length = max(map(abs, ways.values()), default=0.0), reach_m(robot)
     if 0 < most * UNITS_M["mm"] < NEAR / 10 * length and PLAUSIBLE[0] * length <= most <= length:
@@ -115,6 +121,30 @@ def part_doubts(robot: Robot, parts: Sequence[AnatomyPart], tips_m: Sequence[Arr
             where = " and none of the goals is in it" if missed else ""
             sure = missed and not USUAL_PART[0] <= size / length <= USUAL_PART[1]
             yield k, SizeDoubt(likely[0], f"{said}{where}: is it {' or '.join(likely)}?", sure)
+
+
+def tolerance_doubts(
+    robot: Robot, values: Mapping[tuple[str | int, ...], float]
+) -> Iterator[tuple[tuple[str | int, ...], SizeDoubt]]:
+    """Tolerances, margins and deviations, in mm or deg by the end of their keys, that are most likely in another unit.
+
+    Those that are 0 are exact, and in no doubt.
+    """
+    most = WITHIN * reach_m(robot) / UNITS_M["mm"]
+    for key, value in values.items():
+        if not value:
+            continue
+        if str(key[-1]).endswith("_deg"):
+            if value < TURNED_DEG[0] and TURNED_DEG[1] <= np.degrees(value) <= TURNED_DEG[2]:
+                yield key, SizeDoubt("rad", "is finer than anything is turned: is it in radians?", False)
+            elif are_radians([value]):
+                yield key, SizeDoubt("rad", "is a whole part of a turn in radians: is it in radians?", False)
+            continue
+        is_fine = value < WITHIN_M[0] / UNITS_M["mm"]
+        units = [unit for unit in _others("mm") if WITHIN_M[1] <= value * UNITS_M[unit] <= WITHIN_M[2]]
+        if units and (is_fine or value > most):
+            rule = "is finer than any tracker sees" if is_fine else "is more than a fifth of the robot's length"
+            yield key, SizeDoubt(units[0], f"{rule}: is it in {IN_WORDS[units[0]]}?", False)
 
 
 def _factors() -> Iterator[tuple[str, float]]:

@@ -66,8 +66,18 @@ def interval_fault(ends: Any, value: float) -> str:
         return "must be an interval [low, high] with low <= high"
     slack = ROUNDING * max(abs(low), abs(high), abs(value))
     if not low - slack <= value <= high + slack:
-        return f"must contain its value, {value:.6g}"
+        return f"must contain its value, {value:.6g}{_hint(low, high, value)}"
     return ""
+
+
+def _hint(low: float, high: float, value: float) -> str:
+    """How an interval may have been said that does not contain its value, as the end of a sentence."""
+    if low < 0 < high:
+        return ": is it said as plus or minus?"
+    factors = {"1000 times too small": 1e3, "1000 times too large": 1e-3, "in %": 1e-2, "in radians": 180 / math.pi}
+    said = [words for words, factor in factors.items() if low * factor <= value <= high * factor]
+    said += ["said as a share of the value"] if low <= 1 <= high else []
+    return f": is it {' or '.join(said)}?" if said and value else ""
 
 
 if sys.version_info >= (3, 11):

@@ -303,3 +303,105 @@ def test_a_size_of_voxels_beside_their_distance_is_said(tmp_path: Path) -> None:
     check(image, TURNED)
     assert len(image.notes) == 1 and "ElementSize" in image.notes[0]
     assert read_image(mha(tmp_path / "b.mha", ElementSize="0.8 0.9 1.1")).notes == ()
+
+
+def straight(path: Path, *fields: str) -> Path:
+    """A NRRD file of spacings, whose axes are those of the patient in a space that it does not name."""
+    lines = ["NRRD0005", "type: short", "dimension: 3", "sizes: 12 14 10", "endian: little", "encoding: raw", *fields]
+    path.write_bytes("\n".join(lines).encode() + b"\n\n" + VOXELS.tobytes(order="F"))
+    return path
+
+
+SPACED, MINS = "spacings: 0.8 0.9 1.1", "axis mins: -30 12 -44"
+CELLS, NODES = "axis maxs: -20.4 24.6 -33", "axis maxs: -21.2 23.7 -34.1"
+
+
+@pytest.mark.parametrize(
+    ("fields", "origin_mm"),
+    [
+        ([SPACED, MINS, "centerings: node node node"], (-30, 12, -44)),
+        ([SPACED, MINS, "centers: cell cell cell"], (-29.6, 12.45, -43.45)),
+        ([SPACED, "axismins: -30 12 -44", "centers: cell cell cell"], (-29.6, 12.45, -43.45)),
+        ([SPACED, MINS, CELLS], (-29.6, 12.45, -43.45)),
+        ([SPACED, MINS, NODES, "centerings: node node node"], (-30, 12, -44)),
+        ([SPACED, "axis mins: -3 1.2 -4.4", "centers: cell cell cell", 'units: "cm" "cm" "cm"'], None),
+    ],
+)
+def test_a_nrrd_file_whose_axes_begin_somewhere(
+    fields: list[str], origin_mm: tuple[float, ...] | None, tmp_path: Path
+) -> None:
+    if origin_mm is None:  # spacings in centimetres
+        origin_mm, fields = (-26.0, 16.5, -38.5), fields
+    image = read_image(straight(tmp_path / "a.nrrd", *fields))
+    np.testing.assert_allclose(image.origin_m * 1e3, origin_mm, atol=1e-9)
+    assert image.frame is None
+
+
+@pytest.mark.parametrize(
+    ("fields", "phrase"),
+    [
+        (
+            [SPACED, MINS],
+            r"does not say whether axis mins is where the first voxel begins or its centre \(centerings\)",
+        ),
+        ([SPACED, MINS, "centers: cell ??? cell"], r"does not say whether axis mins .* \(centerings\)"),
+        ([SPACED, MINS, NODES], r"does not say whether axis mins .* \(centerings\)"),
+        ([SPACED, "axis mins: nan nan nan"], "says axis mins = nan nan nan: must be 3 numbers"),
+        (
+            [SPACED, MINS, "axis maxs: 0 24.6 -33"],
+            "two sizes of its voxels, by axis mins and maxs",
+        ),
+        ([SPACED, MINS, CELLS, "centerings: node node node"], "says two sizes of its voxels"),
+        ([SPACED, MINS, "centerings: cell cell node"], "say cell or node for all axes"),
+    ],
+)
+def test_axes_that_begin_nowhere_are_refused_by_name(fields: list[str], phrase: str, tmp_path: Path) -> None:
+    with pytest.raises(ImageRefusal, match=phrase):
+        read_image(straight(tmp_path / "a.nrrd", *fields))
+
+
+@pytest.mark.parametrize("name", ["old min", "oldmin"])
+def test_fields_go_by_either_of_their_names(name: str, tmp_path: Path) -> None:
+    assert any("old min" in note for note in read_image(nrrd(tmp_path / "a.nrrd", extra=f"{name}: -9")).notes)
+
+
+@pytest.mark.parametrize(
+    ("keys", "phrase"),
+    [
+        ({"Position": "0 0 0"}, "says Offset and Position, which differ: save it with one"),
+        ({"Origin": "0 0 0"}, "says Offset and Origin, which differ"),
+        ({"Rotation": "1 0 0 0 1 0 0 0 1"}, "says TransformMatrix and Rotation, which differ"),
+        ({"Orientation": "1 0 0 0 1 0 0 0 1"}, "says TransformMatrix and Orientation, which differ"),
+        (
+            {"CenterOfRotation": "5 0 0"},
+            r"turns about a point of its own \(CenterOfRotation\): save it with Offset alone",
+        ),
+        ({"offset": "0 0 0"}, "(?i)says Offset twice, and differently"),
+        ({"elementspacing": "1 1 1"}, "(?i)says ElementSpacing twice, and differently"),
+        ({"transformmatrix": "1 0 0 0 1 0 0 0 1"}, "(?i)says TransformMatrix twice, and differently"),
+    ],
+)
+def test_a_meta_image_that_says_a_place_twice_is_refused(keys: Any, phrase: str, tmp_path: Path) -> None:
+    with pytest.raises(ImageRefusal, match=phrase):
+        read_image(mha(tmp_path / "a.mha", **keys))
+
+
+def test_remarks_may_be_repeated(tmp_path: Path) -> None:
+    check(read_image(mha(tmp_path / "a.mha", Comment="one", comment="another")), TURNED)
+
+
+def test_what_a_meta_image_says_twice_alike_is_read(tmp_path: Path) -> None:
+    place = " ".join(map(repr, (TURNED * AFFINE[:, 3]).tolist()))
+    image = read_image(mha(tmp_path / "a.mha", Position=place, CenterOfRotation="0 0 0", AnatomicalOrientation="LPI"))
+    check(image, TURNED)
+    assert image.frame == "LPS" and image.notes == ()
+
+
+@pytest.mark.parametrize("letters", ["ASR", "RAI"])
+def test_letters_of_the_sides_that_the_axes_do_not_bear_out_are_said(letters: str, tmp_path: Path) -> None:
+    image = read_image(mha(tmp_path / "a.mha", AnatomicalOrientation=letters))
+    assert image.frame is None
+    assert image.notes == (
+        f"says sides by letters (AnatomicalOrientation = {letters}) that its axes (TransformMatrix) do not run from: "
+        "the letters are passed over",
+    )

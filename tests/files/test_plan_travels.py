@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import re
 import shutil
@@ -17,8 +18,10 @@ from places import ROBOTS
 
 import ctrplan
 from ctrplan.cli import main
+from ctrplan.commands import view
 from ctrplan.errors import InputError
 from ctrplan.files.plan_inputs import INPUTS, MANIFEST, _packed, unpacked
+from ctrplan.storage.output_folder import CHECKSUMS as SUMS
 
 START = {"rotate outer": 0.0, "rotate inner": 0.0, "translate inner": 0.0}
 
@@ -203,3 +206,73 @@ def test_voxels_beside_a_header_are_packed_whatever_they_are_called(tmp_path: Pa
     (tmp_path / "scan.txt").write_text("notes of a person")
     packed = _packed(tmp_path / "scan.mhd", "scans/scan.mhd")
     assert set(packed) == {"scans/scan.mhd", "scans/voxels/other.raw"}
+
+
+def spoil(folder: Path, name: str) -> None:
+    """Changes a file as a person does who looks into it: what it says stays the same."""
+    path = folder / name
+    if name == INPUTS:
+        changed(path, folder / "other.zip", "scenario.toml", lambda data: data + b"# looked at\n")
+        (folder / "other.zip").replace(path)
+    else:
+        path.write_bytes(path.read_bytes() + b"\n")
+
+
+MEANING = {
+    "trajectory.csv": "the certificate is of the motion that was in it; ctrplan verify judges the one that is",
+    "plan.json": "its figures may not be those that were computed; ctrplan verify computes them anew",
+    INPUTS: "scenario and robot have the plan's hashes all the same",
+    "trajectory.yaml": "it may drive another motion than trajectory.csv; ctrplan plan writes it again",
+    "report.html": "it may show another plan than plan.json; ctrplan plan writes it again",
+}
+
+
+@pytest.mark.parametrize("name", MEANING)
+@pytest.mark.parametrize("packed", [False, True])
+def test_a_file_that_was_changed_after_it_was_written_is_named(
+    name: str, packed: bool, saved: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert ctrplan.load_plan(saved / "out").warnings == ctrplan.load_plan(saved / "plan.ctrplan").warnings == ()
+    place = tmp_path / "out"
+    shutil.copytree(saved / "out", place)
+    spoil(place, name)
+    if packed:
+        place = tmp_path / "plan.ctrplan"
+        with zipfile.ZipFile(place, "w") as archive:
+            for part in sorted((tmp_path / "out").iterdir()):
+                archive.write(part, part.name)
+    (warning,) = ctrplan.load_plan(place).warnings
+    assert warning == f"{place / name}: was changed after it was written, by {SUMS}: {MEANING[name]}."
+    assert warning in ctrplan.check(place).flags
+    assert main(["compare", str(place), str(saved / "out"), "--json"]) == 0
+    assert warning in capsys.readouterr().err
+    assert main(["render", str(place), "-o", str(tmp_path / "a.png"), "--size", "64x64", "--quiet"]) == 0
+    assert warning in capsys.readouterr().err
+    if name == "plan.json":
+        with pytest.raises(InputError, match="was changed after it was written"):
+            ctrplan.Plan.load(place)
+    else:
+        assert warning in ctrplan.Plan.load(place).notes
+
+
+def test_another_trajectory_in_place_of_the_changed_one_is_no_matter(saved: Path, tmp_path: Path) -> None:
+    shutil.copytree(saved / "out", tmp_path / "out")
+    spoil(tmp_path / "out", "trajectory.csv")
+    assert ctrplan.load_plan(tmp_path / "out", trajectory=saved / "out" / "trajectory.csv").warnings == ()
+
+
+@pytest.mark.parametrize("sums", [b"", b"nonsense", b"\xff\xfe", b"0" * 64 + b"  ../plan.json\n", None])
+def test_sums_that_say_nothing_are_no_matter(sums: bytes | None, saved: Path, tmp_path: Path) -> None:
+    shutil.copytree(saved / "out", tmp_path / "out")
+    (tmp_path / "out" / SUMS).unlink()
+    if sums is not None:
+        (tmp_path / "out" / SUMS).write_bytes(sums)
+    assert ctrplan.load_plan(tmp_path / "out").warnings == ()
+
+
+@pytest.mark.parametrize("name", ["out", "out/plan.json", "plan.ctrplan"])
+def test_the_live_page_takes_either(name: str, saved: Path) -> None:
+    parser = argparse.ArgumentParser()
+    view.add_options(parser)
+    scenario, plan = view.loaded(parser.parse_args([str(saved / name)]))
+    assert plan is not None and plan.scenario is scenario

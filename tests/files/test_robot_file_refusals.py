@@ -97,7 +97,7 @@ friction_coefficient = 0.2 -> friction_coefficient = -0.1
     with low <= high.
 friction_coefficient = 0.2 -> friction_coefficient = 2.1
     contact.1.friction_coefficient = 2.1: must be a number from 0 to 2, or an interval [low, high] within 0 to 2
-    with low <= high.
+    with low <= high: is it in %?
 friction_coefficient = 0.2 -> friction_coefficient = [0.3, 0.1]
     contact.1.friction_coefficient = [0.3, 0.1]: must be a number from 0 to 2, or an interval [low, high] within 0
     to 2 with low <= high.

@@ -54,6 +54,46 @@ def test_no_shipped_scenario_is_in_doubt(file: Path) -> None:
         ("joint.1.min_deg=-1.5708;joint.1.max_deg=1.5708", "are its limits in radians"),
         ("joint.4.moves={l=[0,0,1000]}", r"moves a tube by 86.4 m within its limits, .*: are these m per m\?"),
         ("model_error_mm=0", ""),
+        (
+            "tube.1.outer_diameter_mm=1.32;tube.1.inner_diameter_mm=1.195;tube.2.outer_diameter_mm=1.155;"
+            "tube.2.inner_diameter_mm=0.975;tube.3.outer_diameter_mm=0.91;tube.3.inner_diameter_mm=0.8",
+            r"outer_diameter_mm = 1.32 mm: makes Young's moduli of 1.04e\+12, 1.18e\+12, .* Pa.*: are these radii\?",
+        ),
+        (
+            "contact.1.clearance_mm=0.085",
+            r"clearance_mm = 0.085 mm: is twice the 0.0425 mm .*: is it the difference of",
+        ),
+        ("contact.1.clearance_mm=42.5", r"0.0425 mm that the diameters leave on every side: is it in micrometres\?"),
+        ("contact.2.clearance_mm=0.0000625", r"0.0625 mm that the diameters leave on every side: is it in metres\?"),
+        ("contact.1.friction_coefficient=2", r"friction_coefficient = 2: .*dry metal on metal.*: is it in %\?"),
+        ("contact.1.friction_coefficient=[0.1, 1.5]", r"friction_coefficient = .*: .*dry metal on metal"),
+        ("tube.2.collar_length_mm=0.017", r"collar_length_mm = 0.017 mm: is shorter than .*: is it in metres\?"),
+        (
+            "tube.3.section.2.length_mm=0.0864",
+            r"tube.3.section.2.length_mm = 0.0864 mm: is shorter .*: is it in metres\?",
+        ),
+        ("joint.4.max_velocity_mm_s=0.01", r"max_velocity_mm_s = 0.01 mm/s: takes 2.7e\+04 s for .*: is it in m/s\?"),
+        ("joint.4.max_velocity_mm_s=600", r"max_velocity_mm_s = 600 mm/s: takes 0.451 s .*: is it in mm/min\?"),
+        ("joint.4.max_velocity_mm_s=300", r"max_velocity_mm_s = 300 mm/s: is reached after 6 s: is it in mm/min\?"),
+        ("joint.1.max_velocity_deg_s=1.0472", r"max_velocity_deg_s = 1.0472 deg/s: takes 344 s .*: is it in rad/s\?"),
+        ("joint.1.max_velocity_deg_s=2.0944", r"max_velocity_deg_s = 2.0944 deg/s: takes 172 s .*: is it in rad/s\?"),
+        ("joint.1.max_velocity_deg_s=3600", r"takes 0.1 s for a turn: is it in deg/min\?"),
+        (
+            "joint.4.max_acceleration_mm_s2=0.05",
+            r"max_acceleration_mm_s2 = 0.05 mm/s\^2: .* after 200 s: is it in m/s\^2\?",
+        ),
+        ("joint.1.max_acceleration_deg_s2=4.19", r"max_acceleration_deg_s2 = 4.19 deg/s\^2: .*: is it in rad/s\^2\?"),
+        ("joint.4.max_jerk_mm_s3=0.5", r"max_jerk_mm_s3 = 0.5 mm/s\^3: .* after 100 s: is it in m/s\^3\?"),
+        ("joint.1.max_jerk_deg_s3=41.9", r"max_jerk_deg_s3 = 41.9 deg/s\^3: .* after 5.73 s: is it in rad/s\^3\?"),
+        ("joint.4.max_velocity_mm_s=3", ""),
+        ("joint.4.max_velocity_mm_s=100", ""),
+        ("joint.1.max_velocity_deg_s=720", ""),
+        ("execution.rotation_deg=0.0035", r"execution.rotation_deg = 0.0035 deg: .*: is it in radians\?"),
+        ("execution.rotation_deg=12", r"execution.rotation_deg = 12 deg: .*: is it in arcminutes\?"),
+        ("execution.translation_mm=0.00005", r"execution.translation_mm = 5e-05 mm: .*: is it in metres\?"),
+        ("execution.translation_mm=5", r"execution.translation_mm = 5 mm: .*: is it in micrometres\?"),
+        ("execution={rotation_deg=0,translation_mm=0}", ""),
+        ("measurement={position_sigma_mm=0.4,tangent_sigma_deg=0.0087}", r"tangent_sigma_deg = .*: is it in radians\?"),
     ],
 )
 def test_numbers_of_a_robot_by_what_they_would_mean(said: str, phrase: str) -> None:
@@ -238,3 +278,121 @@ def test_the_rules_themselves() -> None:
     assert not any(map(are_radians, ([], [0.0], [3], [1.5], [3.1], [0.35, 20], [2.0, -2.0], [90.0], [np.inf])))
     assert are_degrees([0, 30.0]) and not are_degrees([6.0]) and not are_degrees([6.5]) and not are_degrees([])
     assert not are_degrees([np.nan]) and are_degrees([400.3])
+
+
+@pytest.mark.parametrize("file", sorted(ROBOTS.glob("*.toml")), ids=lambda file: file.stem)
+def test_no_shipped_robot_is_in_doubt(file: Path) -> None:
+    robot = load_robot(file)
+    assert ctrplan.check(robot).flags == () and not [text for text in robot.warnings if text.endswith("?")]
+
+
+def test_diameters_given_as_radii_are_not_told_from_moduli_that_were_stated_but_from_a_stated_clearance() -> None:
+    content = dict(load_robot(THREE).content)
+    tubes = [dict(tube) for tube in content["tube"]]
+    for tube in tubes:
+        for key in ("outer_diameter_mm", "inner_diameter_mm"):
+            tube[key] /= 2
+        del tube["bending_stiffness_Nm2"]
+        tube["youngs_modulus_GPa"] = 60.0
+    contacts = [
+        dict(contact, clearance_mm=gap) for contact, gap in zip(content["contact"], (0.0425, 0.0625), strict=True)
+    ]
+    assert ctrplan.robot_from_dict(content | {"tube": tubes}).warnings == ()
+    (warning, *_) = ctrplan.robot_from_dict(content | {"tube": tubes, "contact": contacts}).warnings
+    assert "or are the diameters radii?" in warning or "or are the diameters radii (1 more" in warning
+
+
+def test_a_robot_made_in_code_says_so_when_it_is_made() -> None:
+    robot = load_robot(THREE)
+    slow = replace(robot.drive.joints[3], max_velocity=1e-5)
+    drive = replace(robot.drive, joints=(*robot.drive.joints[:3], slow))
+    with pytest.warns(UserWarning, match=r"max_velocity_mm_s = 0.01 mm/s: .*: is it in m/s\?"):
+        made = robot.with_(drive=drive)
+    assert "is it in m/s?" in " ".join(made.warnings)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        robot.with_(name="the same")
+
+
+@pytest.mark.parametrize(
+    ("ends", "phrase"),
+    [
+        ("[0.19, 0.21]", ""),
+        ("[19, 21]", r"must contain its value, 0.2: is it in %\?"),
+        ("[-0.02, 0.02]", r"must contain its value, 0.2: is it said as plus or minus\?"),
+        ("[0.9, 1.1]", r"must contain its value, 0.2: is it said as a share of the value\?"),
+        ("[0.3, 0.4]", r"must contain its value, 0.2\.$"),
+    ],
+)
+def test_intervals_in_other_units_are_refused_by_name(ends: str, phrase: str) -> None:
+    said = [f"uncertainty.ci95.contact={{1={{friction_coefficient={ends}}}}}"]
+    if not phrase:
+        assert load_robot(THREE, said).warnings == ()
+        return
+    with pytest.raises(InputError, match=phrase):
+        load_robot(THREE, said)
+    length = ["uncertainty.ci95.tube={1={section={1={length_mm=[0.149, 0.151]}}}}"]
+    with pytest.raises(InputError, match=r"must contain its value, 150: is it 1000 times too small"):
+        load_robot(THREE, length)
+
+
+@pytest.mark.parametrize(
+    ("said", "phrase"),
+    [
+        ("goal.tolerance_mm=0.001", r"goal.tolerance_mm = 0.001 mm: .*: is it in metres\?"),
+        ("goal.tolerance_mm=500", r"goal.tolerance_mm = 500 mm: .*: is it in micrometres\?"),
+        (
+            "goal.direction=[0,0,1];goal.direction_tolerance_deg=0.0873",
+            r"direction_tolerance_deg = .*: is it in radians\?",
+        ),
+        ("anatomy.1.margin_mm=0.0005", r"anatomy.1.margin_mm = 0.0005 mm: .*: is it in metres\?"),
+        ("cost.max_error_goal_mm=0.002", r"cost.max_error_goal_mm = 0.002 mm: .*: is it in metres\?"),
+        ("base.position_sigma_mm=0.0005", r"base.position_sigma_mm = 0.0005 mm: .*: is it in metres\?"),
+        ("base.rotation_sigma_deg=0.0087", r"base.rotation_sigma_deg = 0.0087 deg: .*: is it in radians\?"),
+        ("goal.tolerance_mm=0.1", ""),
+        ("base.rotation_sigma_deg=0.5", ""),
+    ],
+)
+def test_tolerances_and_margins_of_a_scenario_by_what_they_would_mean(said: str, phrase: str) -> None:
+    file = SCENARIOS / "vessel.toml"
+    scenario = load_scenario(file, said.split(";"))
+    told = [text for text in scenario.warnings if text not in load_scenario(file).warnings]
+    flags = ctrplan.check(scenario).flags
+    assert len(told) == len(flags) == bool(phrase)
+    assert all(re.search(phrase, text) for text in (*told, *flags))
+
+
+@pytest.mark.parametrize(
+    ("joint", "change", "phrase"),
+    [
+        (
+            0,
+            {"max_velocity": 60.0},
+            r"max_velocity_deg_s = 3437.7.* turn: is it in deg/min or deg/s given for rad/s\?",
+        ),
+        (
+            3,
+            {"max_velocity": 10.0},
+            r"max_velocity_mm_s = 10000.0 mm/s: takes 0.027 s .*: is it in mm/s given for m/s\?",
+        ),
+        (
+            3,
+            {"max_acceleration": 50.0},
+            r"max_acceleration_mm_s2 = 50000.0 .*: is it in mm/min\^2 or mm/s\^2 given for m/s\^2\?",
+        ),
+        (0, {"lower": -180.0, "upper": 180.0}, r"turns by 2.063e\+04 deg: are its limits degrees given for radians\?"),
+    ],
+)
+def test_units_of_files_given_in_code_are_named(joint: int, change: dict[str, float], phrase: str) -> None:
+    robot = load_robot(THREE)
+    joints = list(robot.drive.joints)
+    joints[joint] = replace(joints[joint], **change)
+    with pytest.warns(UserWarning, match=phrase):
+        robot.with_(drive=replace(robot.drive, joints=tuple(joints)))
+
+
+def test_a_start_in_degrees_given_in_code_is_named() -> None:
+    scenario = load_scenario(SCENARIOS / "vessel.toml")
+    start = np.array([0.0, 90.0, -60.0, scenario.start[3]])
+    with pytest.warns(UserWarning, match=r"start.rotate middle = 5156.6.*: are these degrees given for radians\?"):
+        scenario.with_(start=start)

@@ -127,6 +127,94 @@ def test_an_fcsv_point_that_was_not_placed_is_left_out(tmp_path: Path) -> None:
     )
 
 
+HIDDEN = "is hidden or not selected in 3D Slicer, and is taken all the same"
+
+
+def test_points_that_are_hidden_or_not_selected_are_said(tmp_path: Path) -> None:
+    point = {"label": "a", "position": [1, 2, 3]}
+    for keys, is_said in (({}, False), ({"visibility": False}, True), ({"selected": False}, True)):
+        (markup,) = read_markups(markups(tmp_path / "m.mrk.json", point | keys))
+        assert markup.notes == ((f"m.mrk.json: point 1 (a) {HIDDEN}",) if is_said else ())
+        assert markup.labels == ("a",)
+    path = tmp_path / "m.fcsv"
+    for cells, is_said in (("1,1", False), ("0,1", True), ("1,0", True)):
+        path.write_text(f"# CoordinateSystem = LPS\n1,1,2,3,0,0,0,1,{cells},0,a,,,2,0\n")
+        assert read_markups(path)[0].notes == ((f"m.fcsv: point 1 (a) {HIDDEN}",) if is_said else ())
+
+
+def written(path: Path, **keys: object) -> Path:
+    body = {"type": "Fiducial", "coordinateSystem": "LPS", "controlPoints": [{"position": [1, 2, 3]}]} | keys
+    path.write_text(json.dumps({"markups": [body]}))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("said", "factor"),
+    [("mm", 1), ("cm", 10), ("m", 1e3), ("um", 1e-3), (["mm", "UCUM"], 1), (["cm", "UCUM"], 10)],
+)
+def test_units_of_markups_are_those_that_they_say(said: object, factor: float, tmp_path: Path) -> None:
+    far = [{"position": [40.0 / factor, 2.0 / factor, -3.0 / factor]}]
+    (markup,) = read_markups(written(tmp_path / "m.mrk.json", coordinateUnits=said, controlPoints=far))
+    np.testing.assert_allclose(markup.points_mm, [[40, 2, -3]])
+
+
+WRONG: list[tuple[dict[str, object], str]] = [
+    ({"coordinateUnits": "inch"}, "markups.1.coordinateUnits = 'inch': must be one of mm, cm, m, um"),
+    ({"coordinateUnits": []}, r"markups.1.coordinateUnits = \[\]: must be one of"),
+    ({"coordinateUnits": [["mm"]]}, "markups.1.coordinateUnits = .*: must be one of"),
+    ({"coordinateUnits": {"unit": "mm"}}, "markups.1.coordinateUnits.*: must be one of"),
+    ({"coordinateUnits": None}, "markups.1.coordinateUnits = None: must be one of"),
+    ({"coordinateSystem": 0}, r"coordinateSystem = 0: must be RAS or LPS \(of numbers 0 is RAS and 1 is LPS in .fcsv"),
+    ({"coordinateSystem": "1"}, "coordinateSystem = '1': must be RAS or LPS .of numbers"),
+    ({"coordinateSystem": "lps"}, "coordinateSystem = 'lps': must be RAS or LPS"),
+    ({"coordinateSystem": "IJK"}, "coordinateSystem = 'IJK': must be RAS or LPS"),
+    ({"type": "Line"}, "markups.1: is a Line of one point that was placed: it needs two"),
+    ({"type": "Curve"}, "markups.1: is a Curve of one point that was placed: it needs two"),
+    ({"type": "ClosedCurve"}, "markups.1.type = 'ClosedCurve': must be one of"),
+    ({"controlPoints": [{"position": [0, 0, float("nan")]}]}, "must lie from"),
+    ({"controlPoints": [{"position": [0, "1", 0]}]}, "must have three numbers"),
+    ({"controlPoints": [7]}, "is no file of markups"),
+    ({"coordinateUnits": "m", "controlPoints": [{"position": [40, 2, 3e3]}]}, "must lie from -100000 to 100000 mm"),
+]
+
+
+@pytest.mark.parametrize(("keys", "phrase"), WRONG)
+def test_wrong_markups_are_refused_by_name(keys: dict[str, object], phrase: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=phrase) as caught:
+        read_markups(written(tmp_path / "m.mrk.json", **keys))
+    assert "\n" not in str(caught.value)
+
+
+def test_markups_that_say_a_thing_twice_are_refused(tmp_path: Path) -> None:
+    path = written(tmp_path / "m.mrk.json")
+    text = path.read_text()
+    path.write_text(text.replace('"coordinateSystem"', '"coordinateSystem": "RAS", "coordinateSystem"'))
+    with pytest.raises(InputError, match="says coordinateSystem twice, and differently"):
+        read_markups(path)
+    path.write_text(text.replace('"coordinateSystem"', '"coordinateSystem": "LPS", "coordinateSystem"'))
+    assert read_markups(path)[0].frame == "LPS"
+    path.write_text(text.replace('"coordinateSystem"', '"length": NaN, "coordinateSystem"'))
+    assert read_markups(path)[0].frame == "LPS"
+    old = tmp_path / "m.fcsv"
+    old.write_text("# CoordinateSystem = LPS\n# CoordinateSystem = RAS\n1,1,2,3\n")
+    with pytest.raises(InputError, match="CoordinateSystem = 'RAS': says another frame than the line before, LPS"):
+        read_markups(old)
+    old.write_text("# CoordinateSystem = LPS\n# CoordinateSystem = 1\n1,1,2,3\n")
+    assert read_markups(old)[0].frame == "LPS"
+
+
+def test_an_fcsv_file_of_other_columns_and_signs_between_them(tmp_path: Path) -> None:
+    path = tmp_path / "m.fcsv"  # of 3D Slicer 3
+    path.write_text("# name = F\n# columns = label,x,y,z,sel,vis\nT,1,2,3,1,1\n")
+    (markup,) = read_markups(path)
+    assert markup.frame is None and markup.labels == ("T",) and markup.points_mm.tolist() == [[1, 2, 3]]
+    path.write_text("# CoordinateSystem = LPS\n1;1,5;2;3;0;0;0;1;1;1;0;T;;\n")
+    with pytest.raises(
+        InputError, match="point 1 = '.*': must have three numbers .commas between them, points in them."
+    ):
+        read_markups(path)
+
+
 def test_a_case_tells_of_points_that_were_left_out(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -334,3 +334,11 @@ def test_a_command_ends_with_what_to_do_next(
 ) -> None:
     assert main([part.format(tmp_path) for part in command]) == 0
     assert "next: " in capsys.readouterr().out.splitlines()[-1]
+
+
+def test_the_package_runs_as_a_module() -> None:
+    arguments = [sys.executable, "-m", "ctrplan", "--version"]
+    ran = subprocess.run(arguments, capture_output=True, text=True, check=True)
+    assert ran.stdout.strip().endswith(ctrplan.__version__)
+    wrong = subprocess.run([*arguments[:3], "check", "nowhere.toml"], capture_output=True, text=True)
+    assert wrong.returncode == 2 and "nowhere.toml" in wrong.stderr and "Traceback" not in wrong.stderr

@@ -13,7 +13,7 @@ from ctrplan.anatomy.image import Image, ImageRefusal
 from ctrplan.anatomy.patient_frame import Frame, to_scenario
 from ctrplan.anatomy.shape import PartEntry, register
 from ctrplan.anatomy.shapes.mesh import Mesh
-from ctrplan.anatomy.structure import ImageStructure, StructureChoice, has_thin_parts, structure
+from ctrplan.anatomy.structure import ImageStructure, StructureChoice, has_thin_parts, image_of, structure
 from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.base.package import shown
 from ctrplan.storage.toml_document import Component, Distance
@@ -104,7 +104,6 @@ def _voxels_off(result: ImageStructure) -> float:
 
 def _read(path: Path, series: str | None) -> Image:
     from ctrplan.anatomy.dicom import read_series  # with SimpleITK, which few scenarios need
-    from ctrplan.anatomy.image import image_of
     from ctrplan.anatomy.image_file import SUFFIXES, is_image, read_image
 
     if path.is_dir() or path.suffix.lower() == ".dcm":
