@@ -2,18 +2,24 @@
 
     python benchmarks/run.py --write scenarios plans [SCENARIO ...] [--seed N]     # the table of docs/results.md
     python benchmarks/run.py scenarios choice
+    python benchmarks/run.py scenarios costs [SCENARIO ...] [--time 1] [--seeds 5] [--against CHECKOUT]
 
+costs: what plans of a search of so many seconds cost, how many seeds have one, and what all of it takes of a processor;
+with --against, in alternation with another checkout.
 choice: how much choice the scenarios' goals leave: goal configurations, their bounds, and the ratio between them.
 """
 
+import os
+import subprocess
 import sys
+import time
 from dataclasses import replace
 from pathlib import Path
 
 import common
 import numpy as np
 from arrival import driven, pasts
-from common import SCENARIOS, table
+from common import ROOT, SCENARIOS, again, table
 
 import ctrplan
 from ctrplan.files.scenario_file import load_scenario
@@ -95,15 +101,63 @@ def print_choice(paths: list[Path]) -> None:
     table("choice", ("scenario", "goal configurations", "bounds", "choice"), rows)
 
 
+def plan_once(path: Path, seed: int, time_s: float) -> tuple[float, float, float]:
+    """Cost [mm] and bound at the goal [mm] of a plan, NaN where there is none, and seconds of a processor."""
+    began = time.process_time()
+    scenario = ctrplan.load_scenario(path, [f"planner.time_s={time_s}"])
+    try:
+        plan = ctrplan.plan(scenario, seed=seed)
+    except ctrplan.CtrplanError as error:
+        print(path.stem, seed, error, file=sys.stderr, flush=True)
+        return np.nan, np.nan, time.process_time() - began
+    took = time.process_time() - began
+    return cost_mm(plan, scenario.cost), 1e3 * plan.certificate.goal_bound_m, took
+
+
+def costs(paths: list[Path], time_s: float, seeds: int, against: Path | None) -> None:
+    """A row for each scenario, medians over the seeds; each plan in a process of its own, checkouts in alternation."""
+    trees, rows = [ROOT] + ([against.resolve()] if against else []), list[tuple[str, ...]]()
+    for path in paths:
+        values = np.full((len(trees), seeds, 3), np.nan)
+        for seed in range(seeds):
+            for k in range(len(trees)) if seed % 2 else reversed(range(len(trees))):
+                line = again("scenarios", "--once", str(path), str(seed), str(time_s))
+                environment = os.environ | {"PYTHONPATH": str(trees[k])}
+                done = subprocess.run(line, env=environment, stdout=subprocess.PIPE, text=True, check=True)
+                values[k, seed] = [float(x) for x in done.stdout.split()]
+        cells = [path.stem]
+        for solved in values:
+            there = np.isfinite(solved[:, 0])
+            cost, bound = (np.median(solved[there, c]) if there.any() else np.nan for c in (0, 1))
+            cells += [f"{there.sum()} of {seeds}", f"{cost:.1f} mm", f"{bound:.2f} mm"]
+            cells += [f"{np.median(solved[:, 2]):.1f} s"]
+        rows.append(tuple(cells))
+        print(*rows[-1], sep=", ", file=sys.stderr, flush=True)
+    heads = [f"{name}{where}" for where in ("", ", there")[: len(trees)] for name in COST_COLUMNS]
+    table("costs", ("scenario", *heads), rows)
+
+
+COST_COLUMNS = ("planned", "cost", "bound at the goal", "processor")
+
+
 def main() -> None:
+    if "--once" in sys.argv:
+        path, seed, time_s = sys.argv[sys.argv.index("--once") + 1 :][:3]
+        print(*plan_once(Path(path), int(seed), float(time_s)))
+        return
     parser = common.parser(__doc__)
-    parser.add_argument("section", choices=["plans", "choice"])
+    parser.add_argument("section", choices=["plans", "choice", "costs"])
     parser.add_argument("scenarios", nargs="*")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--time", type=float, default=1.0)
+    parser.add_argument("--against", type=Path, help="another checkout")
     given = parser.parse_args()
     every = sorted(SCENARIOS.glob("*.toml"))
     paths = [path for path in every if not given.scenarios or path.stem in given.scenarios]
     if given.section == "plans":
         plans(paths, given.seed)
+    elif given.section == "costs":
+        costs(paths, given.time, given.seeds, given.against)
     else:
         print_choice(paths)

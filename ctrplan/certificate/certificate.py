@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from ctrplan.mechanics.walk import PathLimits
     from ctrplan.scenario.scenario import Scenario, StartFriction
 
+WalkAgain = Callable[["Accuracy | None", "Sequence[HistoryState] | None"], "Certificate"]
 Unit = Literal["", "m", "rad", "mm", "share", "number", "count"]  # "": a field that is no single number
 Join = Literal["", "max", "min", "sum", "all", "first", "last", "chain"]
 JOINS: dict[Join, Callable[[list[Any]], Any]] = {
@@ -307,7 +308,11 @@ class Certificate:
     settling: Settling | None = None
     end_states: tuple[HistoryState, ...] = ()  # friction states at the end, one for each start
     # The same legs; on the same mesh if None, from the friction states that a stage before left.
-    walk_again: Callable[[Accuracy | None, Sequence[HistoryState] | None], Certificate] | None = None
+    walk_again: WalkAgain | None = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What a copy in another process has: friction states stay where they were simulated."""
+        return {**self.__dict__, "end_states": (), "walk_again": None}
 
     def recheck(self) -> Recheck:
         """Walks the legs again, on the mesh they were certified on and on the certificate mesh; see `Recheck`.
@@ -397,9 +402,7 @@ def _closest(stages: list[Certificate], name: Literal["nominal", "closest", "nar
     return min(results, key=lambda one: one[0])[1] if results else None
 
 
-def _all_again(
-    stages: list[Certificate],
-) -> Callable[[Accuracy | None, Sequence[HistoryState] | None], Certificate] | None:
+def _all_again(stages: list[Certificate]) -> WalkAgain | None:
     """Walks every stage again, from where the one before leaves friction; None where one does not know its legs."""
     ways = [stage.walk_again for stage in stages if stage.walk_again is not None]
     if len(ways) < len(stages):

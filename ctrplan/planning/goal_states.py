@@ -72,7 +72,7 @@ def _descend(checker: MotionChecker, trails: list[Trail]) -> None:
             further = space.wound_into_limits(q + step_mm[going, None] * down[going])
             back = solver.solve(TipTarget(aim[going]), space.projected(further, fallback=q), TIP_STEPS, turned=False)
             checker.meter.add(ROOM_NS * TIP_STEPS * len(going))
-            result = list(pool.map(lambda joints: _goal_state(checker, joints), back.joints))
+            result = list(pool.map(lambda joints: goal_state(checker, joints), back.joints))
             least = [MIN_PROGRESS * trails[k][-1].bound_m for k in going]
             lower = np.array([state.bound_m < bound_m for state, bound_m in zip(result, least, strict=True)])
             moved = going[lower]
@@ -96,7 +96,7 @@ def _downhill(checker: MotionChecker, solver: TipSolver, q: Array) -> tuple[Arra
     return down, solver.tips(q)[0] + target.tip_m - slopes.tip_m
 
 
-def _goal_state(checker: MotionChecker, joints: Array) -> GoalState:
+def goal_state(checker: MotionChecker, joints: Array) -> GoalState:
     """Joint values (m,) as a goal state, whose bound is infinite if they are not valid or off the target."""
     goal, target = checker.scenario.goal, tip_target(checker.scenario)
     if checker.is_definite_collision(joints):

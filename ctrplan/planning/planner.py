@@ -207,11 +207,12 @@ def _stages(
                 refuse_start()  # what is wrong with the start is said before what is with the goal
                 raise
             asked.approaches()  # simulated while a first path is sought, which leaves some of the machine idle
-            if k + 1 < len(targets) and targets[k + 1].line_m is not None:
+            begins_line = k + 1 < len(targets) and targets[k + 1].line_m is not None
+            if begins_line:
                 goals = line_beginnings(checker, goals, targets[k + 1])
             clock = SearchClock(checker.meter, asked.timed)
             search = StageSearch(checker, goals, asked.seed, asked.began, share, clock, asked.report, asked.interrupted)
-            search.refuse_start = refuse_start
+            search.refuse_start, search.moves_goal = refuse_start, not begins_line
             search.before, search.whole = asked.before + spent, asked.whole
             stages.append(run(search))
             spent += clock.now()

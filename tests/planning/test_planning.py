@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import pickle
 import sys
 import threading
 from dataclasses import replace
@@ -51,6 +52,15 @@ def ribs(told: list[Progress]) -> ctrplan.Plan:
 @pytest.fixture(scope="module")
 def snap() -> ctrplan.Plan:
     return ctrplan.plan(scenario("snap", "planner.time_s=0.5"), seed=0)
+
+
+def test_a_plan_travels_to_another_process(snap: ctrplan.Plan) -> None:
+    """All but the friction states that it ended with, which stay where they were simulated."""
+    again = pickle.loads(pickle.dumps(snap))
+    assert again.certificate.goal_bound_m == snap.certificate.goal_bound_m and again.seed == snap.seed
+    assert again.scenario.sha256 == snap.scenario.sha256 and len(again.legs) == len(snap.legs)
+    with pytest.raises(ctrplan.InputError, match="no legs to walk again"):
+        again.certificate.recheck()
 
 
 def check(plan: ctrplan.Plan) -> None:

@@ -25,10 +25,12 @@ from ctrplan.planning.goal_states import descended, distinct
 from ctrplan.planning.reordering import Reordered, as_given, least_error_order
 from ctrplan.planning.search.insertion_chains import direct_roadmap, promising, retreat_roadmap
 from ctrplan.planning.search.ompl_set_up import SearchProblem
+from ctrplan.planning.search.polish import Polish
 from ctrplan.planning.search.roadmap_search import RoadmapSearch
 from ctrplan.scenario.tip_solver import GoalState
 
-FIRST_SHARE = ROADMAP_SHARE = 0.7  # of the time by which a first path, and the cheapest, of the roadmap is sought
+# Shares of the time by which a first path and the cheapest of the roadmap are sought, and that one is polished
+FIRST_SHARE, ROADMAP_SHARE, POLISH_SHARE = 0.7, 0.6, 0.9
 # Shares by which L-shaped motions are sampled that led to no path, and then simultaneous ones
 SAMPLED_SHARE, FALLBACK_SHARE = 0.9, 1.08
 STRAIGHT_HOPE = 0.5  # of motions from the start to a goal, without which chains are made before any is walked
@@ -101,6 +103,7 @@ class StageSearch:
     first: Candidate | None = None  # that was certified
     best: Candidate | None = None
     certified: list[Candidate] = field(default_factory=list)
+    moves_goal: bool = True  # whether polish may leave the goal states, for others that reach the target
     has_chains: bool = False  # whether the roadmap has those that withdraw from the goals
 
     def run_to_first(self) -> tuple[Candidate, Candidate]:
@@ -120,8 +123,24 @@ class StageSearch:
             self._cheapest_of(roadmap)
         if self.best is not None and not self.best.reordered and not self._is_enough():
             self._tidied(self.checker, self.best.corners, self.best.found_by)
+        self._polish(POLISH_SHARE * self.budget)
         self._sample()
         return self._answer()
+
+    def _polish(self, until: float) -> None:
+        """Improves the best path from where it is; certified again, or else half of the way there."""
+        if self.best is None or self._is_enough():
+            return
+        before = self.best
+        work = Polish(before.checker, before.result.after, self.seed, moves_goal=self.moves_goal)
+        with self._ending(until):
+            work.run(lambda: self._is_over(until))
+        if np.array_equal(work.corners, before.result.after):
+            return
+        if self._tidied(before.checker, work.corners, before.found_by) and len(work.corners) == len(
+            before.result.after
+        ):
+            self._tidied(before.checker, (work.corners + before.result.after) / 2, before.found_by)
 
     def _without_reserve(self) -> None:
         """No path keeps more clearance than the certificate asks for: what keeps no more is looked for."""
