@@ -106,7 +106,7 @@ FrictionTipRows Model::friction_tips(const std::vector<Configuration>& all, cons
     auto work = [&](TipSolver& solver, std::size_t run) {
         std::vector<TipDerivative> derivatives;
         for (std::size_t k = first[run]; k < first[run + 1]; ++k) {
-            const Status status = solver.solve(all[k], accuracy, std::vector<double>(phi + k * pairs, phi + (k + 1) * pairs));
+            const Status status = solver.solve(all[k], accuracy, std::vector<double>(phi + k * pairs, phi + (k + 1) * pairs), !directions.empty());
             fill_tip(solver, status, k, out);
             if (directions.empty() || status == Status::failed) continue;
             solver.differentiate(directions, derivatives);
@@ -115,6 +115,16 @@ FrictionTipRows Model::friction_tips(const std::vector<Configuration>& all, cons
     };
     share(first.size() - 1, threads, [&] { return std::make_unique<TipSolver>(robot_); }, work);
     return out;
+}
+
+BodyDerivatives Model::body_derivatives(const Configuration& q, const Accuracy& accuracy, const std::vector<double>& phi,
+                                        const std::vector<Direction>& directions, double spacing) const {
+    TipSolver solver(robot_);
+    BodyDerivatives found;
+    found.stability = kNaN;
+    found.stability_by.assign(directions.size(), kNaN);
+    if (solver.solve(q, accuracy, phi, true) != Status::failed) solver.differentiate_body(directions, spacing, found);
+    return found;
 }
 
 }  // namespace ctr
