@@ -276,7 +276,7 @@ class Bound:
     corner_phi: Array  # (C, n - 1) friction states of the corners, signs per pair, outermost first
     envelope_m: Array  # (N,) of the centreline, at frictionless.s_m
     worst_corner: int  # index of the corner that gives position_m
-    gradient: BoundGradient | None = None  # if asked for
+    gradient: BoundGradient | None = field(default=None, repr=False)  # if asked for
 
     def headline(self) -> str:
         """How far friction may move the tip, as it shows itself."""
@@ -311,7 +311,7 @@ class Bounds:
     status: NDArray[np.int_]  # (K,) values of Status
     tip_m: Array  # (K, 3) frictionless
     tip_tangent: Array  # (K, 3)
-    gradient: BoundGradient | None = None  # of all rows, if asked for
+    gradient: BoundGradient | None = field(default=None, repr=False)  # of all rows, if asked for
 
 
 @shown

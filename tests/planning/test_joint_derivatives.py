@@ -41,9 +41,8 @@ def agrees(found: Array, expected: Array, share: Sequence[float]) -> None:
 
 
 def tips(robot: Robot, q: Array, phi: float = 0.0) -> Array:
-    """To the last digits, as they are where derivatives are asked for."""
     state = np.full((len(q), robot.n - 1), phi)
-    return robot.mechanics.tips_with_friction(*robot.drive.collars(q), state, parameters=["theta_b.1"]).position_m
+    return robot.mechanics.tips_with_friction(*robot.drive.collars(q), state).position_m
 
 
 def differences(robot: Robot, phi: float) -> Array:

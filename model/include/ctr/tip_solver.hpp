@@ -16,9 +16,10 @@ class TipSolver {
   public:
     explicit TipSolver(const Robot& robot) : solver_(robot) {}
 
-    // phi per pair, outermost first; finished to the last digits, which derivatives need. unstable: an angle's pivot is negative, the robot would turn away from the solution.
-    Status solve(const Configuration& q, const Accuracy& accuracy, const std::vector<double>& phi, bool finished = false);
-    // Of the last solution, which must have converged and been finished.
+    // phi per pair, outermost first; to the last digits, which derivatives need. unstable: an angle's pivot is negative, the
+    // robot would turn away from the solution.
+    Status solve(const Configuration& q, const Accuracy& accuracy, const std::vector<double>& phi);
+    // Of the last solution, which must have converged.
     void differentiate(const std::vector<Direction>& directions, std::vector<TipDerivative>& out) {
         sensitivities_.compute(solver_, state_, q_, phi_, directions, out);
     }

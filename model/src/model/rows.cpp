@@ -106,7 +106,7 @@ FrictionTipRows Model::friction_tips(const std::vector<Configuration>& all, cons
     auto work = [&](TipSolver& solver, std::size_t run) {
         std::vector<TipDerivative> derivatives;
         for (std::size_t k = first[run]; k < first[run + 1]; ++k) {
-            const Status status = solver.solve(all[k], accuracy, std::vector<double>(phi + k * pairs, phi + (k + 1) * pairs), !directions.empty());
+            const Status status = solver.solve(all[k], accuracy, std::vector<double>(phi + k * pairs, phi + (k + 1) * pairs));
             fill_tip(solver, status, k, out);
             if (directions.empty() || status == Status::failed) continue;
             solver.differentiate(directions, derivatives);
@@ -123,7 +123,7 @@ BodyDerivatives Model::body_derivatives(const Configuration& q, const Accuracy& 
     BodyDerivatives found;
     found.stability = kNaN;
     found.stability_by.assign(directions.size(), kNaN);
-    if (solver.solve(q, accuracy, phi, true) != Status::failed) solver.differentiate_body(directions, spacing, found);
+    if (solver.solve(q, accuracy, phi) != Status::failed) solver.differentiate_body(directions, spacing, found);
     return found;
 }
 
