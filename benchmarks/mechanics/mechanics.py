@@ -1,8 +1,9 @@
 """How accurate is the mechanics core, and how long does an answer take?
 
-    python benchmarks/run.py mechanics [references] [pairs] [order] [meshes] [fineness] [speed] [--count N]
+    python benchmarks/run.py mechanics [references] [pairs] [order] [meshes] [fineness] [gradients] [speed] [--count N]
 
-All of them if none is named; --count says how many random configurations `meshes` and `fineness` look at. References
+All of them if none is named; --count says how many random configurations `meshes` and `fineness` look at. `gradients`
+compares derivatives with central differences. References
 are in tests/reference, each with its own uncertainty. Times are of one core unless a row says otherwise; medians,
 because the machine may be doing other things.
 """
@@ -14,19 +15,24 @@ import json
 import os
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import common
 import numpy as np
 import paper_oracle as paper
-from common import ROBOTS, ROOT, distance_mm, table
+from bound_calls import nested_robot
+from common import ROBOTS, ROOT, SCENARIOS, distance_mm, table
+from scipy.spatial.transform import Rotation
 from table_1_pair import table_1_pair
 
 from ctrplan.base.arrays import Array
 from ctrplan.files.robot_file import load_robot
+from ctrplan.files.scenario_file import load_scenario
 from ctrplan.mechanics.core import kernel_name
 from ctrplan.mechanics.shapes import Accuracy, Status
 from ctrplan.mechanics.walk import PathDensity
+from ctrplan.motion.checker import MotionChecker
 
 THREE_TUBES = load_robot(ROBOTS / "three_tube.toml")
 ACCURACIES: tuple[Accuracy, ...] = ("search", "certificate", "exact")
@@ -272,11 +278,117 @@ def speed() -> None:
     table("milliseconds", ("", "samples", "least", "median", "99 %"), rows)
 
 
+GRADIENT_STATES = 40  # of each robot
+BY_PARAMETERS = {
+    "tube.1.bending_stiffness_Nm2": 1e-5,
+    "tube.2.poisson_ratio": 1e-4,
+    "tube.2.section.2.curvature_y_per_m": 1e-5,
+    "contact.1.friction_coefficient": 1e-5,
+}  # and steps as shares of their values
+Values = Callable[[str, int, float], dict[str, Array]]  # (K, ...) by quantity, at a step along one of the variables
+
+
+def error_rows(what: str, values: Values, by: dict[str, dict[str, Array]], steps: dict[str, Array]) -> list[Row]:
+    """For each quantity and variable the errors of derivatives `by` (K, ..., V), of the largest of each state.
+
+    Left out and counted are states where differences across two steps disagree: the mesh or the active branch changes.
+    """
+    rows: list[Row] = []
+    for variable, lengths in steps.items():
+        off: dict[str, list[Array]] = {name: [] for name in by}
+        apart: dict[str, list[Array]] = {name: [] for name in by}
+        for j, step in enumerate(lengths.tolist()):
+            ends = [(values(variable, j, h), values(variable, j, -h)) for h in (step, step / 2)]
+            for name in by:
+                wide, narrow = (
+                    (up[name] - down[name]) / (2 * h) for (up, down), h in zip(ends, (step, step / 2), strict=True)
+                )
+                for kept, part in ((off, narrow - by[name][variable][..., j]), (apart, wide - narrow)):
+                    kept[name].append(np.abs(part).reshape(len(part), -1).max(axis=1))
+        for name in by:
+            size = np.abs(by[name][variable]).reshape(len(by[name][variable]), -1).max(axis=1)
+            if not size.any():
+                continue
+            share, doubt = (np.max(part[name], axis=0) / np.maximum(size, 1e-300) for part in (off, apart))
+            smooth = doubt < 1e-5
+            errors = share[smooth]
+            rows.append((what, name, variable, f"{np.median(errors):.0e}", f"{errors.max():.0e}", int((~smooth).sum())))
+    return rows
+
+
+def gradients() -> None:
+    """Prints errors of derivatives of bounds and tips of nested robots, and of clearances of shipped scenarios."""
+    rows: list[Row] = []
+    for n in (2, 3, 4):
+        robot, random = nested_robot(n), np.random.default_rng(n)
+        apart = random.uniform(5.5e-3, 10e-3, (GRADIENT_STATES, n))
+        place = {"rotations": random.uniform(-np.pi, np.pi, (GRADIENT_STATES, n)), "translations": -np.cumsum(apart, 1)}
+
+        def quantities(robot: Any, where: Any) -> Any:
+            return robot.bounds(*where.values(), gradient=True, parameters=list(BY_PARAMETERS)).gradient
+
+        def values(variable: str, j: int, step: float, robot: Any = robot, place: Any = place) -> dict[str, Array]:
+            moved = dict(place)
+            if variable == "parameters":
+                name = list(BY_PARAMETERS)[j]
+                robot = robot.with_(f"{name}={value_in(robot.content, name) + step!r}")
+            else:
+                moved[variable] = place[variable] + step * np.eye(place[variable].shape[1])[j]
+            found = quantities(robot, moved)
+            return {name: getattr(found, name).value for name in KNOWN}
+
+        here = quantities(robot, place)
+        keys = {"rotations": "theta_b", "translations": "l_b", "parameters": "parameters"}
+        by = {name: {kind: getattr(getattr(here, name), key) for kind, key in keys.items()} for name in KNOWN}
+        shares = [share * value_in(robot.content, name) for name, share in BY_PARAMETERS.items()]
+        steps = {"rotations": np.full(n, 2e-5), "translations": np.full(n, 1e-6), "parameters": np.array(shares)}
+        rows += error_rows(f"{n} tubes", values, by, steps)
+    for scenario in ("vessel", "sinus", "heart_chamber"):
+        rows += clearance_rows(scenario)
+    head = ("robot", "quantity", "by", "median error", "worst", f"not smooth, of {GRADIENT_STATES}")
+    table("gradients", head, rows)
+
+
+KNOWN = ("position_m", "tangent_rad", "stability", "tip_m")
+
+
+def value_in(content: Any, name: str) -> float:
+    """What a robot file says of a number."""
+    for part in name.split("."):
+        content = content[int(part) - 1] if part.isdecimal() else content[part]
+    return float(content)
+
+
+def clearance_rows(name: str) -> list[Row]:
+    """By joints and by the base pose."""
+    scenario = load_scenario(SCENARIOS / f"{name}.toml")
+    checker = MotionChecker(scenario)
+    q = checker.space.sample(np.random.default_rng(0), GRADIENT_STATES)
+    turns, here = checker.space.drive.is_rotation, checker.clearance(q, gradient=True)
+    kinds = {"rotations": np.flatnonzero(turns), "translations": np.flatnonzero(~turns)}
+
+    def values(variable: str, j: int, step: float) -> dict[str, Array]:
+        unit, own, moved = step * np.eye(3)[min(j, 2)], checker, q
+        if variable in kinds:
+            moved = q + step * np.eye(q.shape[1])[kinds[variable][j]]
+        else:
+            R = Rotation.from_rotvec(unit * (variable == "base rotation")).as_matrix() @ scenario.base_R
+            place = scenario.base_position_m + unit * (variable == "base position")
+            own = MotionChecker(replace(scenario, base_R=R, base_position_m=place))
+        return {"clearance_m": own.clearance(moved, gradient=True).clearance_m}
+
+    by = {kind: here.by_joints[:, columns] for kind, columns in kinds.items()}
+    by |= {"base position": here.by_base_position, "base rotation": here.by_base_rotation}
+    steps = {"rotations": 2e-5, "translations": 1e-6, "base position": 1e-6, "base rotation": 1e-5}
+    lengths = {kind: np.full(by[kind].shape[1], step) for kind, step in steps.items()}
+    return error_rows(name, values, {"clearance_m": by}, lengths)
+
+
 def main() -> None:
     parser = common.parser(__doc__)
     parser.add_argument("section", nargs="*")
     parser.add_argument("--count", type=int, default=1000)
     given = parser.parse_args()
-    known = {"references": references, "pairs": pairs, "order": order, "speed": speed}
+    known = {"references": references, "pairs": pairs, "order": order, "gradients": gradients, "speed": speed}
     counted = {"meshes": lambda: meshes(given.count), "fineness": lambda: fineness(given.count)}
     common.sections(given.section, {**known, **counted}, parser.error)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ctrplan.anatomy.parts import exact_clearance
 from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.certificate.certificate import CertificateSamples
 from ctrplan.certificate.friction_states import SPACING_M, bound_allowance_m, mesh_allowance_m
@@ -20,7 +21,7 @@ from ctrplan.drive.legs import distance_from_polyline
 from ctrplan.mechanics.equilibria import SAME_SHAPE_M
 from ctrplan.mechanics.shapes import Accuracy
 from ctrplan.mechanics.walk import PathLimits
-from ctrplan.motion.checker import breach, path_limits, shares_in_words
+from ctrplan.motion.checker import TOO_CLOSE, MotionChecker, breach, path_limits
 from ctrplan.robot.robot import Robot
 from ctrplan.scenario.joint_space import JointSpace
 from ctrplan.scenario.tip_solver import target_in_robot_frame
@@ -194,3 +195,31 @@ def _apart(scenario: Scenario, before: Piece, after: Piece) -> float:
     ends = before.end_tips_m[1], after.end_tips_m[0]
     gap = float(np.linalg.norm(ends[0] - ends[1], axis=1).max())
     return gap if before.accuracy == after.accuracy else gap - mesh_allowance_m(scenario.robot, "search")
+
+
+def shares_in_words(nominal_m: float, friction_m: float, allowed_m: float, stated_m: float = 0.0) -> str:
+    """In brackets, with a space before them; stated_m is what intervals, play and registration take."""
+    stated = f", intervals, play and registration {stated_m * MM_PER_M:.2f}" if stated_m else ""
+    return (
+        f" (the frictionless one is {nominal_m * MM_PER_M:.2f} mm beyond the margins, friction takes "
+        f"{friction_m * MM_PER_M:.2f}{stated}, allowances {allowed_m * MM_PER_M:.2f})"
+    )
+
+
+def with_shares(checker: MotionChecker, joints: Array, reason: str, clearance_m: float) -> str:
+    """`reason` with the shares where it is about clearance, `clearance_m` being that of all shapes at joints (m,)."""
+    nominal_m = _frictionless_clearance(checker, joints) if reason.endswith(TOO_CLOSE) else np.nan
+    if not np.isfinite(nominal_m):
+        return reason
+    return reason + shares_in_words(nominal_m, max(0.0, nominal_m - clearance_m), checker.limits.clearance_m)
+
+
+def _frictionless_clearance(checker: MotionChecker, joints: Array) -> float:
+    """[m] beyond the margins; not a number where the model has no solution."""
+    scenario = checker.scenario
+    robot = scenario.robot
+    bodies = robot.mechanics.friction_bodies(*robot.drive.collars(joints), np.zeros((1, robot.n - 1)))
+    if not bodies.solved[0]:
+        return float("nan")
+    located = scenario.located(bodies.point_m[0])
+    return float((exact_clearance(scenario.anatomy, located) - bodies.radius_m).min(initial=np.inf))

@@ -11,8 +11,14 @@ from typing import Annotated, Any, Literal
 
 from msgspec import Meta, Struct, to_builtins
 
-from ctrplan.files.drive_file import ExecutionEntry, HomeEntry, JointEntry, build_drive
-from ctrplan.files.robot_intervals import UncertaintyEntry, build_intervals
+from ctrplan.files.robot_tables import (
+    ExecutionEntry,
+    HomeEntry,
+    JointEntry,
+    UncertaintyEntry,
+    build_drive,
+    build_intervals,
+)
 from ctrplan.measurement.measurements import Marker, SensorNoise
 from ctrplan.mechanics.tube import RANGES, SOFTEST_NM2, STIFFEST_NM2, Contact, Tube, TubeSection
 from ctrplan.robot.magnitudes import bend_readings, one_sentence, robot_doubts

@@ -7,6 +7,7 @@ front plate, z along insertion, s = 0 at the plate.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
@@ -26,7 +27,6 @@ from ctrplan.mechanics.core_arrays import (
     core_loads,
     core_pair,
     core_tube,
-    directions,
     joint_row,
     joint_rows,
     joint_table,
@@ -36,7 +36,8 @@ from ctrplan.mechanics.core_arrays import (
     sound,
     worst,
 )
-from ctrplan.mechanics.friction import SPACING, FrictionStates
+from ctrplan.mechanics.friction import SPACING, FrictionStates, corner_signs
+from ctrplan.mechanics.gradients import bound_gradients, directions, with_gradient
 from ctrplan.mechanics.loaded_shape import LoadedRobot, is_beyond_standard
 from ctrplan.mechanics.shapes import Accuracy, Bound, Bounds, FrictionBodies, Shape, Status, Tips, input_errors
 from ctrplan.mechanics.tube import RANGES, SECTION_RANGES, Loads, nests
@@ -100,6 +101,11 @@ class Mechanics:
         """Pickled as the numbers it was made of, and compiled again where it is read."""
         return type(self), self._given
 
+    @property
+    def numbers(self) -> tuple[tuple[Tube, ...], list[str]]:
+        """What `gradients.directions` has to know: the tubes, and what the core calls its numbers."""
+        return self._given[0], self._model.number_names()
+
     @cached_property
     def _loaded(self) -> LoadedRobot | None:
         """What solves the zero-clearance model with terms that the core leaves out of it; None without such terms."""
@@ -145,7 +151,9 @@ class Mechanics:
                 self._model.solve(*self._collars(theta_b, l_b), np.ascontiguousarray(state), accuracy, refinement)
             )
 
-    @checked(accuracy=ACCURACY, corners=Choice("all", "extreme"), progress=PROGRESS)
+    @checked(
+        accuracy=ACCURACY, corners=Choice("all", "extreme"), progress=PROGRESS, gradient=Flag(), parameters=Texts()
+    )
     def bound(
         self,
         theta_b: ArrayLike,
@@ -154,18 +162,22 @@ class Mechanics:
         accuracy: Accuracy = "search",
         corners: Literal["all", "extreme"] | None = None,
         progress: Progress | None = None,
+        gradient: bool = False,
+        parameters: Sequence[str] = (),
     ) -> Bound:
         """Frictionless solution, corners phi in {-1, 1}^(n-1), and the largest deviations between them.
 
         corners: "all" 2^(n-1) of them, for at most 10 tubes, or those "extreme" ones that a search finds to move the
         tip farthest by some n^2 solves: benchmarks/bound_sizes.py says what they miss. By default all of at most
         MOST_TUBES_OF_ALL_CORNERS tubes. A corner without an equilibrium in reach leaves no bound: the others
-        that are hard to reach are FAILED then too. `progress` is told the finished share, 0 to 1.
+        that are hard to reach are FAILED then too. `progress` is told the finished share, 0 to 1. With `gradient`, the
+        bound has one (`ctrplan.mechanics.gradients`), of the corners visited, by collars and by `parameters`.
         """
         which = corners or ("all" if self.n <= MOST_TUBES_OF_ALL_CORNERS else "extreme")
+        collars = self._collars(theta_b, l_b)
         with input_errors():
-            raw = self._model.bound(*self._collars(theta_b, l_b), accuracy, which == "extreme", progress)
-        return solved_bound(raw)
+            bound = solved_bound(self._model.bound(*collars, accuracy, which == "extreme", progress))
+        return with_gradient(self, bound, *collars, parameters, accuracy) if gradient else bound
 
     @checked(accuracy=ACCURACY, threads=THREADS, progress=PROGRESS, executor=EXECUTOR)
     def bound_many(
@@ -196,7 +208,14 @@ class Mechanics:
 
         return bounds_in_chunks(solve, thetas, ls, rows, progress)
 
-    @checked(accuracy=ACCURACY, threads=THREADS, progress=PROGRESS, executor=EXECUTOR)
+    @checked(
+        accuracy=ACCURACY,
+        threads=THREADS,
+        progress=PROGRESS,
+        executor=EXECUTOR,
+        gradient=Flag(),
+        parameters=Texts(),
+    )
     def bounds(
         self,
         theta_b: ArrayLike,
@@ -206,18 +225,22 @@ class Mechanics:
         threads: int = 0,
         progress: Progress | None = None,
         executor: Executor | None = None,
+        gradient: bool = False,
+        parameters: Sequence[str] = (),
     ) -> Bounds:
-        """`bound_many` with a status for every row: one that does not nest or is no number is REFUSED and NaN.
-
-        What is wrong with a row k, `bound(theta_b[k], l_b[k])` says.
-        """
+        """`bound_many` with a status for every row: REFUSED and NaN where `bound` of the row raises InputError."""
         thetas, ls = self._configurations(theta_b, l_b)
         refused = np.zeros(len(thetas), dtype=bool)
         refused[[k for k, _ in self._refused(thetas, ls)]] = True
         solved = self.bound_many(
             thetas[~refused], ls[~refused], accuracy=accuracy, threads=threads, progress=progress, executor=executor
         )
-        return scattered(solved, refused) if refused.any() else solved
+        result = scattered(solved, refused) if refused.any() else solved
+        if not gradient:
+            return result
+        kept, signs = ~refused, corner_signs(self.n - 1)
+        by = bound_gradients(self, thetas[kept], ls[kept], signs, parameters, accuracy=accuracy, threads=threads)
+        return replace(result, gradient=by.each(lambda of: of.scattered(kept)))
 
     def first_refused(self, theta_b: ArrayLike, l_b: ArrayLike) -> tuple[int, str] | None:
         """The first of K configurations (K, n), (K, n) that is malformed or does not nest, and why; None if none is."""
@@ -292,7 +315,7 @@ class Mechanics:
     ) -> Tips:
         """Tips of K friction states, theta_b, l_b (K, n), phi (K, n - 1), and their derivatives by P parameters.
 
-        Parameters are named as in `ctrplan.mechanics.core_arrays`. Rows of one configuration are solved
+        Parameters are named as in `ctrplan.mechanics.gradients`. Rows of one configuration are solved
         faster when they follow each other. Derivatives are those of the discretised equations; NaN where a
         solve FAILED, where a collar, joint or tip would pass another one, by the compliance of a shaft that is
         rigid, and where a load is so large that its own change does not settle. Collars, joints and tips that
@@ -304,12 +327,20 @@ class Mechanics:
             raise InputError(f"must have shape ({len(thetas)}, {self.n - 1}), not {states.shape}", key="phi")
         if not np.all(np.abs(states) <= 1):
             raise InputError("must lie in [-1, 1]", key="phi", value=worst(states))
-        given = directions(parameters, self._given[0], self._model.number_names())
+        given = directions(parameters, *self.numbers)
         with input_errors():
             result = self._model.tips_with_friction(
                 thetas, ls, states, given, accuracy, core_threads(threads), progress
             )
         return promised(Tips(**result))
+
+    def core_body(
+        self, theta_b: Array, l_b: Array, phi: Array, names: Sequence[str], accuracy: Accuracy, spacing_m: float
+    ) -> tuple[Array, Array, float, Array]:
+        """Points and radii (N, 4) [m] of a body, derivatives (N, 3, P), stability and its (P,), NaN with friction."""
+        given = directions(names, *self.numbers)
+        with input_errors():
+            return self._model.body_derivatives(theta_b, l_b, phi, given, accuracy, spacing_m)
 
     @checked(accuracy=ACCURACY)
     def core_walker(self, accuracy: Accuracy) -> _model.Walker:

@@ -22,7 +22,8 @@ from ctrplan.base.package import of_this_process, shown
 from ctrplan.errors import InputError, SolverError
 from ctrplan.mechanics.core import Mechanics
 from ctrplan.mechanics.core_arrays import joint_row, joint_rows, shape_from_core, solved_bound
-from ctrplan.mechanics.shapes import Accuracy, Bound, Shape, Status, input_errors
+from ctrplan.mechanics.gradients import SAME_M, tip_gradient
+from ctrplan.mechanics.shapes import Accuracy, Bound, Gradient, Shape, Status, input_errors
 from ctrplan.mechanics.shapes import HistoryOptions as HistoryOptions
 
 if TYPE_CHECKING:
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
 
 Start = Literal["released", "oscillated"] | Sequence[float] | Array
 
+STICKING = 1e-6  # share of a pair's normal force below which contacts may stick where all slip
 OSCILLATION_DEG = tuple(range(40, -1, -2))  # decreasing amplitude, turned one way and the other (Section V-A)
 
 
@@ -180,6 +182,22 @@ class History:
         if self._at is None:
             raise InputError("a history has no state before its first advance", key="history")
         return np.asarray(self._core.beside(_friction_state(phi, "phi", self._mechanics.n - 1)))
+
+    def gradient(self, parameters: Sequence[str] = ()) -> Gradient:
+        """How the tip (3,) [m] changes where the history stands, by the collars of its last waypoint and by parameters.
+
+        Smooth, and the tip that of a corner of friction, where every pair slips at its limit: then the way there does
+        not count. NaN where a pair sticks or turns round, and where it is on another branch than `Robot.bound`. By
+        translations a history differs from it by its mesh, which moves along. Raises InputError before the first
+        advance and for parameters that there are not.
+        """
+        if self._at is None:
+            raise InputError("a history has no state before its first advance", key="history")
+        pairs = [PairFriction(**pair) for pair in self._core.friction()]
+        phi = np.array([float(pair.force_N @ pair.phi) / max(float(pair.force_N.sum()), 1e-300) for pair in pairs])
+        tip = tip_gradient(self._mechanics, *self._at, np.clip(np.round(phi), -1, 1), parameters, self._accuracy)
+        slips = bool(np.all(np.abs(phi) > 1 - STICKING)) and np.linalg.norm(tip.value - self.shape().tip_m) < SAME_M
+        return tip if slips else tip.lost()
 
     def save(self) -> HistoryState:
         """A memory of the present state; InputError before the first advance."""

@@ -11,7 +11,7 @@ on the guide with its stiffness times its precurvature. Across the guide's lengt
 from __future__ import annotations
 
 import enum
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any, Literal
@@ -28,7 +28,6 @@ from ctrplan.mechanics.tube import Tube
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
 
 Accuracy = Literal["search", "certificate", "exact"]
 """Mesh error of a tip on the Table III grid: 0.3, 0.05 mm; "exact" also drops the first order in the clearance."""
@@ -182,6 +181,89 @@ class Shape:
         return tangent
 
 
+BY = ("theta_b", "l_b", "parameters")  # what there are derivatives by
+
+
+@shown
+@dataclass(frozen=True, eq=False)
+class Gradient:
+    """A quantity of any shape and its derivatives; `...` stands for the quantity's own axes."""
+
+    value: Array  # (...)
+    theta_b: Array  # (..., n) per rad of each collar
+    l_b: Array  # (..., n) per m
+    parameters: Array  # (..., P) per SI unit of each parameter, in the order in which they were named
+
+    def headline(self) -> str:
+        """What it is of."""
+        return f"of {self.value.size} numbers by {2 * self.theta_b.shape[-1]} collars"
+
+    def by_joints(self, moves: Array) -> Array:
+        """(..., m) by actuated joints, per rad or m of each; moves: `Drive.collars_by_joints` (2 n, m) or (K, 2 n, m).
+
+        A collar that can't be moved by itself counts as fixed.
+        """
+        by = np.nan_to_num(np.concatenate([self.theta_b, self.l_b], axis=-1))
+        by = by[..., None, :] if by.ndim == 1 or moves.ndim == 3 and by.ndim == 2 else by
+        joints: Array = by @ moves
+        return joints.reshape(*self.value.shape, -1)
+
+    def distance_from(self, point: Array) -> Gradient:
+        """The distance [m] of a point (..., 3) from a fixed one (3,); zero derivatives where they coincide."""
+        away = self.value - point
+        size = np.linalg.norm(away, axis=-1)
+        return self.along(away / np.where(size > 0, size, 1.0)[..., None], size)
+
+    def along(self, unit: Array, value: Array) -> Gradient:
+        """What changes by unit . change of this quantity, (..., 3) each, and has a value (...)."""
+        columns = (np.einsum("...i,...ij->...j", unit, getattr(self, key)) for key in BY)
+        return Gradient(value, *columns)
+
+    def at(self, rows: Any) -> Gradient:
+        """Some rows of the quantity."""
+        return Gradient(*(getattr(self, each.name)[rows] for each in fields(self)))
+
+    def less(self, other: Gradient) -> Gradient:
+        """The difference of two quantities of one shape."""
+        return Gradient(*(getattr(self, each.name) - getattr(other, each.name) for each in fields(self)))
+
+    def lost(self) -> Gradient:
+        """NaN in its place."""
+        return Gradient(*(np.full_like(getattr(self, each.name), np.nan) for each in fields(self)))
+
+    def scattered(self, kept: NDArray[np.bool_]) -> Gradient:
+        """Its K rows where `kept` (L,) is true, and NaN in all others."""
+        columns = []
+        for each in fields(self):
+            values = getattr(self, each.name)
+            columns.append(np.full((len(kept), *values.shape[1:]), np.nan))
+            columns[-1][kept] = values
+        return Gradient(*columns)
+
+
+@shown
+@dataclass(frozen=True, eq=False)
+class BoundGradient:
+    """How a bound and what belongs to it change. None of it knows where the base stands.
+
+    Values are those of the solution to its last digits, which the bound's own are within 1e-9 m of. Of K configurations
+    every quantity has K rows.
+    """
+
+    position_m: Gradient  # () bound of the tip, in the worst corner
+    tangent_rad: Gradient  # () that of the tip tangent
+    stability: Gradient  # () of the frictionless shape
+    tip_m: Gradient  # (3,) frictionless, in the robot's frame
+
+    def headline(self) -> str:
+        """How large."""
+        return f"of {self.position_m.value.size} bounds by {2 * self.position_m.theta_b.shape[-1]} collars"
+
+    def each(self, change: Callable[[Gradient], Gradient]) -> BoundGradient:
+        """The same change of every quantity."""
+        return BoundGradient(*(change(getattr(self, name.name)) for name in fields(self)))
+
+
 @shown
 @dataclass(frozen=True, eq=False)
 class Bound:
@@ -194,6 +276,7 @@ class Bound:
     corner_phi: Array  # (C, n - 1) friction states of the corners, signs per pair, outermost first
     envelope_m: Array  # (N,) of the centreline, at frictionless.s_m
     worst_corner: int  # index of the corner that gives position_m
+    gradient: BoundGradient | None = field(default=None, repr=False)  # if asked for
 
     def headline(self) -> str:
         """How far friction may move the tip, as it shows itself."""
@@ -228,6 +311,7 @@ class Bounds:
     status: NDArray[np.int_]  # (K,) values of Status
     tip_m: Array  # (K, 3) frictionless
     tip_tangent: Array  # (K, 3)
+    gradient: BoundGradient | None = field(default=None, repr=False)  # of all rows, if asked for
 
 
 @shown

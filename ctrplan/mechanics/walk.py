@@ -209,8 +209,8 @@ def join(parts: Sequence[Bounds]) -> Bounds:
     """One table of all rows."""
     if len(parts) == 1:
         return parts[0]
-    columns = ([getattr(part, field.name) for part in parts] for field in fields(parts[0]))
-    return type(parts[0])(*map(np.concatenate, columns))
+    columns: dict[str, Any] = {name: np.concatenate([getattr(p, name) for p in parts]) for name in columns_of(parts[0])}
+    return type(parts[0])(**columns)
 
 
 def scattered(solved: Bounds, refused: NDArray[np.bool_]) -> Bounds:
@@ -222,7 +222,12 @@ def scattered(solved: Bounds, refused: NDArray[np.bool_]) -> Bounds:
         result[~refused] = values
         return result
 
-    return type(solved)(*(column(getattr(solved, each.name)) for each in fields(solved)))
+    return type(solved)(**{name: column(getattr(solved, name)) for name in columns_of(solved)})
+
+
+def columns_of(bounds: Bounds) -> list[str]:
+    """What a table has K of: all but its gradient, which is made of the whole."""
+    return [each.name for each in fields(bounds) if each.name != "gradient"]
 
 
 def chunks(count: int, size: int) -> list[slice]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
@@ -11,13 +11,14 @@ from typing import TYPE_CHECKING, Any, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ctrplan.anatomy.parts import exact_clearance
-from ctrplan.base.arguments import Choice, Made, Number, checked
+from ctrplan.anatomy.parts import exact_clearance_of_many
+from ctrplan.base.arguments import Choice, Flag, Made, Number, Texts, checked
 from ctrplan.base.arrays import MM_PER_M, Array, numbers
 from ctrplan.base.long_work import ASKED_NS, ROOM_NS, SHAPE_NS, SearchWatch, WorkMeter, cores, counted_aside
 from ctrplan.errors import InputError
 from ctrplan.mechanics.core import THREADS
 from ctrplan.mechanics.friction import largest_deviation
+from ctrplan.mechanics.gradients import Clearances, clearances
 from ctrplan.mechanics.shapes import Status
 from ctrplan.mechanics.walk import Field, PathDensity, PathLimits, PathSamples
 from ctrplan.motion.play import usual_play_shift
@@ -42,6 +43,8 @@ SAMPLES, SEED = 8, 6  # configurations that say what a search has to allow for u
 FEW = 100  # shapes, which are not worth a thread
 COEFFICIENTS = 0.3  # share by which a friction coefficient is mostly uncertain, a prior of the search
 DEFINITE_COLLISION = "a corner shape comes too close to the anatomy: so does the zero-clearance shape"
+
+TOO_CLOSE = "too close to the anatomy"  # how the sentences end that this is about
 
 
 @dataclass(frozen=True)
@@ -109,6 +112,27 @@ class MotionChecker:
         Raises InputError for an array of another shape alone.
         """
         return self._rows(self.state, threads, states)
+
+    @checked(gradient=Flag(), parameters=Texts(), threads=THREADS)
+    def clearance(
+        self, states: ArrayLike, *, gradient: bool = False, parameters: Sequence[str] = (), threads: int = 0
+    ) -> Clearances:
+        """What states (K, m), or one (m,), leave to the anatomy, exactly; NaN beyond limits.
+
+        With `gradient` by joints, base pose and `parameters` of the robot's file, as of `Robot.bound`.
+        """
+        rows, scenario = np.atleast_2d(numbers(states, "joint values")), self.scenario
+        return clearances(
+            self.mechanics,
+            self.space.drive.collars(rows),
+            self.space.drive.collars_by_joints(rows) if gradient else None,
+            (scenario.base_R, scenario.base_position_m),
+            partial(exact_clearance_of_many, scenario.anatomy),
+            spacing_m=self.density.point_spacing_m,
+            kept=self.space.allowed_rows(rows),
+            parameters=parameters,
+            threads=threads,
+        )
 
     def motions(self, a: ArrayLike, b: ArrayLike, *, threads: int = 0) -> tuple[Motion, ...]:
         """Motions from rows of a (K, m) to those of b (K, m), in the checker's style; as `check`."""
@@ -405,34 +429,3 @@ def _jumps(tips: Array, l_b: Array) -> bool:
     around = np.maximum(np.append(0.0, steps[:-1]), np.append(steps[1:], 0.0))
     driven = np.abs(np.diff(l_b, axis=0)).max(axis=1)
     return bool(np.any(steps > JUMP * around + driven + JUMP_M))
-
-
-TOO_CLOSE = "too close to the anatomy"  # how the sentences end that this is about
-
-
-def shares_in_words(nominal_m: float, friction_m: float, allowed_m: float, stated_m: float = 0.0) -> str:
-    """In brackets, with a space before them; stated_m is what intervals, play and registration take."""
-    stated = f", intervals, play and registration {stated_m * MM_PER_M:.2f}" if stated_m else ""
-    return (
-        f" (the frictionless one is {nominal_m * MM_PER_M:.2f} mm beyond the margins, friction takes "
-        f"{friction_m * MM_PER_M:.2f}{stated}, allowances {allowed_m * MM_PER_M:.2f})"
-    )
-
-
-def with_shares(checker: MotionChecker, joints: Array, reason: str, clearance_m: float) -> str:
-    """`reason` with the shares where it is about clearance, `clearance_m` being that of all shapes at joints (m,)."""
-    nominal_m = _frictionless_clearance(checker, joints) if reason.endswith(TOO_CLOSE) else np.nan
-    if not np.isfinite(nominal_m):
-        return reason
-    return reason + shares_in_words(nominal_m, max(0.0, nominal_m - clearance_m), checker.limits.clearance_m)
-
-
-def _frictionless_clearance(checker: MotionChecker, joints: Array) -> float:
-    """[m] beyond the margins; not a number where the model has no solution."""
-    scenario = checker.scenario
-    robot = scenario.robot
-    bodies = robot.mechanics.friction_bodies(*robot.drive.collars(joints), np.zeros((1, robot.n - 1)))
-    if not bodies.solved[0]:
-        return float("nan")
-    located = scenario.located(bodies.point_m[0])
-    return float((exact_clearance(scenario.anatomy, located) - bodies.radius_m).min(initial=np.inf))

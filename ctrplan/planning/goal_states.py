@@ -19,8 +19,9 @@ import numpy as np
 
 from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.base.long_work import ROOM_NS, SearchOver, cores
+from ctrplan.certificate.problems import with_shares
 from ctrplan.errors import NoAnswerError
-from ctrplan.motion.checker import MotionChecker, with_shares
+from ctrplan.motion.checker import MotionChecker
 from ctrplan.planning.reach import Configuration, Reach, bound_slopes, configuration, distinct_rows, reach
 from ctrplan.planning.room import refuse_blocked_target
 from ctrplan.scenario.joint_space import JointSpace

@@ -22,10 +22,11 @@ from ctrplan.certificate.certify import GoalTest, certify, frictionless_arrives,
 from ctrplan.certificate.closest import failure_with_place
 from ctrplan.certificate.friction_cube import refuse_many_tubes
 from ctrplan.certificate.other_equilibria import other_start
+from ctrplan.certificate.problems import with_shares
 from ctrplan.certificate.walked_legs import WalkedLegs, walk_legs
 from ctrplan.drive.legs import merge_legs
 from ctrplan.errors import NoAnswerError
-from ctrplan.motion.checker import MotionChecker, with_shares
+from ctrplan.motion.checker import MotionChecker
 from ctrplan.planning.compensate import compensate, shifted_start
 from ctrplan.planning.endings import Settled, erase, settle
 from ctrplan.planning.goal_states import goal_states, is_at_goal, nearest_turn, turn_notes

@@ -267,16 +267,30 @@ class Robot:
         accuracy: Accuracy = "search",
         corners: Literal["all", "extreme"] | None = None,
         progress: Progress | None = None,
+        gradient: bool = False,
+        parameters: Sequence[str] = (),
     ) -> Bound:
         """How far friction may move the tip with collars at (n,) [rad], (n,) [m], and along the body.
 
         The largest distances between the shape without friction and those at the corners, friction at its limit one way
         or the other in each pair of tubes. corners: "all" of them, of at most 10 tubes, or those "extreme" ones that a
-        search finds; by default all of at most 8 tubes. `progress` is told the finished share, 0 to 1. Raises
-        InputError for collars that do not nest, SolverError where nothing is solved.
+        search finds; by default all of at most 8 tubes. `progress` is told the finished share, 0 to 1.
+
+        gradient: whether `Bound.gradient` has the derivatives of bound, stability and frictionless tip by the collars,
+        per rad and per m, and by `parameters`, numbers of the robot file in SI units as "tube.2.poisson_ratio". They
+        are those of the corner that is worst; where another one becomes it, the bound has a kink. Raises InputError
+        for collars that do not nest, SolverError where nothing is solved.
         """
         _warn_of_degrees(theta_b)
-        return self.mechanics.bound(theta_b, l_b, accuracy=accuracy, corners=corners, progress=progress)
+        return self.mechanics.bound(
+            theta_b,
+            l_b,
+            accuracy=accuracy,
+            corners=corners,
+            progress=progress,
+            gradient=gradient,
+            parameters=parameters,
+        )
 
     def bound_many(
         self,
@@ -308,14 +322,24 @@ class Robot:
         threads: int = 0,
         progress: Progress | None = None,
         executor: Executor | None = None,
+        gradient: bool = False,
+        parameters: Sequence[str] = (),
     ) -> Bounds:
         """`bound_many` that never fails for a row: one that does not nest, or is no number, has the status REFUSED.
 
-        Raises InputError for arrays of another shape alone.
+        gradient, parameters: as of `bound`, NaN in rows without a bound. Raises InputError for arrays of another shape
+        alone, and for parameters that there are not.
         """
         _warn_of_degrees(theta_b)
         return self.mechanics.bounds(
-            theta_b, l_b, accuracy=accuracy, threads=threads, progress=progress, executor=executor
+            theta_b,
+            l_b,
+            accuracy=accuracy,
+            threads=threads,
+            progress=progress,
+            executor=executor,
+            gradient=gradient,
+            parameters=parameters,
         )
 
     def walker(self, *, accuracy: Accuracy = "search") -> Walker:

@@ -9,7 +9,7 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import ExitStack
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import partial
 from itertools import groupby
 from typing import TYPE_CHECKING, Any
@@ -35,7 +35,7 @@ from ctrplan.drive.drive import UNITS, Kind
 from ctrplan.errors import CtrplanError, InputError, NoAnswerError
 from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.mechanics.shapes import Status
-from ctrplan.mechanics.walk import TASK, chunks, join, run
+from ctrplan.mechanics.walk import TASK, chunks, columns_of, join, run
 from ctrplan.pipeline.installed import range_notes
 from ctrplan.planning.planner import plan
 from ctrplan.plans.plan import Plan
@@ -294,7 +294,7 @@ def _run(
 
 
 def _reordered(bounds: Bounds, order: NDArray[np.intp]) -> Bounds:
-    return type(bounds)(*(getattr(bounds, field.name)[order] for field in fields(bounds)))
+    return type(bounds)(*(getattr(bounds, name)[order] for name in columns_of(bounds)))
 
 
 SCENARIO = Made("Scenario")

@@ -87,6 +87,17 @@ nb::dict tips_with_friction(const Model& model, Matrix theta, Matrix l, Matrix p
     return made;
 }
 
+// Points (N, 4) with outer radii, their derivatives (N, 3, P), stability and its derivatives (P).
+nb::tuple body_derivatives(const Model& model, Vector theta, Vector l, Vector phi, const Directions& given, const std::string& level, double spacing) {
+    const ctr::Configuration q = valid_configuration(model.robot(), theta, l);
+    const std::vector<double> state = friction_state(model.robot(), phi);
+    const std::vector<ctr::Direction> directions = read(given, static_cast<int>(ctr::number_names(model.robot()).size()));
+    ctr::BodyDerivatives found = unlocked([&] { return model.body_derivatives(q, accuracy(level), state, directions, spacing); });
+    const std::size_t count = found.point.size() / 4;
+    return nb::make_tuple(array(std::move(found.point), {count, 4}), array(std::move(found.point_by), {count, 3, directions.size()}),
+                          found.stability, array(std::move(found.stability_by)));
+}
+
 nb::dict check_path(Model& model, Matrix theta, Matrix l, const Grid* grid, const ctr::PathDensity& density, const ctr::PathLimits& limits,
                     const std::string& level, bool shapes) {
     const std::vector<ctr::Configuration> corners = valid_configurations(model.robot(), theta, l);
@@ -126,6 +137,8 @@ void bind_model(nb::module_& m) {
         .def("number_names", [](const Model& model) { return ctr::number_names(model.robot()); })
         .def("tips_with_friction", &tips_with_friction, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "phi"_a.noconvert(), "directions"_a,
              "accuracy"_a, "threads"_a, "progress"_a.none())
+        .def("body_derivatives", &body_derivatives, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "phi"_a.noconvert(), "directions"_a,
+             "accuracy"_a, "spacing"_a)
         .def("check_path", &check_path, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "field"_a.none(), "density"_a, "limits"_a, "accuracy"_a,
              "shapes"_a)
         .def("corners_apart", &corners_apart, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "accuracy"_a)

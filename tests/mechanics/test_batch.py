@@ -5,7 +5,6 @@ from __future__ import annotations
 import multiprocessing
 import pickle
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
-from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -16,7 +15,7 @@ from ctrplan.base.arrays import Array
 from ctrplan.errors import InputError
 from ctrplan.files.robot_file import load_robot
 from ctrplan.mechanics.shapes import Bounds, Status
-from ctrplan.mechanics.walk import CHUNK, FEWEST, chunks, rows_in_a_chunk
+from ctrplan.mechanics.walk import CHUNK, FEWEST, chunks, columns_of, rows_in_a_chunk
 
 PAIR = load_robot(ROBOTS / "table_1_pair.toml")  # two corners: quick
 
@@ -27,8 +26,8 @@ def configurations(count: int) -> tuple[Array, Array]:
 
 
 def assert_same(a: Bounds, b: Bounds) -> None:
-    for field in fields(Bounds):
-        np.testing.assert_array_equal(getattr(a, field.name), getattr(b, field.name), err_msg=field.name)
+    for name in columns_of(a):
+        np.testing.assert_array_equal(getattr(a, name), getattr(b, name), err_msg=name)
 
 
 class OneAfterTheOther(Executor):
@@ -149,10 +148,10 @@ def test_a_row_that_does_not_nest_fails_no_other_one() -> None:
     bounds = PAIR.bounds(theta_b, l_b)
     assert np.flatnonzero(bounds.status == Status.REFUSED).tolist() == sorted(wrong)
     kept = ~np.isin(np.arange(400), list(wrong))
-    for field in fields(Bounds):
-        column = getattr(bounds, field.name)
-        np.testing.assert_array_equal(column[kept], getattr(PAIR.bound_many(theta_b[kept], l_b[kept]), field.name))
-        assert field.name == "status" or np.isnan(column[~kept]).all()
+    for name in columns_of(bounds):
+        column = getattr(bounds, name)
+        np.testing.assert_array_equal(column[kept], getattr(PAIR.bound_many(theta_b[kept], l_b[kept]), name))
+        assert name == "status" or np.isnan(column[~kept]).all()
     for k in wrong:
         with pytest.raises(InputError):
             PAIR.bound(theta_b[k], l_b[k])

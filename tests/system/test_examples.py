@@ -21,6 +21,8 @@ GOLDEN = {
     "03_reorder.py": (r"^cost: [\d.]+ mm before, ([\d.]+) mm after", 219.2, 0.5),
     "04_ompl.py": (r"path with friction costs ([\d.]+) mm", 229.6, 1.0),
     "09_in_code.py": (r"bound at the goal: ([\d.]+) mm", 0.95, 0.02),
+    "10_least_bound_slsqp.py": (r"mm before, ([\d.]+) mm after", 0.98, 0.02),
+    "11_follow_qp.py": (r"least clearance ([\d.]+) mm", 1.45, 0.02),
     "05_sweep_with_executor.py": (r"^largest bound: ([\d.]+) mm", 26.18, 0.1),
 }
 

@@ -59,8 +59,9 @@ class FrictionSolver {
 
     void build(const Configuration& q, const Accuracy& accuracy);
     void adopt(const Mesh& mesh, const Configuration& q, const Accuracy& accuracy);  // a mesh kept from an earlier build
-    // Takes over another solver's mesh, or its own, moved along to a robot and configuration a little way off (Mesh::move).
-    bool move(const FrictionSolver& from, const Robot& robot, const Configuration& q);
+    // Another solver's mesh as it would be built for a robot and configuration a little way off (Mesh::build_like).
+    bool take(const FrictionSolver& from, const Robot& robot, const Configuration& q);
+    // Its own mesh moved along (Mesh::move).
     bool move_along(const Configuration& q);
     // Angles from the zero-clearance solution, no offsets, multipliers on the central path at the given level (BarrierPath).
     void start(LaneState& state, const Configuration& q, const ZeroClearance& guess, double level);
@@ -73,6 +74,8 @@ class FrictionSolver {
     void set_base(LaneState& state, const Configuration& q);
     // Newton steps down the barrier path; every lane ends at path.last. converged is filled per lane.
     void solve(LaneState& state, const BarrierPath& path, Convergence* result);
+    // One lane that solve() brought to its tolerances, to the last digits: derivatives are those of exact solutions.
+    void finish(LaneState& state, Convergence& result);
     // One lane, for what solve() does not reach from an iterate near the central path at the given level: by easing the
     // softening of the tubes, where they soften, else by friction that grows from none, else by sliding.
     // Gives up after about `most_steps` Newton steps; returns whether it got there.
@@ -100,6 +103,8 @@ class FrictionSolver {
     // way there is found.
     void weigh(LaneState& state);
     void converge_load_moments(LaneState& state);
+
+    static double barrier_unit(const Robot& robot);  // N/m: of its levels, see BarrierPath
 
     const Mesh& mesh() const { return mesh_; }
     const Robot& robot() const { return robot_; }

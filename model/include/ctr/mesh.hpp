@@ -48,9 +48,11 @@ struct MeshArrays {
     std::vector<double> shaft_stiffness_, shaft_angle_;
     std::vector<BendingLaw> laws_;
     std::vector<double> contact_shape_, contact_xi_, contact_weight_, contact_s_, half_square_, outer_arm_, inner_arm_, scale_;
+    std::vector<int> interval_elements_;  // [interval between breaks]
     std::vector<int> node_unknowns_, element_tubes_, element_contacts_, element_unknowns_, element_regime_, contact_begin_, contact_pair_, shaft_node_;
     std::vector<std::pair<int, unsigned>> ghosts_;  // rows of stiffness beyond one for each number of tubes: tubes present, which are ghosts
     int tubes_ = 0;
+    Accuracy accuracy_;
     bool has_laws_ = false;  // cross sections obey laws of their own
 };
 
@@ -73,10 +75,13 @@ class Mesh : private MeshArrays {
     // Rebuilds for a configuration (validated by the caller); keeps its memory.
     void build(const Robot& robot, const Configuration& q, const Accuracy& accuracy);
 
-    // Another mesh's nodes and contact points carried along to a robot or configuration a little way off, in the same number:
-    // what derivatives are taken along. False where collars, joints or tips meet in another order or a shaft becomes compliant.
+    // Another mesh's elements and contact points at a robot or configuration a little way off, in the same number. False where
+    // collars, joints or tips meet in another order or a shaft becomes compliant.
+    // Nodes keep their shares of the way between collars, joints and tips: what a path history goes along.
     bool move(const Mesh& from, const Robot& robot, const Configuration& q);
-    bool move_elements(const Mesh& from, const Robot& robot, const Configuration& q);  // without contact points
+    // Nodes stand where build() would place so many: what derivatives of solutions on meshes of their own are taken along.
+    bool build_like(const Mesh& from, const Robot& robot, const Configuration& q);
+    bool build_elements_like(const Mesh& from, const Robot& robot, const Configuration& q);  // without contact points
 
     // Tubes of which only a share of the softening is left, 0: bending linearly. Until the next build() or move().
     void soften(const Robot& robot, double share);
@@ -100,7 +105,11 @@ class Mesh : private MeshArrays {
 
   private:
     void find_breaks(const Robot& robot, const Configuration& q);
-    void place_nodes(const Robot& robot, const Configuration& q, const Accuracy& accuracy);
+    void count_elements(const Robot& robot, const Configuration& q);
+    void place_nodes();
+    bool take_layout(const Mesh& from, const Robot& robot, const Configuration& q);
+    bool fill_as(const Mesh& from, const Robot& robot, const Configuration& q);
+    void carry_contacts(const Mesh& from);
     void fill_elements(const Robot& robot, const Configuration& q);
     void place_contacts();
     int stiffness_row(const Robot& robot, const Configuration& q, int tubes, double middle);

@@ -93,6 +93,9 @@ class Model {
     // phi: [row][pair], outermost pair first. Rows of one configuration that follow each other share their mesh.
     FrictionTipRows friction_tips(const std::vector<Configuration>& all, const double* phi, const std::vector<Direction>& directions,
                                   const Accuracy& accuracy, int threads) const;
+    // The body in one friction state; without any point where it has no solution.
+    BodyDerivatives body_derivatives(const Configuration& q, const Accuracy& accuracy, const std::vector<double>& phi,
+                                     const std::vector<Direction>& directions, double spacing) const;
 
   private:
     Robot robot_;

@@ -32,6 +32,14 @@ struct TipDerivative {
     static TipDerivative nowhere();  // NaN: a direction that cannot be followed
 };
 
+// The outermost tubes in front of the plate and, without friction, the stability, by P directions; NaN for those that lead nowhere.
+struct BodyDerivatives {
+    std::vector<double> point;         // [N][4] m: position and outer radius, as collect_points() has them
+    std::vector<double> point_by;      // [N][3][P] m per unit, of points that keep their shares of the elements
+    double stability = 0;              // NaN with friction
+    std::vector<double> stability_by;  // [P]
+};
+
 // Differentiates the converged equations (d)-(e) of docs/model.md at constant barrier level. With F(x, lambda, w; p) = 0,
 // contact multipliers and gaps eliminated as in a Newton step, H dx/dp = -dF/dp; the tip follows along dx and dp. Where tubes
 // are linear and round and carry nothing, one gradient of the tip serves all directions (tip_gradient.hpp).
@@ -47,6 +55,10 @@ class Sensitivities {
     // The same with a right-hand side and two backbones for every direction, whatever the tubes are.
     void compute_each(FrictionSolver& solver, LaneState& state, const Configuration& q, const std::vector<double>& phi,
                       const std::vector<Direction>& directions, std::vector<TipDerivative>& out);
+
+    // Bodies at points no farther apart than `spacing`.
+    void compute_body(FrictionSolver& solver, LaneState& state, const Configuration& q, const std::vector<double>& phi,
+                      const std::vector<Direction>& directions, double spacing, BodyDerivatives& out);
 
   private:
     enum class Way { gradient, alone, none };  // how a direction is taken; none: it leads nowhere
@@ -66,6 +78,13 @@ class Sensitivities {
     void start(FrictionSolver& solver, LaneState& state, const Configuration& q, const std::vector<Direction>& directions);
     TipDerivative follow(FrictionSolver& solver, LaneState& state, const Configuration& q, const std::vector<double>& phi,
                          const Direction& direction);
+    // Whether the solution can be followed along a direction: its sides and changes are then known.
+    bool measure_change(FrictionSolver& solver, LaneState& state, const Configuration& q, const std::vector<double>& phi,
+                        const Direction& direction);
+    void read_points(const FrictionSolver& solver, LaneState& state, double spacing, const double* lengths, std::vector<double>& out);
+    double stability_beside(LaneState& state, const std::vector<double>& phi, double amount, Side& side);
+    double follow_stability(FrictionSolver& solver, LaneState& state, const Configuration& q, const std::vector<double>& phi,
+                            const Direction& direction);
     bool loads(const FrictionSolver& solver, const Configuration& q, const std::vector<Direction>& directions);
     void measure_multiplier_change(const LaneState& state, double step);
     void measure_gaps(const LaneState& state, Side& side) const;
@@ -78,8 +97,8 @@ class Sensitivities {
     bool follow_loads(FrictionSolver& solver, LaneState& state, const Configuration& q, const std::vector<double>& phi, double step);
     Frame tip(const FrictionSolver& solver, LaneState& state);
 
-    Side plus_, minus_;
-    std::vector<double> unknowns_, change_, multiplier_, multiplier_change_, moments_, moments_change_, upper_moments_;
+    Side plus_, minus_, here_;
+    std::vector<double> unknowns_, change_, multiplier_, multiplier_change_, slack_, above_, below_, moments_, moments_change_, upper_moments_;
     Backbone backbone_;
     BackboneTracer tracer_;
     std::unique_ptr<TipGradient> gradient_;

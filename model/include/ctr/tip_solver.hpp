@@ -16,11 +16,16 @@ class TipSolver {
   public:
     explicit TipSolver(const Robot& robot) : solver_(robot) {}
 
-    // phi per pair, outermost first. unstable: an angle's pivot is negative, the robot would turn away from the solution.
+    // phi per pair, outermost first; to the last digits, which derivatives need. unstable: an angle's pivot is negative, the
+    // robot would turn away from the solution.
     Status solve(const Configuration& q, const Accuracy& accuracy, const std::vector<double>& phi);
     // Of the last solution, which must have converged.
     void differentiate(const std::vector<Direction>& directions, std::vector<TipDerivative>& out) {
         sensitivities_.compute(solver_, state_, q_, phi_, directions, out);
+    }
+
+    void differentiate_body(const std::vector<Direction>& directions, double spacing, BodyDerivatives& out) {
+        sensitivities_.compute_body(solver_, state_, q_, phi_, directions, spacing, out);
     }
 
     const Convergence& convergence() const { return convergence_; }

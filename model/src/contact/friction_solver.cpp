@@ -17,7 +17,21 @@ constexpr double kMostRounding = 1e-6;    // of the same, where elements are so 
 constexpr double kShort = 2e-4;            // m, elements below which rounding leaves more
 constexpr double kDigits = 2048 * 2.2e-16;
 
+// Of EI * precurvature, N m.
+double largest_moment(const Robot& robot) {
+    double largest = 1e-9;
+    for (const Tube& tube : robot.tubes)
+        for (const Section& section : tube.sections)
+            largest = std::max(largest, tube.bending_stiffness * std::hypot(section.curvature_x, section.curvature_y));
+    return largest;
+}
+
 }  // namespace
+
+double FrictionSolver::barrier_unit(const Robot& robot) {
+    const double length = robot.tubes.back().length();
+    return largest_moment(robot) / (length * length);
+}
 
 FrictionSolver::FrictionSolver(const Robot& robot) : robot_(robot) {
     if (robot.loaded()) loads_ = std::make_unique<LoadMoments>();
@@ -48,12 +62,8 @@ void FrictionSolver::scale(const Configuration& q, const Accuracy& accuracy) {
         if (!exact_) exact_ = std::make_unique<ExactGeometry>();
         exact_->build(*this, q);
     }
-    moment_scale_ = 1e-9;
-    for (const Tube& tube : robot_.tubes)
-        for (const Section& section : tube.sections)
-            moment_scale_ = std::max(moment_scale_, tube.bending_stiffness * std::hypot(section.curvature_x, section.curvature_y));
-    const double length = robot_.tubes.back().length();
-    barrier_unit_ = moment_scale_ / (length * length);
+    moment_scale_ = largest_moment(robot_);
+    barrier_unit_ = barrier_unit(robot_);
     tolerance_ = std::clamp(rounding(), kResidual, kMostRounding);
 }
 
@@ -68,16 +78,16 @@ double FrictionSolver::rounding() const {
     return kDigits * stiffest * clearance / (shortest * shortest) / moment_scale_;
 }
 
-bool FrictionSolver::move(const FrictionSolver& from, const Robot& robot, const Configuration& q) {
+bool FrictionSolver::take(const FrictionSolver& from, const Robot& robot, const Configuration& q) {
     robot_ = robot;
     moment_scale_ = from.moment_scale_;
     tolerance_ = from.tolerance_;
-    barrier_unit_ = from.barrier_unit_;
+    barrier_unit_ = barrier_unit(robot);
     last_barrier_ = from.last_barrier_;
     base_l_ = q.l.back();
     if (!robot.loaded()) loads_ = nullptr;
     else if (!loads_) loads_ = std::make_unique<LoadMoments>();
-    return mesh_.move(from.mesh_, robot, q);
+    return mesh_.build_like(from.mesh_, robot, q);
 }
 
 bool FrictionSolver::move_along(const Configuration& q) {

@@ -16,6 +16,8 @@ namespace {
 constexpr double kNearlyFull = 0.99;      // of a step, below which no residual vanishes
 constexpr double kExactComplementarity = 0.03;  // of a barrier ten to a hundred times lower
 constexpr int kExactSteps = 40;           // more, since convergence is linear
+constexpr int kMostFinalSteps = 4;         // of finish(): they square the error
+constexpr double kRounding = 1e-9;        // of complementarity, relative
 constexpr double kComplementarity = 1e-3; // of the last barrier level, itself far below any contact force
 
 }  // namespace
@@ -89,6 +91,23 @@ void FrictionSolver::solve(LaneState& state, const BarrierPath& path, Convergenc
             all = all && done[lane];
         }
         if (all) return;
+    }
+}
+
+void FrictionSolver::finish(LaneState& state, Convergence& result) {
+    const KernelProblem& pb = mesh_.problem();
+    const KernelTable& run = kernel(1);
+    const double level = last_level();
+    for (int k = 0; k < kMostFinalSteps && result.complementarity > kRounding; ++k) {
+        double primal = 1, dual = 1, moment;
+        run.newton(pb, state.view(), &level, nullptr);
+        run.step_length(pb, state.view(), kKeep, &primal, &dual);
+        if (std::min(primal, dual) < kNearlyFull) return;  // not so near as it seemed
+        run.advance(pb, state.view(), &primal, &dual);
+        weigh(state);
+        run.residual(pb, state.view(), &level, &moment, &result.complementarity);
+        result.residual = std::max(moment / moment_scale_, loads_ ? load_change_[0] : 0.0);
+        ++result.iterations;
     }
 }
 

@@ -8,8 +8,8 @@
 namespace ctr {
 namespace {
 
-constexpr int kMostModes = 10;
-constexpr double kModeError = 0.02;  // of a Ritz vector; the value errs by its square, by more where modes lie close
+constexpr int kMostModes = 16;
+constexpr double kModeError = 1e-6;  // of a Ritz vector; the value errs by its square, by more where modes lie close
 
 // Eigenvalues below x of the symmetric tridiagonal matrix with this diagonal and these squares beside it.
 int count_below(double x, int size, const double* diagonal, const double* square) {
@@ -21,6 +21,20 @@ int count_below(double x, int size, const double* diagonal, const double* square
         below += pivot < 0;
     }
     return below;
+}
+
+// Value over slope of its characteristic polynomial: from where bisection ends to the last digits, which differences need.
+double newton_step(double x, int size, const double* diagonal, const double* square) {
+    double value = 1, before = 0, slope = 0, slope_before = 0;
+    for (int i = 0; i < size; ++i) {
+        const double beside = i ? square[i - 1] : 0.0, next = (diagonal[i] - x) * value - beside * before;
+        const double next_slope = (diagonal[i] - x) * slope - value - beside * slope_before;
+        before = value;
+        value = next;
+        slope_before = slope;
+        slope = next_slope;
+    }
+    return slope == 0 ? 0.0 : value / slope;
 }
 
 // Its eigenvalue with the largest magnitude by bisection, and the last component of the unit eigenvector.
@@ -40,7 +54,9 @@ double largest_eigenvalue(int size, const double* diagonal, const double* beside
         }
         return 0.5 * (a + b);
     };
-    const double smallest = eigenvalue(0), largest = eigenvalue(size - 1), value = largest >= -smallest ? largest : smallest;
+    const double smallest = eigenvalue(0), largest = eigenvalue(size - 1);
+    double value = largest >= -smallest ? largest : smallest;
+    value -= newton_step(value, size, diagonal, square);
     double component = 1, before = 0, norm = 1;
     for (int i = 0; i + 1 < size; ++i) {
         const double next = ((value - diagonal[i]) * component - (i ? beside[i - 1] : 0.0) * before) / beside[i];

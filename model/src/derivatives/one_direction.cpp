@@ -24,7 +24,7 @@ bool Sensitivities::shift(FrictionSolver& solver, const Configuration& q, const 
     }
     if (!side.own) side.own = std::make_unique<FrictionSolver>(solver.robot());
     side.solver = side.own.get();
-    return side.own->move(solver, side.robot, side.q);
+    return side.own->take(solver, side.robot, side.q);
 }
 
 // Whether the robot carries loads, or would along one of the directions.
@@ -49,21 +49,29 @@ void Sensitivities::start(FrictionSolver& solver, LaneState& state, const Config
     moments_change_.resize(moments_.size());
 }
 
-TipDerivative Sensitivities::follow(FrictionSolver& solver, LaneState& state, const Configuration& q, const std::vector<double>& phi,
-                                    const Direction& direction) {
+bool Sensitivities::measure_change(FrictionSolver& solver, LaneState& state, const Configuration& q, const std::vector<double>& phi,
+                                   const Direction& direction) {
     const double step = direction.step;
-    if (!shift(solver, q, direction, step, plus_) || !shift(solver, q, direction, -step, minus_)) return TipDerivative::nowhere();
+    if (!shift(solver, q, direction, step, plus_) || !shift(solver, q, direction, -step, minus_)) return false;
     measure_multiplier_change(state, step);
     std::fill(change_.begin(), change_.end(), 0.0);
     std::fill(moments_change_.begin(), moments_change_.end(), 0.0);
     solve_change(solver, state, q, phi, step);
-    const bool settled = moments_.empty() || follow_loads(solver, state, q, phi, step);
+    return moments_.empty() || follow_loads(solver, state, q, phi, step);
+}
+
+TipDerivative Sensitivities::follow(FrictionSolver& solver, LaneState& state, const Configuration& q, const std::vector<double>& phi,
+                                    const Direction& direction) {
+    const double step = direction.step;
+    if (!measure_change(solver, state, q, phi, direction)) {
+        rest(solver, state, q, phi);
+        return TipDerivative::nowhere();
+    }
     move_to(state, step, plus_);
     const Frame upper = tip(*plus_.solver, state);
     move_to(state, -step, minus_);
     const Frame lower = tip(*minus_.solver, state);
     rest(solver, state, q, phi);
-    if (!settled) return TipDerivative::nowhere();
     TipDerivative by;
     const Vec3 u = upper.tangent(), v = lower.tangent();
     for (int i = 0; i < 3; ++i) {

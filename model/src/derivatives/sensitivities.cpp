@@ -56,8 +56,10 @@ Sensitivities::Way Sensitivities::read_change(const FrictionSolver& solver, cons
     for (const Side* side : {&plus_, &minus_})
         if (side->robot.loaded() || !side->robot.linear_round()) return Way::alone;
     for (auto [side, row] : {std::pair{&plus_, &upper_}, {&minus_, &lower_}}) {
-        if (!moved_.move_elements(solver.mesh(), side->robot, side->q)) return Way::none;
+        if (!moved_.build_elements_like(solver.mesh(), side->robot, side->q)) return Way::none;
         read_numbers(moved_, side->robot, side->q, *row);
+        const double unit = FrictionSolver::barrier_unit(side->robot) / FrictionSolver::barrier_unit(solver.robot());
+        for (int p = 0; p < pb.tubes; ++p) (*row)[at.scale + p] *= unit;  // a barrier is level times scale
     }
     for (int i = 0; i < at.count; ++i)
         if (upper_[i] != lower_[i]) change.push_back({i, (upper_[i] - lower_[i]) / (2 * direction.step)});

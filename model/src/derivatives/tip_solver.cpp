@@ -36,6 +36,7 @@ Status TipSolver::solve(const Configuration& q, const Accuracy& accuracy, const 
         else solver_.start(state_, q_, zero_, BarrierPath::kFirst);
         solver_.reach(state_, shared_is_good_ ? BarrierPath::kParting : BarrierPath::kFirst, convergence_);
     }
+    if (convergence_.converged) solver_.finish(state_, convergence_);
     tracer_.trace(solver_, state_, 0, 1, q_.l.back(), &backbone_);
     if (!convergence_.converged) return Status::failed;
     return solver_.turns_away(state_) ? Status::unstable : Status::converged;

@@ -23,6 +23,20 @@ std::uint64_t member(std::uint64_t k) {
     return k ^ (k >> 31);
 }
 
+// Elements whose length grows linearly with the distance from a break, up to the coarsest.
+struct Grading {
+    explicit Grading(const Accuracy& accuracy)
+        : finest(accuracy.finest), coarsest(accuracy.coarsest), growth(accuracy.growth), reach((coarsest - finest) / growth) {}
+    // As many as fit between the break and a distance: the integral of ds / h(s).
+    double elements(double x) const { return std::log1p(growth * std::min(x, reach) / finest) / growth + std::max(0.0, x - reach) / coarsest; }
+    // And the distance that so many reach.
+    double distance(double count) const {
+        const double near = elements(reach);
+        return std::expm1(growth * std::min(count, near)) * finest / growth + std::max(0.0, count - near) * coarsest;
+    }
+    double finest, coarsest, growth, reach;
+};
+
 }  // namespace
 
 void Mesh::find_breaks(const Robot& robot, const Configuration& q) {
@@ -40,9 +54,17 @@ void Mesh::find_breaks(const Robot& robot, const Configuration& q) {
     std::sort(breaks_.begin(), breaks_.end(), [](const Break& a, const Break& b) { return a.s < b.s; });
     std::vector<Break>& merged = found_;
     merged.clear();
+    double begin = 0;
+    int count = 0;
     for (const Break& b : breaks_) {
-        if (merged.empty() || b.s - merged.back().s > kMergeDistance) merged.push_back(b);
-        else merged.back().members += b.members;
+        if (merged.empty() || b.s - begin > kMergeDistance) {
+            merged.push_back(b);
+            begin = b.s;
+            count = 1;
+        } else {  // in their middle, which moves smoothly with each of them
+            merged.back().members += b.members;
+            merged.back().s += (b.s - merged.back().s) / ++count;
+        }
     }
     // the two ends are exact whatever was merged into them
     std::uint64_t members = 0;
@@ -59,9 +81,11 @@ void Mesh::find_breaks(const Robot& robot, const Configuration& q) {
     for (const Break& b : breaks_) break_s_.push_back(b.s);
 }
 
-void Mesh::place_nodes(const Robot& robot, const Configuration& q, const Accuracy& accuracy) {
+// How many elements stand between breaks, and how many contact points in each.
+void Mesh::count_elements(const Robot& robot, const Configuration& q) {
     const int n = robot.count();
-    s_.assign(1, breaks_.front().s);
+    const Grading grading{accuracy_};
+    interval_elements_.clear();
     element_tubes_.clear();
     element_contacts_.clear();
     for (std::size_t b = 0; b + 1 < breaks_.size(); ++b) {
@@ -69,42 +93,44 @@ void Mesh::place_nodes(const Robot& robot, const Configuration& q, const Accurac
         int outermost = 0;  // of those that are there; what has ended inside it goes on as a ghost
         while (outermost < n - 1 && !(q.l[outermost] < middle && middle < q.l[outermost] + robot.tubes[outermost].length())) ++outermost;
         const int present = n - outermost;
-        // count = integral of ds / h(s), h growing linearly from both ends of the interval
-        auto cumulative = [&](double x) {
-            const double reach = (accuracy.coarsest - accuracy.finest) / accuracy.growth;
-            const double near = std::log1p(accuracy.growth * std::min(x, reach) / accuracy.finest) / accuracy.growth;
-            return near + std::max(0.0, x - reach) / accuracy.coarsest;
-        };
-        auto inverse = [&](double wanted) {
-            const double reach = (accuracy.coarsest - accuracy.finest) / accuracy.growth, near = cumulative(reach);
-            const double x = std::expm1(accuracy.growth * std::min(wanted, near)) * accuracy.finest / accuracy.growth;
-            return x + std::max(0.0, wanted - near) * accuracy.coarsest;
-        };
         // Spacings are asked for at a span of so many elements, so that contact points keep their number while it changes.
         auto nominal = [&](double k, int count) {
-            const double distance = inverse(std::min(k, count - k) * (count - 0.5) / count);
-            return 2 * k <= count ? distance : 2 * inverse(0.5 * count - 0.25) - distance;
+            const double distance = grading.distance(std::min(k, count - k) * (count - 0.5) / count);
+            return 2 * k <= count ? distance : 2 * grading.distance(0.5 * count - 0.25) - distance;
         };
-        const double half = cumulative(0.5 * span);
         const Section& inner = section_at(robot.tubes[n - 1], middle - q.l[n - 1]);
         const bool straight = inner.curvature_x == 0 && inner.curvature_y == 0 && !robot.loaded();
-        const double longest = (straight ? kStraightLength : kSingleTubeLength) / accuracy.refinement;
-        int count = present == 1 ? static_cast<int>(std::ceil(span / longest - 1e-9))
-                                 : static_cast<int>(std::ceil(2 * half - 1e-9));
-        count = std::max(count, 1);
+        const double longest = (straight ? kStraightLength : kSingleTubeLength) / accuracy_.refinement;
+        const double wanted = present == 1 ? span / longest : 2 * grading.elements(0.5 * span);
+        const int count = std::max(1, static_cast<int>(std::ceil(wanted - 1e-9)));
+        interval_elements_.push_back(count);
         for (int k = 1; k <= count; ++k) {
-            double x = span * k / count;
-            if (present > 1 && k < count) {  // invert the cumulative count on the nearer half
-                const double distance = inverse(2 * half * std::min(k, count - k) / count);
-                x = 2 * k <= count ? distance : span - distance;
-            }
-            s_.push_back(k == count ? to : from + x);
             element_tubes_.push_back(present);
             const double h = nominal(k, count) - nominal(k - 1, count), middle_distance = std::min(nominal(k - 0.5, count), nominal(count - k + 0.5, count));
-            const double spacing = std::min(accuracy.contact_coarsest, accuracy.contact_finest + accuracy.growth * middle_distance *
-                                                                           accuracy.contact_coarsest / accuracy.coarsest);
+            const double spacing = std::min(accuracy_.contact_coarsest, accuracy_.contact_finest + accuracy_.growth * middle_distance *
+                                                                            accuracy_.contact_coarsest / accuracy_.coarsest);
             element_contacts_.push_back(present > 1 ? std::max(1, static_cast<int>(std::ceil(h / spacing - 1e-9))) : 0);
         }
+    }
+}
+
+// So many elements between breaks: evenly along a single tube, else graded from both ends.
+void Mesh::place_nodes() {
+    const Grading grading{accuracy_};
+    s_.assign(1, breaks_.front().s);
+    for (std::size_t b = 0; b + 1 < breaks_.size(); ++b) {
+        const double from = breaks_[b].s, to = breaks_[b + 1].s, span = to - from, half = grading.elements(0.5 * span);
+        const int count = interval_elements_[b];
+        const bool graded = element_tubes_[s_.size() - 1] > 1;
+        for (int k = 1; k < count; ++k) {
+            double x = span * k / count;
+            if (graded) {  // invert the cumulative count on the nearer half
+                const double distance = grading.distance(2 * half * std::min(k, count - k) / count);
+                x = 2 * k <= count ? distance : span - distance;
+            }
+            s_.push_back(from + x);
+        }
+        s_.push_back(to);
     }
 }
 

@@ -12,8 +12,10 @@ namespace {
 }  // namespace
 
 void Mesh::build(const Robot& robot, const Configuration& q, const Accuracy& accuracy) {
+    accuracy_ = accuracy;
     find_breaks(robot, q);
-    place_nodes(robot, q, accuracy);
+    count_elements(robot, q);
+    place_nodes();
     fill_elements(robot, q);
     place_contacts();
     fill_pairs(robot);
@@ -28,21 +30,19 @@ bool Mesh::laid_out_like(const Mesh& other) const {
                       [](const Break& a, const Break& b) { return a.members == b.members; });
 }
 
-bool Mesh::move_elements(const Mesh& from, const Robot& robot, const Configuration& q) {
+bool Mesh::take_layout(const Mesh& from, const Robot& robot, const Configuration& q) {
     find_breaks(robot, q);
     if (!std::equal(breaks_.begin(), breaks_.end(), from.breaks_.begin(), from.breaks_.end(),
                     [](const Break& a, const Break& b) { return a.members == b.members; }))
         return false;
+    accuracy_ = from.accuracy_;
+    interval_elements_ = from.interval_elements_;
     element_tubes_ = from.element_tubes_;
     element_contacts_ = from.element_contacts_;
-    s_.resize(from.s_.size());
-    const std::vector<double>& breaks = from.break_s_;
-    std::size_t b = 0;
-    for (std::size_t k = 0; k < s_.size(); ++k) {
-        const double s = from.s_[k];
-        while (b + 2 < breaks.size() && s > breaks[b + 1] - 0.5 * kMergeDistance) ++b;  // a node on a break stays exactly there
-        s_[k] = break_s_[b] + (s - breaks[b]) / (breaks[b + 1] - breaks[b]) * (break_s_[b + 1] - break_s_[b]);
-    }
+    return true;
+}
+
+bool Mesh::fill_as(const Mesh& from, const Robot& robot, const Configuration& q) {
     fill_elements(robot, q);
     fill_pairs(robot);
     fill_regimes(robot);
@@ -51,8 +51,34 @@ bool Mesh::move_elements(const Mesh& from, const Robot& robot, const Configurati
     return node_unknowns_ == from.node_unknowns_;
 }
 
+bool Mesh::build_elements_like(const Mesh& from, const Robot& robot, const Configuration& q) {
+    if (!take_layout(from, robot, q)) return false;
+    place_nodes();
+    return fill_as(from, robot, q);
+}
+
+bool Mesh::build_like(const Mesh& from, const Robot& robot, const Configuration& q) {
+    if (!build_elements_like(from, robot, q)) return false;
+    carry_contacts(from);
+    return true;
+}
+
 bool Mesh::move(const Mesh& from, const Robot& robot, const Configuration& q) {
-    if (!move_elements(from, robot, q)) return false;
+    if (!take_layout(from, robot, q)) return false;
+    s_.resize(from.s_.size());
+    const std::vector<double>& breaks = from.break_s_;
+    std::size_t b = 0;
+    for (std::size_t k = 0; k < s_.size(); ++k) {
+        const double s = from.s_[k];
+        while (b + 2 < breaks.size() && s > breaks[b + 1] - 0.5 * kMergeDistance) ++b;  // a node on a break stays exactly there
+        s_[k] = break_s_[b] + (s - breaks[b]) / (breaks[b + 1] - breaks[b]) * (break_s_[b + 1] - break_s_[b]);
+    }
+    if (!fill_as(from, robot, q)) return false;
+    carry_contacts(from);
+    return true;
+}
+
+void Mesh::carry_contacts(const Mesh& from) {
     contact_begin_ = from.contact_begin_;
     contact_pair_ = from.contact_pair_;
     contact_xi_ = from.contact_xi_;
@@ -65,7 +91,6 @@ bool Mesh::move(const Mesh& from, const Robot& robot, const Configuration& q) {
             hermite(contact_xi_[k], length_[e], &contact_shape_[4 * k]);
         }
     publish();
-    return true;
 }
 
 void Mesh::publish() {

@@ -117,4 +117,14 @@ FrictionTipRows Model::friction_tips(const std::vector<Configuration>& all, cons
     return out;
 }
 
+BodyDerivatives Model::body_derivatives(const Configuration& q, const Accuracy& accuracy, const std::vector<double>& phi,
+                                        const std::vector<Direction>& directions, double spacing) const {
+    TipSolver solver(robot_);
+    BodyDerivatives found;
+    found.stability = kNaN;
+    found.stability_by.assign(directions.size(), kNaN);
+    if (solver.solve(q, accuracy, phi) != Status::failed) solver.differentiate_body(directions, spacing, found);
+    return found;
+}
+
 }  // namespace ctr

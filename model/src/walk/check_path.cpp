@@ -17,7 +17,7 @@ constexpr double kLeap = 0.75;                // of the motion of a rejected ste
 
 double backbone_clearance(const BoundSolver& bound, const Backbone& shape, const SignedDistanceField& field, double spacing) {
     double least = 1e9;
-    for_outer_points(bound, shape, spacing, [&](const Vec3& p, double radius) { least = std::min(least, field.sample(p) - radius); });
+    for_outer_points(bound.solver(), shape, spacing, [&](const Vec3& p, double radius) { least = std::min(least, field.sample(p) - radius); });
     return least;
 }
 
@@ -30,7 +30,7 @@ Markers material_markers(const BoundSolver& bound, const Backbone& shape) {
     Markers markers(pb.tubes);
     std::vector<double> tip(pb.tubes);
     for (int i = 0; i < pb.tubes; ++i) tip[i] = bound.configuration().l[i] + bound.solver().robot().tubes[i].length();
-    for_outer_elements(bound, shape, [&](int e, const Vec3& start, const Vec3& end) {
+    for_outer_elements(bound.solver(), shape, [&](int e, const Vec3& start, const Vec3& end) {
         const int i = pb.tubes - pb.element_tubes[e];
         const double from = tip[i] - mesh.s()[e], h = pb.length[e];  // distances to the tip fall along the element
         for (int k = static_cast<int>(std::ceil((from - h) / kMarkerSpacing - 1e-9)); k * kMarkerSpacing < from + 1e-12; ++k) {
@@ -81,7 +81,7 @@ Configuration between(const Configuration& a, const Configuration& b, double sha
 }  // namespace
 
 void collect_points(const BoundSolver& bound, const Backbone& shape, double spacing, std::vector<double>& out) {
-    for_outer_points(bound, shape, spacing, [&](const Vec3& p, double radius) { out.insert(out.end(), {p[0], p[1], p[2], radius}); });
+    for_outer_points(bound.solver(), shape, spacing, [&](const Vec3& p, double radius) { out.insert(out.end(), {p[0], p[1], p[2], radius}); });
 }
 
 double clearance(const BoundSolver& bound, const SignedDistanceField& field, double spacing) {

@@ -1,5 +1,5 @@
 // The line that touches the world: the centreline of the outermost tube present, in front of the plate.
-// Included inside anonymous namespaces by check_path.cpp and bound_field.cpp.
+// Included inside anonymous namespaces by check_path.cpp and body_derivatives.cpp.
 
 // The cubic between two nodes; tangents are unit, so that the element length scales them.
 inline Vec3 between(const Vec3& a, const Vec3& ta, const Vec3& b, const Vec3& tb, double h, double x) {
@@ -13,8 +13,8 @@ inline Vec3 between(const Vec3& a, const Vec3& ta, const Vec3& b, const Vec3& tb
 // Calls visit(element, proximal point, distal point) for every element in front of the plate; the points are on the
 // outermost tube present, taken from this side of the distal node.
 template <class Visit>
-void for_outer_elements(const BoundSolver& bound, const Backbone& shape, const Visit& visit) {
-    const Mesh& mesh = bound.solver().mesh();
+void for_outer_elements(const FrictionSolver& solver, const Backbone& shape, const Visit& visit) {
+    const Mesh& mesh = solver.mesh();
     const KernelProblem& pb = mesh.problem();
     for (int e = 0; e < pb.elements; ++e) {
         if (mesh.s()[e + 1] <= 0) continue;
@@ -22,26 +22,20 @@ void for_outer_elements(const BoundSolver& bound, const Backbone& shape, const V
     }
 }
 
-// Calls visit(point, radius) along the outermost tubes of one shape, at points no farther apart than `spacing`.
+// Calls visit(point, radius) along the outermost tubes of one shape, at points no farther apart than `spacing` where elements
+// are so long as those of `lengths`.
 template <class Visit>
-void for_outer_points(const BoundSolver& bound, const Backbone& shape, double spacing, const Visit& visit) {
-    const KernelProblem& pb = bound.solver().mesh().problem();
-    for_outer_elements(bound, shape, [&](int e, const Vec3& start, const Vec3& end) {
-        const double radius = bound.solver().robot().tubes[pb.tubes - pb.element_tubes[e]].outer_radius, h = pb.length[e];
-        const int count = std::max(1, static_cast<int>(std::ceil(h / spacing)));
+void for_outer_points(const FrictionSolver& solver, const Backbone& shape, double spacing, const double* lengths, const Visit& visit) {
+    const KernelProblem& pb = solver.mesh().problem();
+    for_outer_elements(solver, shape, [&](int e, const Vec3& start, const Vec3& end) {
+        const double radius = solver.robot().tubes[pb.tubes - pb.element_tubes[e]].outer_radius, h = pb.length[e];
+        const int count = std::max(1, static_cast<int>(std::ceil(lengths[e] / spacing)));
         for (int k = 0; k <= count; ++k)
             visit(between(start, shape.frame[e].tangent(), end, shape.frame[e + 1].tangent(), h, static_cast<double>(k) / count), radius);
     });
 }
 
-// The point at arc length s in front of the plate.
-inline Vec3 outer_point(const BoundSolver& bound, const Backbone& shape, double s) {
-    const std::vector<double>& nodes = bound.solver().mesh().s();
-    Vec3 point{0, 0, 0};
-    for_outer_elements(bound, shape, [&](int e, const Vec3& start, const Vec3& end) {
-        const double h = nodes[e + 1] - nodes[e];
-        if (s < nodes[e] - 1e-12 || s > nodes[e + 1] + 1e-12) return;
-        point = between(start, shape.frame[e].tangent(), end, shape.frame[e + 1].tangent(), h, std::clamp((s - nodes[e]) / h, 0.0, 1.0));
-    });
-    return point;
+template <class Visit>
+void for_outer_points(const FrictionSolver& solver, const Backbone& shape, double spacing, const Visit& visit) {
+    for_outer_points(solver, shape, spacing, solver.mesh().problem().length, visit);
 }
