@@ -118,6 +118,14 @@ class Choice(Kind):
         return f"must be {', '.join(most)} or {last}"
 
 
+READERS = {
+    "Scenario": "load_scenario",
+    "Robot": "load_robot",
+    "Measurements": "load_measurements",
+    "Study": "load_study",
+}
+
+
 class Made(Kind):
     """An object of a class of ctrplan or of a library, by the name of the class: nothing is imported for a check."""
 
@@ -269,7 +277,9 @@ def require(key: str, value: Any, kind: Kind) -> None:
     except (TypeError, ValueError, ArithmeticError):  # of what calls itself a number and compares with none
         fits = False
     if not fits:
-        raise InputError(kind.rule, key=key, value=value, unit=kind.unit)
+        reader = READERS.get(kind.name) if isinstance(kind, Made) and isinstance(value, (str, os.PathLike)) else None
+        rule = f"{kind.rule}; ctrplan.{reader} reads one from a file" if reader else kind.rule
+        raise InputError(rule, key=key, value=value, unit=kind.unit)
 
 
 def rows_of(key: str, values: Any, kind: type[T]) -> tuple[T, ...]:

@@ -151,6 +151,21 @@ class WorkMeter:
             meter.spent_ns += amount_ns
 
 
+class Laps:
+    """Seconds by the clock that came one after the other, by what took them."""
+
+    def __init__(self) -> None:
+        """The first lap begins."""
+        self.seconds: dict[str, float] = {}
+        self._began_s = time.monotonic()
+
+    def end(self, name: str) -> None:
+        """What came since the lap before was `name`."""
+        now = time.monotonic()
+        self.seconds[name] = self.seconds.get(name, 0.0) + now - self._began_s
+        self._began_s = now
+
+
 @dataclass(eq=False)
 class SearchClock:
     """Seconds since a search began, real ones if `timed`, else those counted by its meter.

@@ -55,6 +55,7 @@ def open_plan(
                 trajectory=_trajectory(written, place / "trajectory.csv"),
                 reorder=_made(ReorderReport, content["reorder"]),
                 clock_s=content["clock_s"],
+                clock_s_by=content.get("clock_s_by", {}),
                 work_s=content["work_s"],
                 first_found_s=content["first_found_s"],
                 first_certified_s=content["first_certified_s"],

@@ -15,8 +15,8 @@ import numpy as np
 
 from ctrplan.base.arguments import EVENT, PROGRESS, SEARCH_TIME, SEED, Flag, Made, checked, rows_of
 from ctrplan.base.arrays import Array
+from ctrplan.base.long_work import Laps, SearchClock, SearchEnd, WorkMeter, interrupt_event, part_of
 from ctrplan.base.long_work import Progress as FractionReport
-from ctrplan.base.long_work import SearchClock, SearchEnd, WorkMeter, interrupt_event, part_of
 from ctrplan.certificate.certificate import Certificate, joined_certificates
 from ctrplan.certificate.certify import GoalTest, certify, frictionless_arrives, with_restart
 from ctrplan.certificate.closest import failure_with_place
@@ -87,7 +87,7 @@ def plan(
     if start_state is not None:
         scenario = scenario.observed(start_state)
     scenario = replace(scenario, terms=(*scenario.terms, *rows_of("terms", terms, CostTerm)))
-    began, report = time.monotonic(), progress or (lambda _: None)
+    began, laps, report = time.monotonic(), Laps(), progress or (lambda _: None)
     budget = float(scenario.planner.time_s if time_s is None else time_s)
     refuse_many_tubes(scenario.robot)
     refuse_impossible_margins(scenario)
@@ -99,12 +99,15 @@ def plan(
         reason = start_trouble(checker) or with_shares(checker, scenario.start, start.reason, least_m)
         raise NoAnswerError(f"{scenario.path or scenario.name}: start: the start state is not valid: {reason}.")
     friction_law(scenario.robot)  # calibrated before the search's time begins, if it is not known yet
+    laps.end("preparation")
     with interrupt_event(interrupted) as interrupted, ThreadPoolExecutor(1) as beside:
         approaches = cache(partial(beside.submit, other_start, scenario, scenario.start))
         asked = _PlanRequest(seed, began, budget, budget, time_s is not None, report, interrupted, approaches)
         first, stages, ended_by = _anytime_stages(scenario, asked)
         spent_ns = [meter.spent_ns for meter in asked.meters]  # corrections at the end are no search
+        laps.end("search")
         finish = _finish(scenario, stages, compensated, report)
+        laps.end("ending and compensation")
     notes: tuple[str, ...] = (*scenario.warnings, *((ENDED_BY_TIME,) if ended_by == "time" else ()))
     paths = [best.result for _, best in stages]
     notes += turn_notes(scenario, [path.after[-1] for path in paths])
@@ -118,7 +121,7 @@ def plan(
         finish.certificate,
         planner=scenario.planner.name,
         seed=seed,
-        clock_s=time.monotonic() - began,
+        clock_s=0.0,
         work_s=1e-9 * sum(spent_ns),
         first_found_s=first.found_s,
         first_certified_s=first.certified_s,
@@ -127,8 +130,10 @@ def plan(
         compensation=finish.compensation,
         ended_by="interruption" if interrupted.is_set() else ended_by,
     )
-    finished = replace(finished, uncertainty=stated_uncertainty(finished))
-    return replace(finished, interrupted=interrupted.is_set())
+    laps.end("other orders and timing")
+    finished = replace(finished, uncertainty=stated_uncertainty(finished), interrupted=interrupted.is_set())
+    laps.end("uncertainty")
+    return replace(finished, clock_s=sum(laps.seconds.values()), clock_s_by=laps.seconds)
 
 
 @dataclass(frozen=True, eq=False)

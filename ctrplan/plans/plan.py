@@ -50,6 +50,7 @@ def plan_to_json(plan: PlannedMotion) -> dict[str, Any]:
         "planner": plan.planner,
         "style": plan.style,
         "clock_s": plan.clock_s,
+        "clock_s_by": dict(plan.clock_s_by),
         "work_s": plan.work_s,
         "first_found_s": plan.first_found_s,
         "first_certified_s": plan.first_certified_s,

@@ -106,6 +106,7 @@ class PlannedMotion:
         None  # largest distance of the inserting body from its tip's track, frictionless
     )
     uncertainty: Uncertainty | None = None  # None where nothing is stated to be uncertain
+    clock_s_by: Mapping[str, float] = field(default_factory=dict)  # what took how much of `clock_s`, in its order
 
     @property
     def waypoints(self) -> Array:

@@ -190,3 +190,10 @@ def test_with_changes_and_checks_again() -> None:
     robot = there.robot.with_("contact.2.friction_coefficient=0.3")
     assert robot.friction[1].tolist() == [0.3, 0.3] and there.robot.friction[1, 0] != 0.3
     assert there.with_(robot=robot).robot.sha256 == robot.sha256
+
+
+def test_a_path_where_an_object_is_expected_is_told_who_reads_it() -> None:
+    with pytest.raises(ctrplan.InputError, match=r"must be a Scenario; ctrplan\.load_scenario reads one from a file"):
+        ctrplan.plan(str(SCENARIOS / "vessel.toml"))  # type: ignore[arg-type]
+    with pytest.raises(ctrplan.InputError, match=r"ctrplan\.load_measurements reads one from a file"):
+        ctrplan.diagnose(ctrplan.load_robot(ROBOTS / "three_tube.toml"), Path("measured.csv"))  # type: ignore[arg-type]

@@ -54,6 +54,12 @@ def snap() -> ctrplan.Plan:
     return ctrplan.plan(scenario("snap", "planner.time_s=0.5"), seed=0)
 
 
+def test_the_time_of_a_plan_is_split_by_what_took_it(snap: ctrplan.Plan) -> None:
+    assert list(snap.clock_s_by)[:3] == ["preparation", "search", "ending and compensation"]
+    assert sum(snap.clock_s_by.values()) == pytest.approx(snap.clock_s) and snap.clock_s > snap.first_certified_s > 0
+    assert snap.clock_s_by["search"] == max(snap.clock_s_by.values())
+
+
 def test_a_plan_travels_to_another_process(snap: ctrplan.Plan) -> None:
     """All but the friction states that it ended with, which stay where they were simulated."""
     again = pickle.loads(pickle.dumps(snap))
