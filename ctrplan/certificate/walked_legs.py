@@ -26,10 +26,10 @@ from ctrplan.certificate.problems import (
     stated_bounds,
 )
 from ctrplan.certificate.uneven_friction import with_uneven_friction
-from ctrplan.certificate.walked_piece import Piece, checked_samples, joined_samples, walk_pieces
+from ctrplan.certificate.walked_piece import Piece, checked_samples, joined_samples, walk_pieces, walked_finely
 from ctrplan.drive.legs import merge_legs
 from ctrplan.mechanics.shapes import Accuracy
-from ctrplan.motion.checker import left_at_end, path_limits
+from ctrplan.motion.checker import TOO_CLOSE, left_at_end, path_limits
 from ctrplan.scenario.joint_space import JointSpace
 from ctrplan.scenario.prediction import start_load
 from ctrplan.scenario.scenario import path_cost_mm
@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from ctrplan.scenario.scenario import Scenario
 
 
+FINER = 2  # times that thin clearances are walked anew: by the solved shapes, and by friction states between them
 Look = Callable[["Scenario", list[Piece]], list[Piece]]  # at pieces, more closely
 
 
@@ -124,7 +125,33 @@ def walk_legs(
     refuse_many_tubes(scenario.robot)
     space = JointSpace.of(scenario)
     known = failed.walked if failed and failed.scenario is scenario else ()
-    walked = pieces = walk_pieces(scenario, space, corners, accuracy, progress, known, timing)
+    as_walked = pieces = walk_pieces(scenario, space, corners, accuracy, progress, known, timing)
+    judged = _judged(scenario, space, corners, pieces, spare_m)
+    for _ in range(FINER):
+        thin = judged.problems and all(TOO_CLOSE in problem for problem in judged.problems)
+        limit_m = path_limits(scenario).clearance_m
+        finer = walked_finely(judged.pieces, pieces, limit_m, space) if thin else None
+        if finer is None:
+            break
+        pieces, judged = finer, _judged(scenario, space, corners, finer, spare_m)
+    light = [piece.light() for piece in judged.pieces]
+    kept = as_walked if judged.problems else ()
+    found = judged.samples, judged.bounds, judged.problems
+    return WalkedLegs(scenario, corners, accuracy, light, *found, spare_m, timing, kept)
+
+
+@dataclass(frozen=True, eq=False)
+class _Judged:
+    """Pieces looked at as closely as their problems allow."""
+
+    pieces: list[Piece]
+    samples: CertificateSamples
+    bounds: StatedBounds
+    problems: list[str]
+
+
+def _judged(scenario: Scenario, space: JointSpace, corners: Array, pieces: list[Piece], spare_m: float) -> _Judged:
+    """What keeps walked pieces of the polyline `corners` (K, m) from being valid; the cheap reasons come first."""
     samples = joined_samples(scenario, space, pieces)
     with ThreadPoolExecutor(1) as beside:  # a few bounds and a few narrow samples leave half of the machine idle each
         stated = beside.submit(_bounds, scenario, samples, pieces)
@@ -147,9 +174,7 @@ def walk_legs(
         bounds = stated.result()
     if not problems:
         pieces, samples, problems = looked(at_worst_ends, pieces)
-    light = [piece.light() for piece in pieces]
-    kept = walked if problems else ()
-    return WalkedLegs(scenario, corners, accuracy, light, samples, bounds, problems, spare_m, timing, kept)
+    return _Judged(pieces, samples, bounds, problems)
 
 
 def _other_equilibria(scenario: Scenario, space: JointSpace, pieces: Sequence[Piece]) -> list[str]:

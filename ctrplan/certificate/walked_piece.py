@@ -50,6 +50,7 @@ if TYPE_CHECKING:
 
 PIECE_MM = 40.0  # joint length of the pieces that run in parallel
 BENT_STEP_RAD, BENT_STEP_M = np.radians(2.0), 0.5e-3  # of a joint, along which a drive with effects moves straight
+FINE_M = 0.1e-3  # between samples where half of SPACING_M decides: five times the work there
 FROM_PLATE_M = 5e-3  # points of a body farther from where it leaves the plate have to stay in front of it
 
 
@@ -220,10 +221,42 @@ def _joints(rows: Array, samples: PathSamples) -> Array:
     return np.where(share == 1, end, begin + share * (end - begin))
 
 
-def walked(variants: Variants, space: JointSpace, leg: int, way: Array, accuracy: Accuracy) -> Piece:
+def walked_finely(
+    pieces: Sequence[Piece], as_walked: Sequence[Piece], limit_m: float, space: JointSpace
+) -> list[Piece] | None:
+    """Pieces as they were walked, anew with FINE_M between samples where clearances lack what that gives back.
+
+    None where no clearance is below the limit, or where shorter steps cannot help.
+    """
+    results = list[Piece]()
+    for piece, before in zip(pieces, as_walked, strict=True):
+        short = np.flatnonzero(piece.clearance_m < limit_m)
+        given_back = piece.allowance_m - UNEVEN_FRICTION_M - FINE_M / 2
+        if (piece.clearance_m[short] + given_back[short] < limit_m).any():
+            return None
+        if not len(short):
+            results.append(before)
+            continue
+        way_mm, at_mm = (
+            np.append(0.0, np.cumsum(space.lengths_mm(np.diff(rows, axis=0)))) for rows in (piece.way, piece.joints)
+        )
+        first, last = max(int(short[0]) - 1, 0), min(int(short[-1]) + 1, len(at_mm) - 1)
+        cuts = np.unique([0.0, at_mm[first], at_mm[last], at_mm[-1]])
+        for a, b in itertools.pairwise(cuts.tolist()):
+            between = piece.way[(way_mm > a + 1e-9) & (way_mm < b - 1e-9)]
+            ends = [piece.joints[int(np.searchsorted(at_mm, mm))] for mm in (a, b)]
+            part, is_fine = np.vstack([ends[0], between, ends[1]]), a == at_mm[first]
+            spacing_m = FINE_M if is_fine else SPACING_M
+            results.append(walked(piece.variants, space, piece.leg, part, piece.accuracy, spacing_m))
+    return None if all(piece in as_walked for piece in results) else results
+
+
+def walked(
+    variants: Variants, space: JointSpace, leg: int, way: Array, accuracy: Accuracy, spacing_m: float = SPACING_M
+) -> Piece:
     """One piece, along the joints of a way (S, m)."""
     scenario, mechanics = variants.scenario, variants.scenario.robot.mechanics
-    density = PathDensity(motion_m=SPACING_M, near_m=SPACING_M, point_spacing_m=POINT_SPACING_M)
+    density = PathDensity(motion_m=spacing_m, near_m=spacing_m, point_spacing_m=POINT_SPACING_M)
     rows = _straight_steps(space, way)
     samples = mechanics.check_path(*space.drive.collars(rows), density=density, accuracy=accuracy, bodies=True)
     joints, corners = _joints(rows, samples), list[PathSamples]()

@@ -243,3 +243,29 @@ def test_more_tubes_than_friction_states_can_be_looked_at_are_refused_at_once() 
     for call in (lambda: certify(case, np.zeros((1, 18))), lambda: ctrplan.plan(case)):
         with pytest.raises(InputError, match="tube: has 9 tubes: certificates look at every friction state of at most"):
             call()
+
+
+def test_a_thin_clearance_is_not_refused_for_the_length_of_a_step() -> None:
+    """A ball beside the way of the tip, so near that half a step would decide: walked anew in shorter ones."""
+    ends, away = np.array([joints(3, 12, 18, -40), joints(7, 28, 42, -40)]), np.array([0.3, -0.7, 0.2])
+    tip = ROBOT.solve(*ROBOT.drive.collars(ends.mean(axis=0))).tip_m
+    stated = []
+    for apart_mm in (10.7, 9.8):
+        centre = (1e3 * tip + apart_mm * away / np.linalg.norm(away)).tolist()
+        ball = {"kind": "sphere", "center_mm": centre, "radius_mm": 2.0}
+        case = resting(ends[0], [ball])
+        case = replace(case, goal=replace(case.goal, joints=ends[1]))
+        found = certify(case, ends, restart=False)
+        assert found.closest is not None
+        stated.append((found.valid, found.closest.clearance_m, found.min_clearance_m))
+        least = np.inf
+        for share in np.linspace(0.0, 1.0, 41):
+            at = ends[0] + share * (ends[1] - ends[0])
+            bodies = ROBOT.mechanics.friction_bodies(
+                *ROBOT.drive.collars(at), corner_states(2), spacing_m=0.25e-3, accuracy="certificate"
+            )
+            apart = np.linalg.norm(bodies.point_m - np.array(centre) * 1e-3, axis=2) - 2e-3 - bodies.radius_m
+            least = min(least, float(apart.min()))
+        assert found.min_clearance_m < least
+    (thin, seen, left), (refused, _, _) = stated
+    assert thin and not refused and 0.3e-3 < seen < 0.45e-3 and seen - left < 0.37e-3
