@@ -247,10 +247,10 @@ def test_more_tubes_than_friction_states_can_be_looked_at_are_refused_at_once() 
 
 def test_a_thin_clearance_is_not_refused_for_the_length_of_a_step() -> None:
     """A ball beside the way of the tip, so near that half a step would decide: walked anew in shorter ones."""
-    ends, away = np.array([joints(3, 12, 18, -40), joints(7, 28, 42, -40)]), np.array([0.3, -0.7, 0.2])
+    ends, away = np.array([joints(4, 16, 24, -40), joints(6, 24, 36, -40)]), np.array([0.3, -0.7, 0.2])
     tip = ROBOT.solve(*ROBOT.drive.collars(ends.mean(axis=0))).tip_m
     stated = []
-    for apart_mm in (10.7, 9.8):
+    for apart_mm in (10.2, 9.8):
         centre = (1e3 * tip + apart_mm * away / np.linalg.norm(away)).tolist()
         ball = {"kind": "sphere", "center_mm": centre, "radius_mm": 2.0}
         case = resting(ends[0], [ball])
