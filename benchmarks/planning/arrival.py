@@ -39,7 +39,6 @@ from ctrplan.scenario.joint_space import JointSpace, bare_scenario
 from ctrplan.scenario.prediction import (
     STEP_M,
     STEP_RAD,
-    predict,
     predict_end,
     rows_to_simulate,
     start_states,
@@ -350,8 +349,8 @@ def steps_matter(name: str, content: dict[str, Any], plans: int = 4) -> tuple[ob
         plans -= 1
         samples, starts = plan.certificate.samples, start_states(plan.scenario)
         joints = samples.joints[rows_to_simulate(robot, samples.joints, samples.leg)]
-        prediction = predict(robot, joints, starts)
-        share = step_error(robot, joints, prediction, starts)
+        prediction, ends = predict_end(robot, joints, starts)
+        share = step_error(robot, joints, ends, starts)
         for start, tip in zip(starts, prediction.tip_m[:, -1], strict=True):
             path = robot.history(start, options=finest).follow(*robot.drive.collars(joints))  # type: ignore[arg-type]
             off.append(float(np.linalg.norm(path.position_m[-1] - tip)))

@@ -34,7 +34,6 @@ from ctrplan.scenario.prediction import (
     ball_centre,
     predict,
     rows_to_simulate,
-    step_error,
 )
 from ctrplan.uncertainty.parameters import UncertainParameters, uncertain_parameters
 from ctrplan.uncertainty.target import TargetPose
@@ -158,7 +157,8 @@ def arrival(
 ) -> Arrival:
     """The arrival of a motion through joints (K, m) [rad, m] on legs (K,), simulated from `starts`.
 
-    `prediction` has to hold the states of the first start at the ends of legs, see `rows_to_keep`.
+    `prediction` has to hold the states of the first start at the ends of legs, see `rows_to_keep`. What the steps of
+    histories add is left to `with_steps`.
     """
     robot, ends = scenario.robot, scenario.robot.drive.collars(joints[-1:])
     without = robot.mechanics.tips_with_friction(*ends, np.zeros((1, robot.n - 1)))
@@ -179,7 +179,7 @@ def arrival(
         parameters_m=_parameters(robot, joints[-1]),
         registration_m=shift,
         unexplained_m=robot.model_error_m,
-        mesh_m=_mesh(robot, joints[-1], prediction) + step_error(robot, joints, prediction, starts),
+        mesh_m=_mesh(robot, joints[-1], prediction),
     )
     tangents = np.concatenate([prediction.tangent[:, -1], *(variant.tangent[:, -1] for variant in variants)])
     return Arrival(
@@ -190,6 +190,12 @@ def arrival(
         by_cause=by_cause,
         erased=_erased(robot, joints, leg, prediction),
     )
+
+
+def with_steps(found: Arrival, steps_m: float) -> Arrival:
+    """An arrival whose histories may be off by so much [m], by the steps that they were followed in."""
+    by_cause = replace(found.by_cause, mesh_m=found.by_cause.mesh_m + steps_m)
+    return replace(found, error_m=by_cause.total_m, by_cause=by_cause)
 
 
 def rows_to_keep(leg: NDArray[np.int_]) -> list[int]:

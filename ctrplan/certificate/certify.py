@@ -13,14 +13,21 @@ import numpy as np
 from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.base.long_work import Progress
 from ctrplan.certificate.anatomy_distance import AnatomyDistance
-from ctrplan.certificate.arrival import Arrival, TargetReached, arrival, restart_waypoint, simulated_rows
+from ctrplan.certificate.arrival import (
+    Arrival,
+    TargetReached,
+    arrival,
+    restart_waypoint,
+    simulated_rows,
+    with_steps,
+)
 from ctrplan.certificate.certificate import Certificate, CertificateSamples
 from ctrplan.certificate.closest import closest_places
 from ctrplan.certificate.friction_states import BEYOND_BOUND_M
 from ctrplan.certificate.problems import frictionless_miss, goal_miss_m, line_error_m
 from ctrplan.certificate.walked_legs import WalkedLegs, walk_legs
 from ctrplan.mechanics.shapes import Accuracy, Shape
-from ctrplan.scenario.prediction import FrictionStart, PathPrediction, predict_end, start_states
+from ctrplan.scenario.prediction import FrictionStart, PathPrediction, predict_end, start_states, step_error
 
 if TYPE_CHECKING:
     from ctrplan.drive.trajectory import Trajectory
@@ -108,7 +115,7 @@ def certify(
     """
     walk = walk_legs(scenario, corners, accuracy=accuracy, timing=timing, progress=progress)
     result = finished(walk, goal_test, starts)
-    return with_restart(scenario, result, starts) if restart else result
+    return with_restart(scenario, result, starts, accuracy) if restart else result
 
 
 def finished(
@@ -178,11 +185,14 @@ def _walked_again(
 
 
 def with_restart(
-    scenario: Scenario, certificate: Certificate, starts: Sequence[FrictionStart] | None = None
+    scenario: Scenario,
+    certificate: Certificate,
+    starts: Sequence[FrictionStart] | None = None,
+    accuracy: Accuracy = "search",
 ) -> Certificate:
-    """The certificate of one path, its arrival knowing from where an interrupted run begins again.
+    """The certificate of one path, its arrival knowing from where an interrupted run begins again, and its own steps.
 
-    Asked for of what is driven in the end: it takes as long as the histories do.
+    Asked for of what is driven in the end: it takes as long as the histories do, once or twice.
     """
     samples = certificate.samples
     if certificate.arrival is None or not certificate.valid:
@@ -190,7 +200,8 @@ def with_restart(
     rows, _ = simulated_rows(scenario, samples.joints, samples.leg)
     begun = start_states(scenario) if starts is None else starts
     path = samples.joints[rows], samples.leg[rows], certificate.goal_predicted_tip_m
-    arrival = replace(certificate.arrival, restart=restart_waypoint(scenario, *path, begun))
+    steps_m = step_error(scenario.robot, path[0], certificate.end_states, begun, accuracy)
+    arrival = replace(with_steps(certificate.arrival, steps_m), restart=restart_waypoint(scenario, *path, begun))
     *before, last = certificate.targets
     return replace(certificate, arrival=arrival, targets=(*before, replace(last, arrival=arrival)))
 

@@ -321,9 +321,17 @@ def _finish(scenario: Scenario, stages: Stages, compensated: bool, report: Repor
             )
         ways.append(corners)
         certificates.append(with_restart(stage, certificate, starts))
-        compensation = change
+        compensation = _with_steps(change, certificates[-1])
         shift = corners[-1] - best.result.after[-1]
     return _Finish(ways, joined_certificates(certificates), compensation, tuple(notes))
+
+
+def _with_steps(change: Compensation | None, last: Certificate) -> Compensation | None:
+    """What steps of histories add to the arrival that was certified in the end belongs to both errors."""
+    if change is None or last.arrival is None:
+        return change
+    steps_m = last.arrival.error_m - change.error_with_m
+    return replace(change, error_without_m=change.error_without_m + steps_m, error_with_m=last.arrival.error_m)
 
 
 def any_end(

@@ -189,21 +189,28 @@ def goal_error(robot: Robot, joints: Array, starts: Sequence[FrictionStart]) -> 
     return error if np.isfinite(error) else np.inf
 
 
-def step_error(robot: Robot, joints: Array, prediction: PathPrediction, starts: Sequence[FrictionStart]) -> float:
-    """[m] how far off the last tips of a prediction along joints (K, m) may be by the steps of its histories.
+def step_error(
+    robot: Robot,
+    joints: Array,
+    end_states: Sequence[HistoryState],
+    starts: Sequence[FrictionStart],
+    accuracy: Accuracy = "search",
+) -> float:
+    """[m] how far off the last tips of histories along joints (K, m) may be by their steps; a state for each start.
 
     Histories of a quarter of the steps are followed beside it, one for each of the different ends. Their tips are
     nearer to those of endless refinement: twice the difference covers an error that falls with at least the square root
     of the step (it falls linearly).
     """
-    ends = np.concatenate([part[:, -1] for part in (prediction.tip_m, prediction.tangent, prediction.phi)], axis=1)
+    coarse = _follow(robot, _restored(robot, end_states, accuracy), joints[-1:])
+    ends = np.concatenate([part[:, -1] for part in (coarse.tip_m, coarse.tangent, coarse.phi)], axis=1)
     different = list[int]()
     for k in range(len(ends)):
         if not are_same(ends[k], ends[different]).any():
             different.append(k)
-    begun = begun_histories(robot, [starts[k] for k in different], prediction.accuracy, QUARTER_STEPS)
+    begun = begun_histories(robot, [starts[k] for k in different], accuracy, QUARTER_STEPS)
     finer = _follow(robot, begun, joints)
-    off = np.linalg.norm(finer.tip_m[:, -1] - prediction.tip_m[different, -1], axis=1)
+    off = np.linalg.norm(finer.tip_m[:, -1] - coarse.tip_m[different, -1], axis=1)
     return float(np.nan_to_num(2 * off, nan=np.inf).max()) + SCATTER_M
 
 
@@ -243,9 +250,9 @@ def _saved(histories: Sequence[History]) -> list[HistoryState]:
     return [states[history] for history in histories]
 
 
-def _restored(robot: Robot, states: Sequence[HistoryState]) -> list[History]:
+def _restored(robot: Robot, states: Sequence[HistoryState], accuracy: Accuracy = "search") -> list[History]:
     """A history for each state, one and the same where a state stands for several."""
-    histories = {id(state): robot.history() for state in states}
+    histories = {id(state): robot.history(accuracy=accuracy) for state in states}
     for state in states:
         histories[id(state)].restore(state)
     return [histories[id(state)] for state in states]

@@ -34,7 +34,7 @@ from ctrplan.mechanics.history import HistoryOptions
 from ctrplan.motion.checker import MotionChecker
 from ctrplan.planning.compensate import compensate
 from ctrplan.planning.endings import erase
-from ctrplan.scenario.prediction import TIP_TOLERANCE_M, ball_centre, predict, start_states, step_error
+from ctrplan.scenario.prediction import TIP_TOLERANCE_M, ball_centre, predict, predict_end, start_states, step_error
 from ctrplan.scenario.scenario import Registration
 
 
@@ -63,8 +63,8 @@ def test_the_share_of_steps_covers_what_finer_steps_change() -> None:
     for path in (PATH, SHORT, np.array([START, GOAL])):
         starts = start_states(case)
         joints = np.vstack([path[:1], *(np.linspace(a, b, 40)[1:] for a, b in itertools.pairwise(path))])
-        coarse = predict(case.robot, joints, starts)
-        shares.append(step_error(case.robot, joints, coarse, starts))
+        coarse, ends = predict_end(case.robot, joints, starts)
+        shares.append(step_error(case.robot, joints, ends, starts))
         for start, tip in zip(starts, coarse.tip_m[:, -1], strict=True):
             history = case.robot.history(start, options=finer)  # type: ignore[arg-type]
             assert np.linalg.norm(history.follow(*case.robot.drive.collars(joints)).position_m[-1] - tip) <= shares[-1]
