@@ -234,7 +234,10 @@ def test_a_robot_that_may_be_wound_up_is_refused_at_its_start() -> None:
         ctrplan.plan(replace(case, start=np.array([0.0, wound[0], -0.02])), time_s=0.3)
 
 
-def test_the_command_says_what_would_help(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_says_what_would_help(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(plan_command, "LEVERS_S", 1.0)
     tip = (pair().goal.tip_m * 1e3).round(3).tolist()
     goal = f"goal={{tip_mm={tip}, tolerance_mm=0.06}}"
     given = ["plan", str(SCENARIOS / "pair_free.toml"), "-o", str(tmp_path / "out"), "--time", "0.5", "--quiet"]
@@ -312,7 +315,8 @@ def line_of(text: str, what: str) -> tuple[float, list[str]]:
     return float(line.split()[0]), shlex.split(line.split(f"{what}: ")[1])[1:]
 
 
-def test_a_line_to_type_is_what_its_number_was_computed_from(tmp_path: Path) -> None:
+def test_a_line_to_type_is_what_its_number_was_computed_from(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(plan_command, "LEVERS_S", 0.01)  # of the second run, whose levers nobody reads
     keys = tuple(word for word in amber(tmp_path) if "=" in word)
     command = Command(str(SCENARIOS / "pair_free.toml"), keys, 3, is_compensated=False, allow_outside=False)
     better = command.with_keys("goal.tolerance_mm=0.07", "planner.time_s=0.3")
