@@ -212,8 +212,8 @@ class Spectrum:
         """The highest evidence, and the sizes of position and tangent that it has: one by one, until both stay."""
         position, tangent = 0, 0
         while True:
-            better = int(self._evidences(slice(None), tangent).argmax())
-            evidences = self._evidences(better, slice(None))
+            better = int(self.evidences(slice(None), tangent).argmax())
+            evidences = self.evidences(better, slice(None))
             best = int(evidences.argmax())
             if better == position and best == tangent:
                 return float(evidences[best]), float(self.position.size[position]), float(self.tangent.size[tangent])
@@ -222,10 +222,10 @@ class Spectrum:
     @property
     def without_error(self) -> float:
         """Twice the logarithm of the evidence beside noise alone, up to a constant."""
-        return float(self._evidences(slice(0, 1), 0)[0])
+        return float(self.evidences(slice(0, 1), 0)[0])
 
-    def _evidences(self, position: int | slice, tangent: int | slice) -> Array:
-        """(S,) twice their logarithms, up to a constant: all sizes of the one beside a size of the other."""
+    def evidences(self, position: int | slice, tangent: int | slice) -> Array:
+        """(S,) twice their logarithms, up to a constant, at numbers of the sizes; one of each is a single number."""
         first, second, scale = self.position, self.tangent, 1 / np.sqrt(self.precision)
         H = (first.H[position] + second.H[tangent]) * np.outer(scale, scale) + np.eye(len(scale))
         factor = np.linalg.cholesky(H)

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import multivariate_normal
 
 from ctrplan.base.arrays import Array
-from ctrplan.calibration.discrepancy import Linearised
+from ctrplan.calibration.discrepancy import Linearised, Spectrum
 from ctrplan.calibration.residuals import Noise, compared, residuals
 from ctrplan.diagnosis.remainder import SmoothError, at_rest, of_motion
 from ctrplan.measurement.measurements import Measurements
@@ -61,11 +61,15 @@ def test_the_evidence_is_the_density_with_the_error_in_the_covariance(number: in
     data = logged()
     error, fit = of_motion(data, axes_of(data))[number], fit_of(data)
     spectrum, dense = error.spectrum(fit), []
-    sizes = [(spectrum.position[9], spectrum.tangent[4]), (spectrum.position[3], spectrum.tangent[12])]
-    for position, tangent in sizes:
-        dense.append(log_density(fit, data, dense_correlation(data, number), position.size, tangent.size))
-    found = [spectrum.evidence(*pair) / 2 for pair in sizes]
+    pairs = [(9, 4), (3, 12)]
+    for pair in pairs:
+        dense.append(log_density(fit, data, dense_correlation(data, number), *sizes_of(spectrum, *pair)))
+    found = [float(spectrum.evidences(*pair)) / 2 for pair in pairs]
     assert found[0] - found[1] == pytest.approx(dense[0] - dense[1], rel=1e-9)
+
+
+def sizes_of(spectrum: Spectrum, position: int, tangent: int) -> tuple[float, float]:
+    return float(spectrum.position.size[position]), float(spectrum.tangent.size[tangent])
 
 
 @pytest.mark.parametrize("number", range(15))
@@ -90,9 +94,9 @@ def test_so_it_is_of_poses_at_rest(number: int) -> None:
         apart = data.time_s[:, None] - data.time_s
         correlation = np.exp(-0.5 * (apart / np.geomspace(2.0, 20.0, 6)[number - 9]) ** 2)
     spectrum = error.spectrum(fit)
-    pairs = [(spectrum.position[9], spectrum.tangent[4]), (spectrum.position[3], spectrum.tangent[12])]
-    found = [spectrum.evidence(*pair) / 2 for pair in pairs]
-    dense = [log_density(fit, data, correlation, position.size, tangent.size) for position, tangent in pairs]
+    pairs = [(9, 4), (3, 12)]
+    found = [float(spectrum.evidences(*pair)) / 2 for pair in pairs]
+    dense = [log_density(fit, data, correlation, *sizes_of(spectrum, *pair)) for pair in pairs]
     assert found[0] - found[1] == pytest.approx(dense[0] - dense[1], rel=1e-9)
 
 
@@ -111,11 +115,10 @@ def test_what_was_not_measured_does_not_count(what: str) -> None:
     errors, fit = of_motion(data, axes_of(data)), fit_of(data)
     for number in (1, 7, 12):
         spectrum = errors[number].spectrum(fit)
-        pairs = [(spectrum.position[9], spectrum.tangent[min(4, len(spectrum.tangent) - 1)])]
-        pairs.append((spectrum.position[3], spectrum.tangent[0]))
-        found = [spectrum.evidence(*pair) / 2 for pair in pairs]
+        pairs = [(9, min(4, len(spectrum.tangent.size) - 1)), (3, 0)]
+        found = [float(spectrum.evidences(*pair)) / 2 for pair in pairs]
         correlation = dense_correlation(data, number)
-        dense = [log_density(fit, data, correlation, position.size, tangent.size) for position, tangent in pairs]
+        dense = [log_density(fit, data, correlation, *sizes_of(spectrum, *pair)) for pair in pairs]
         assert found[0] - found[1] == pytest.approx(dense[0] - dense[1], rel=1e-9)
 
 

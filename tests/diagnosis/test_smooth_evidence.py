@@ -130,7 +130,7 @@ def test_evidence_is_the_density_of_the_measurements() -> None:
     dense = [
         [log_density(r, J[:, :, some], precision[some], a, b) for b in SIZES[::8].tolist()] for a in SIZES[::8].tolist()
     ]
-    ours = np.stack([spectrum._evidences(slice(None, None, 8), k) for k in range(0, len(SIZES), 8)], axis=1) / 2
+    ours = np.stack([spectrum.evidences(slice(None, None, 8), k) for k in range(0, len(SIZES), 8)], axis=1) / 2
     np.testing.assert_allclose(ours - ours[0, 0], np.array(dense) - dense[0][0], rtol=1e-9, atol=1e-9)
     value, position, tangent = spectrum.highest()
     assert value / 2 >= ours.max() and {position, tangent} <= set(SIZES.tolist())
