@@ -11,8 +11,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.base.long_work import cores
@@ -25,10 +23,12 @@ from ctrplan.scenario.tip_solver import (
     DAMPING,
     LONGEST_STEP_M,
     M_PER_RAD,
+    PASSES,
     TOLERANCE_SHARE,
     TipSolver,
     TipTarget,
     angle_to,
+    hold,
 )
 
 
@@ -76,6 +76,7 @@ DISTINCT_MM = 5.0  # of joint length between configurations
 MOST_REFINED = 80
 ROOM_ENOUGH_M = 5e-3  # more than friction makes of most shapes
 CLEARANCE_STEPS = 3  # on the frictionless clearance model
+BEND_STEPS = 3  # within each: the bend of the zero-clearance model changes by a tenth or so of itself, and less again
 GAP_M = 6e-3  # more than clearance moves a tip: within it of the target, refining on the clearance model pays
 TURN_RAD = 0.1  # likewise of the tangent
 REFINED_SHARE = 0.2  # of the tolerance
@@ -145,8 +146,8 @@ def reach(
     order = np.argsort(q.error_m)
     near = order[q.error_m[order] <= tolerance_m + GAP_M]
     near = _by_room(checker, q.joints, near, least_room_m) if len(near) else order[:1]
-    chosen = distinct_rows(checker, q.joints, near)[:MOST_REFINED]
-    joints = refined(checker, aim, q.joints[chosen], tolerance_m)
+    chosen = distinct_rows(checker, q.joints, near, MOST_REFINED)
+    joints = refined(checker, solver, aim, q.joints[chosen], tolerance_m)
     _probed(checker, joints)
     results = [configuration(checker, target, joint) for joint in joints]
     nearest = min(results, key=lambda c: c.tip_error_m)
@@ -182,87 +183,104 @@ def _by_room(checker: MotionChecker, q: Array, rows: NDArray[np.int_], least_m: 
     return rows[np.argsort(-np.minimum(rooms, ROOM_ENOUGH_M), kind="stable")]
 
 
-def distinct_rows(checker: MotionChecker, q: Array, order: NDArray[np.int_]) -> NDArray[np.int_]:
-    """Those of `order` that are not within DISTINCT_MM of one before them."""
+def distinct_rows(
+    checker: MotionChecker, q: Array, order: NDArray[np.int_], most: int | None = None
+) -> NDArray[np.int_]:
+    """Those of `order` that are not within DISTINCT_MM of one before them, `most` of them at most."""
     kept: list[int] = []
-    for k in order.tolist():
-        if not kept or _apart_mm(checker, q[kept], q[k]).min() > DISTINCT_MM:
-            kept.append(k)
+    while len(order) and len(kept) != most:
+        kept.append(int(order[0]))
+        delta = checker.space.difference(q[order[0]], q[order[1:]])
+        order = order[1:][np.linalg.norm(delta * checker.space.weights_mm, axis=1) > DISTINCT_MM]
     return np.array(kept, dtype=int)
 
 
-def _apart_mm(checker: MotionChecker, a: Array, b: Array) -> Array:
-    """(K,) Euclidean weighted joint distances of a (K, m) from b (m,)."""
-    apart: Array = np.linalg.norm(checker.space.difference(a, b) * checker.space.weights_mm, axis=1)
-    return apart
-
-
-def refined(checker: MotionChecker, target: TipTarget, q: Array, tolerance_m: float) -> Array:
+def refined(checker: MotionChecker, solver: TipSolver, target: TipTarget, q: Array, tolerance_m: float) -> Array:
     """Damped Newton steps on the frictionless tip with clearance, by exact derivatives; the best place of each.
 
-    Derivatives are renewed where a step like the one before would not do. Where steps lead is probed, which the
+    A step follows the derivatives, and the bend that the zero-clearance model shows on the way, so that mostly one
+    does. Derivatives are renewed where a step like the one before would not do. Where steps lead is probed, which the
     configuration there needs in any case.
     """
     best, todo, aim_m = q.copy(), np.arange(len(q)), REFINED_SHARE * tolerance_m
-    miss, slope = _miss_by_joints(checker, target, q)
+    pose, slope = _pose_by_joints(checker, q)
     for _ in range(CLEARANCE_STEPS):
-        before = np.linalg.norm(miss, axis=1)
+        before = np.linalg.norm(_miss(target, pose)[0], axis=1)
         far = before > aim_m
-        todo, miss, slope, before = todo[far], miss[far], slope[far], before[far]
+        todo, pose, slope, before = todo[far], pose[far], slope[far], before[far]
         if not len(todo):
             break
-        moved = _stepped(checker, best[todo], miss, slope)
-        miss = _probed_miss(checker, target, moved)
-        error = np.linalg.norm(miss, axis=1)
+        moved = _stepped(solver, target, best[todo], pose, slope)
+        pose = _probed_pose(checker, moved)
+        error = np.linalg.norm(_miss(target, pose)[0], axis=1)
         better = error < before
         best[todo[better]] = moved[better]
-        todo, miss, slope, share = todo[better], miss[better], slope[better], (error / before)[better]
+        todo, pose, slope, share = todo[better], pose[better], slope[better], (error / before)[better]
         falls_short = (error[better] > aim_m) & (share * error[better] > aim_m)
         if falls_short.any():
-            _, slope[falls_short] = _miss_by_joints(checker, target, best[todo[falls_short]])
+            _, slope[falls_short] = _pose_by_joints(checker, best[todo[falls_short]])
     return best
 
 
-def _miss_by_joints(checker: MotionChecker, target: TipTarget, q: Array) -> tuple[Array, Array]:
-    """What `_miss` tells of the frictionless tip at q (K, m), and its derivatives by joints (K, 6, m), of the tip.
+def _pose_by_joints(checker: MotionChecker, q: Array) -> tuple[Array, Array]:
+    """(K, 6) frictionless tips and tangents at q (K, m), and their derivatives by joints (K, 6, m).
 
     NaN where the solve failed; a joint at a limit of the tubes' nesting has no derivative and counts as fixed.
     """
     tips = tips_by_joints(checker, q, np.zeros((len(q), checker.mechanics.n - 1)))
-    miss, weight = _miss(target, tips.position_m, tips.tangent)
-    miss[tips.status == Status.FAILED] = np.nan
-    return miss, np.concatenate([tips.position_by, weight[:, None, None] * tips.tangent_by], axis=1)
+    pose = np.hstack([tips.position_m, tips.tangent])
+    pose[tips.status == Status.FAILED] = np.nan
+    return pose, np.concatenate([tips.position_by, tips.tangent_by], axis=1)
 
 
-def _probed_miss(checker: MotionChecker, target: TipTarget, q: Array) -> Array:
-    """What `_miss` tells of the frictionless tip at q (K, m); NaN where the solve failed."""
+def _probed_pose(checker: MotionChecker, q: Array) -> Array:
+    """(K, 6) frictionless tips and tangents at q (K, m); NaN where the solve failed."""
     result = _probed(checker, q)
-    tips, tangents = np.array([s.tip_m[-1] for s in result]), np.array([s.tip_tangent[-1] for s in result])
-    miss, _ = _miss(target, tips, tangents)
-    miss[[samples.status[-1] == Status.FAILED for samples in result]] = np.nan
-    return miss
+    pose = np.array([np.concatenate([s.tip_m[-1], s.tip_tangent[-1]]) for s in result])
+    pose[[samples.status[-1] == Status.FAILED for samples in result]] = np.nan
+    return pose
 
 
-def _miss(target: TipTarget, tip_m: Array, tangent: Array) -> tuple[Array, Array]:
+def _miss(target: TipTarget, pose: Array) -> tuple[Array, Array]:
     """(K, 6) [m] of tips and of their directions beyond the tolerance, and what a direction weighs (K,) [m per rad]."""
-    miss = np.zeros((len(tip_m), 6))
-    miss[:, :3] = target.tip_m - tip_m
+    miss = np.zeros_like(pose)
+    miss[:, :3] = target.tip_m - pose[:, :3]
     if target.direction is None:
-        return miss, np.zeros(len(tip_m))
-    turned = np.maximum(angle_to(tangent, target.direction), 1e-12)
+        return miss, np.zeros(len(pose))
+    turned = np.maximum(angle_to(pose[:, 3:], target.direction), 1e-12)
     weight = M_PER_RAD * np.maximum(0.0, 1 - TOLERANCE_SHARE * target.direction_tolerance_rad / turned)
-    miss[:, 3:] = weight[:, None] * (target.direction - tangent)
+    miss[:, 3:] = weight[:, None] * (target.direction - pose[:, 3:])
     return miss, weight
 
 
-def _stepped(checker: MotionChecker, q: Array, miss: Array, slope: Array) -> Array:
-    """q (K, m) after a least-squares step, not longer than LONGEST_STEP_M of weighted joint length."""
-    weights = checker.space.weights_mm / MM_PER_M
-    scaled = slope / weights
-    gram = scaled @ np.swapaxes(scaled, 1, 2) + DAMPING * np.eye(6)
-    step = np.einsum("kij,ki->kj", scaled, np.linalg.solve(gram, np.nan_to_num(miss)[:, :, None])[:, :, 0])
-    step *= np.minimum(1.0, LONGEST_STEP_M / np.maximum(np.linalg.norm(step, axis=1, keepdims=True), 1e-12))
-    return checker.space.projected(q + step / weights, fallback=q)
+def _stepped(solver: TipSolver, target: TipTarget, q: Array, pose: Array, slope: Array) -> Array:
+    """q (K, m) after least-squares steps, no longer than LONGEST_STEP_M of weighted joint length each.
+
+    Poses (K, 6) are known at q, derivatives (K, 6, m) near there; the bend between q and where a step leads is that of
+    the zero-clearance model, none where that has no solution.
+    """
+    space, joints, here = solver.space, q, pose
+    weights, (tip, tangent) = space.weights_mm / MM_PER_M, solver.tips(q)
+    straight = solver.jacobian(q, tip, tangent)
+    for _ in range(BEND_STEPS):
+        miss, weight = _miss(target, here)
+        scaled = slope / weights
+        scaled[:, 3:] *= weight[:, None, None]
+        for _ in range(PASSES):
+            gram = scaled @ np.swapaxes(scaled, 1, 2) + DAMPING * np.eye(6)
+            step = np.einsum("kij,ki->kj", scaled, np.linalg.solve(gram, np.nan_to_num(miss)[:, :, None])[:, :, 0])
+            step *= np.minimum(1.0, LONGEST_STEP_M / np.maximum(np.linalg.norm(step, axis=1, keepdims=True), 1e-12))
+            hold(space, scaled, joints + step / weights)
+        joints = space.projected(joints + step / weights, fallback=joints)
+        moved = joints - q
+        bend = np.hstack(solver.tips(joints)) - np.hstack([tip, tangent]) - _times(straight, moved)
+        here = pose + _times(slope, moved) + np.nan_to_num(bend)
+    return joints
+
+
+def _times(slope: Array, moved: Array) -> Array:
+    """(K, 6) changes by joint motions (K, m) along derivatives (K, 6, m)."""
+    return np.asarray(np.einsum("kij,kj->ki", slope, moved))
 
 
 def _probed(checker: MotionChecker, q: Array) -> list[PathSamples]:
@@ -299,24 +317,27 @@ def configuration(checker: MotionChecker, target: TipTarget, joints: Array) -> C
 
 
 def _branches(solver: TipSolver, target: TipTarget, q: Array) -> NDArray[np.int_]:
-    """Neighbours are linked when the configuration in their middle can be put back onto the target nearby."""
-    if len(q) < 2:
-        return np.zeros(len(q), dtype=int)
-    space = solver.space
+    """Neighbours are linked when the configuration in their middle can be put back onto the target nearby.
+
+    The nearest neighbours are tried first, and those that are not linked by others yet: most are, by a few links.
+    """
+    space, count = solver.space, len(q)
+    if count < 2:
+        return np.zeros(count, dtype=int)
     delta = space.difference(q[:, None], q[None])
     apart = np.linalg.norm(delta * space.weights_mm, axis=2)
     a, b = np.nonzero(np.triu(apart < LINK_MM, 1))
     middle = q[a] + delta[a, b] / 2
-    allowed = space.allowed_rows(middle)
-    a, b, middle = a[allowed], b[allowed], middle[allowed]
-    linked = np.zeros(len(a), dtype=bool)
-    if len(a):
-        # each pair's own zero-clearance tips, which differ a little where the clearance tip is on the target
-        tips = np.stack([solver.tips(q[a])[0], solver.tips(q[b])[0]]).mean(axis=0)
-        back = solver.solve(TipTarget(tips), middle, 5, turned=False)
-        off = np.linalg.norm(space.difference(middle, back.joints) * space.weights_mm, axis=1)
-        linked = (back.error_m < 0.5e-3) & (off <= SAME_SHARE * apart[a, b] + 1.0)
-    graph = coo_array((np.ones(linked.sum()), (a[linked], b[linked])), shape=(len(q), len(q)))
-    label = connected_components(graph, directed=False)[1]
-    _, first, inverse = np.unique(label, return_index=True, return_inverse=True)
-    return np.asarray(np.argsort(np.argsort(first))[inverse])
+    kept = np.flatnonzero(space.allowed_rows(middle))
+    untried = kept[np.argsort(apart[a[kept], b[kept]], kind="stable")]
+    # each pair's own zero-clearance tips, which differ a little where the clearance tip is on the target
+    tips, label, at_once = solver.tips(q)[0], np.arange(count), count
+    while len(untried := untried[label[a[untried]] != label[b[untried]]]):
+        pairs, untried, at_once = untried[:at_once], untried[at_once:], 2 * at_once
+        back = solver.solve(TipTarget((tips[a[pairs]] + tips[b[pairs]]) / 2), middle[pairs], 5, turned=False)
+        off = np.linalg.norm(space.difference(middle[pairs], back.joints) * space.weights_mm, axis=1)
+        linked = pairs[(back.error_m < 0.5e-3) & (off <= SAME_SHARE * apart[a[pairs], b[pairs]] + 1.0)]
+        for pair in linked:
+            ends = label[a[pair]], label[b[pair]]
+            label[label == max(ends)] = min(ends)
+    return np.unique(label, return_inverse=True)[1]

@@ -75,7 +75,9 @@ class TipSolver:
 
         With `turned`, all tubes first turn together to the target's side.
         """
-        work = _Batch(self, target, self.turned_towards(target, starts) if turned else starts.copy())
+        work = _Batch(
+            self, target, *self.turned_towards(target, starts) if turned else (starts.copy(), *self.tips(starts))
+        )
         for _ in range(iterations):
             if self.watch:
                 self.watch.ask()
@@ -130,23 +132,31 @@ class TipSolver:
             todo &= ~fits
         return result
 
-    def turned_towards(self, target: TipTarget, q: Array) -> Array:
-        """Starts with all tubes turned together so that the tip's azimuth is the target's, where limits allow."""
+    def turned_towards(self, target: TipTarget, q: Array) -> tuple[Array, Array, Array]:
+        """Starts with all tubes turned together so that the tip's azimuth is the target's, where limits allow.
+
+        And their tips and tangents (K, 3), (K, 3), which turn with them, if the drive is ideal.
+        """
+        tip, tangent = self.tips(q)
         if self.common_rotation is None or len(q) == 0:
-            return q.copy()
-        tip, _ = self.tips(q)
+            return q.copy(), tip, tangent
         goal = np.broadcast_to(target.tip_m, tip.shape)
         angle = np.nan_to_num(np.arctan2(goal[:, 1], goal[:, 0]) - np.arctan2(tip[:, 1], tip[:, 0]))
         turned = self.space.wound_into_limits(q + angle[:, None] * self.common_rotation)
-        return np.where(self.space.allowed_rows(turned)[:, None], turned, q)
+        allowed = self.space.allowed_rows(turned)
+        result = np.where(allowed[:, None], turned, q)
+        if self.space.drive.terms:
+            return result, *self.tips(result)
+        angle = np.where(allowed, angle, 0.0)
+        return result, _turned(tip, angle), _turned(tangent, angle)
 
 
 class _Batch:
     """The state of K solves."""
 
-    def __init__(self, solver: TipSolver, target: TipTarget, q: Array) -> None:
-        self.solver, self.target, self.q = solver, target, q
-        self.tip, self.tangent = solver.tips(q)
+    def __init__(self, solver: TipSolver, target: TipTarget, q: Array, tip: Array, tangent: Array) -> None:
+        """q (K, m) with its tips and tangents (K, 3), (K, 3)."""
+        self.solver, self.target, self.q, self.tip, self.tangent = solver, target, q, tip, tangent
         self.goal = np.broadcast_to(target.tip_m, self.tip.shape)
         self.miss = self._miss(np.arange(len(q)), self.tip, self.tangent)
         self.error = _length(self.miss)
@@ -201,19 +211,8 @@ class _Batch:
             step = np.einsum("kij,ki->kj", slope, np.linalg.solve(gram, self.miss[rows][:, :, None])[:, :, 0])
             step *= np.minimum(1.0, LONGEST_STEP_M / np.maximum(_length(step), 1e-12))[:, None]
             moved = q + step / weights
-            self._hold(slope, moved)
+            hold(space, slope, moved)
         return space.projected(moved, fallback=q)
-
-    def _hold(self, slope: Array, moved: Array) -> None:
-        """Takes out of `slope` (K, 6, m) the motions that carried `moved` beyond a limit or out of nesting."""
-        space = self.solver.space
-        rules, room = space.nesting_rules
-        for row, limit in zip(rules, room, strict=True):
-            broken = moved @ row > limit
-            along = row / np.linalg.norm(row)  # all translations weigh the same
-            slope[broken] -= (slope[broken] @ along)[:, :, None] * along
-        outside = (moved < space.drive.lower) | (moved > space.drive.upper)
-        slope *= ~outside[:, None, :]
 
     def _weighted(self, rows: Rows) -> Array:
         """(K, 6, m) derivatives of what `_miss` measures."""
@@ -251,12 +250,29 @@ class _Batch:
             self.fresh[rows] = True
 
 
+def hold(space: JointSpace, slope: Array, moved: Array) -> None:
+    """Takes out of `slope` (K, 6, m) the motions that carried `moved` (K, m) beyond a limit or out of nesting."""
+    rules, room = space.nesting_rules
+    for row, limit in zip(rules, room, strict=True):
+        broken = moved @ row > limit
+        along = row / np.linalg.norm(row)  # all translations weigh the same
+        slope[broken] -= (slope[broken] @ along)[:, :, None] * along
+    outside = (moved < space.drive.lower) | (moved > space.drive.upper)
+    slope *= ~outside[:, None, :]
+
+
 def angle_to(tangent: Array, direction: Array | None) -> Array:
     """(K,) angles [rad] between tangents (K, 3) and a direction (3,); 0 without one."""
     if direction is None:
         return np.zeros(len(tangent))
     across = np.asarray(np.cross(tangent, direction), dtype=np.float64)
     return np.asarray(np.arctan2(_length(across), tangent @ direction))
+
+
+def _turned(vectors: Array, angle: Array) -> Array:
+    """Vectors (K, 3) turned about z by angles (K,) [rad]."""
+    (x, y, z), c, s = vectors.T, np.cos(angle), np.sin(angle)
+    return np.stack([c * x - s * y, s * x + c * y, z], axis=1)
 
 
 def _about_z(vectors: Array) -> Array:
