@@ -1,4 +1,6 @@
-"""`ctrplan.inverse_kinematics`: every way found to bring the tip to a point, and which of them may be used."""
+"""Every way found to bring the tip to a point, and steps that lead it along points: `ctrplan.inverse_kinematics` and
+`ctrplan.TipTracker`.
+"""
 
 from __future__ import annotations
 
@@ -11,20 +13,35 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ctrplan.base.arguments import SEED, Number, Whole, checked, require
-from ctrplan.base.arrays import LONGEST_MM, numbers
-from ctrplan.base.package import shown
+from ctrplan.base.arrays import LONGEST_MM, MM_PER_M, numbers
+from ctrplan.base.package import of_this_process, shown
 from ctrplan.errors import InputError
-from ctrplan.motion.checker import MotionChecker, path_limits
-from ctrplan.planning.reach import Configuration, Reach, reach
+from ctrplan.mechanics.shapes import HistoryOptions
+from ctrplan.motion.checker import MotionChecker, breach, path_limits
+from ctrplan.planning.reach import (
+    REFINED_SHARE,
+    Configuration,
+    Reach,
+    closer_by_joints,
+    miss_of,
+    reach,
+    rooms_on_stretches,
+    tips_by_joints,
+)
 from ctrplan.robot.magnitudes import UNITS_M
+from ctrplan.robot.observer import ObserverState
 from ctrplan.robot.robot import Robot
 from ctrplan.scenario.joint_space import bare_scenario
+from ctrplan.scenario.prediction import begun_histories
 from ctrplan.scenario.scenario import Scenario
 from ctrplan.scenario.sizes import place_doubt
-from ctrplan.scenario.tip_solver import TipTarget
+from ctrplan.scenario.tip_solver import TipSolver, TipTarget, angle_to, least_squares_within
 
 if TYPE_CHECKING:
     from ctrplan.base.arrays import Array
+    from ctrplan.mechanics.history import History, HistoryState
+    from ctrplan.mechanics.walk import PathSamples
+    from ctrplan.scenario.prediction import FrictionStart
 
 TOLERANCE_M = 1e-4
 DIRECTION_TOLERANCE_RAD = math.radians(5.0)
@@ -160,3 +177,261 @@ def _vector(key: str, value: ArrayLike, largest: float, unit: str | None = None)
     for component in vector.tolist():
         require(key, component, Number(-largest, largest, unit))
     return vector
+
+
+STEPS = HistoryOptions(rotation_rad=0.1, translation_m=1e-3, state_change=0.2)  # move tips by less than 0.05 mm
+TrackStatus = Literal["reached", "limited", "shortened", "stopped"]
+
+STEP_S = 0.05  # between steps at 20 Hz
+ATTEMPTS = 3  # at a step, of which those after the first one correct what the tip and the body did
+SHORTER = 0.7  # of a motion, where it should keep the limits by what a straight line says
+NO_STEP_M = 1e-7  # of weighted joint length, that changes nothing
+
+
+@shown
+@dataclass(frozen=True, eq=False)
+class TrackedStep:
+    """Where a step led, which keeps all limits and margins; positions in the frame of the points that are asked for."""
+
+    status: TrackStatus
+    reason: str  # what holds it short of the point; empty where it is reached
+    joints: Array  # (m,)
+    tip_m: Array  # (3,) expected: with friction where that is known, else without
+    tip_error_m: float  # of the expected tip
+    turned_rad: float  # of its tangent from the direction asked for
+    bound_m: float  # how far friction, whatever it is, moves the tip from the frictionless one
+    bound_rad: float
+    stability: float
+    clearance_m: float  # of all shapes beyond the anatomy's margins; inf in free space
+
+    @property
+    def sentence(self) -> str:
+        """What it did."""
+        left = (
+            f"tip {self.tip_error_m * 1e3:.3g} mm from the point, worst-case friction error {self.bound_m * 1e3:.3g} mm"
+        )
+        return f"{self.status}: {left}" + (f", {self.reason}." if self.reason else ".")
+
+
+@dataclass(frozen=True, eq=False)
+class _Tip:
+    """A configuration and its expected tip."""
+
+    joints: Array  # (m,)
+    pose: Array  # (1, 6) tip and tangent, robot's frame; NaN without an equilibrium
+    phi: Array  # (1, n - 1) friction state of each pair, averaged
+    history: HistoryState | None = None  # there, where friction is known
+
+
+@dataclass(frozen=True, eq=False)
+class _Place:
+    """A configuration that was walked to."""
+
+    tip: _Tip
+    at: PathSamples  # what the core says, at the end of its rows
+
+
+class TipTracker:
+    """Leads the tip along a stream of points, step by step from the joints before. One thread at a time.
+
+    A step is a damped least-squares step by the tip's exact derivatives, within the joints' limits, nesting, what the
+    drive can turn and slide in the time, and the clearance as the body's motion changes it; derivatives of the body are
+    those of the zero-clearance model. It is made where a walk to its end keeps all limits and margins with friction in
+    every corner, else a shorter one. Speeds are kept, accelerations are not looked at.
+    """
+
+    __reduce__ = of_this_process("make another where this one stands")
+
+    @checked(tolerance_m=Number(1e-6, 1.0, "m"))
+    def __init__(
+        self,
+        robot_or_scenario: Robot | Scenario,
+        joints: ArrayLike,
+        *,
+        friction: FrictionStart | ObserverState | None = None,
+        tolerance_m: float = TOLERANCE_M,
+    ) -> None:
+        """`joints` (m,) [rad, m] is where the robot stands; `friction` what is known of it there, see `know`.
+
+        Raises InputError for joints that break a limit or margin.
+        """
+        self.scenario, self.tolerance_m = _scenario(robot_or_scenario), float(tolerance_m)
+        self._checker = MotionChecker(self.scenario)
+        self._checker.limits = path_limits(self.scenario)
+        self._space, self._mechanics = self._checker.space, self._checker.mechanics
+        self._solver = TipSolver(self._space, self._mechanics)
+        q = numbers(joints, "joints").copy()
+        if q.shape != (len(self._space.weights_mm),) or not np.isfinite(q).all():
+            raise InputError(f"must be {len(self._space.weights_mm)} finite numbers", key="joints", value=joints)
+        if not self._space.allowed(q):
+            raise InputError(self._space.violation(q[None]), key="joints")
+        samples = self._walk(q[None])
+        if reason := breach(samples, self._checker.limits):
+            raise InputError(f"must keep limits and margins: {reason}", key="joints")
+        self._history: History | None = None
+        self._offset_m = np.zeros(3)
+        self._here = _Place(self._frictionless(q, samples), samples)
+        self.know(friction)
+
+    @property
+    def joints(self) -> Array:
+        """(m,) where it stands."""
+        return self._here.tip.joints.copy()
+
+    def know(self, friction: FrictionStart | ObserverState | None) -> None:
+        """What is known of friction at the joints where it stands, of which the tip is expected from there on.
+
+        "released", "oscillated", a share of each pair, or a state of a history or observer, whose likeliest history is
+        followed; None: nothing, and the expected tip is the frictionless one. Raises InputError for an observer's state
+        at other joints, and where there is no equilibrium.
+        """
+        q, samples = self._here.tip.joints, self._here.at
+        offset_m = np.zeros(3)
+        if isinstance(friction, ObserverState):
+            friction.check(self._mechanics, *self._space.drive.collars(q))
+            offset_m, friction = friction.offset_m, friction.histories[0]
+        if friction is None:
+            self._history, self._here = None, _Place(self._frictionless(q, samples), samples)
+            return
+        history = begun_histories(self.scenario.robot, [friction], options=STEPS)[0]
+        tip = self._followed(history, offset_m, q)
+        if not np.isfinite(tip.pose).all():
+            raise InputError("has no equilibrium at these joints", key="friction")
+        self._history, self._offset_m, self._here = history, offset_m, _Place(tip, samples)
+
+    @checked(dt_s=Number(1e-4, 60.0, "s"), direction_tolerance_rad=Number(0, math.pi, "rad", above=True))
+    def step(
+        self,
+        tip_m: ArrayLike,
+        direction: ArrayLike | None = None,
+        *,
+        direction_tolerance_rad: float | None = None,
+        dt_s: float = STEP_S,
+    ) -> TrackedStep:
+        """Moves towards a point (3,) [m] and direction (3,) of `inverse_kinematics`, as far as `dt_s` allows.
+
+        Nothing moves where no step keeps all limits. Raises InputError.
+        """
+        target = _target(self.scenario, tip_m, direction, direction_tolerance_rad)
+        begin = self._here
+        best, place, broken = self._led(begin, target, dt_s)
+        status: TrackStatus = "limited"
+        if best is begin and broken:
+            q, share = begin.tip.joints, self._kept_share(begin, place)
+            place, still = self._placed(begin, q + share * (place.tip.joints - q))
+            best, status = (begin, "stopped") if still else (place, "shortened")
+        self._here = best
+        if self._history is not None and best.tip.history is not None:
+            self._history.restore(best.tip.history)
+        return self._result(target, status, broken)
+
+    def _led(self, begin: _Place, target: TipTarget, dt_s: float) -> tuple[_Place, _Place, str]:
+        """Where least squares lead: the last place that keeps all limits, the last one, and which that one breaks.
+
+        A place off the target or too close to the anatomy is corrected by what the tip and the body did on the way
+        there: derivatives as Broyden's. A known history says that of the tip before the way there is walked.
+        """
+        weights, best, place, broken, tip = self._space.weights_mm / MM_PER_M, begin, begin, "", begin.tip
+        q, moved = tip.joints, np.zeros(len(weights))
+        for attempt in range(ATTEMPTS):
+            miss, weight = miss_of(target, tip.pose)
+            if not broken and np.linalg.norm(miss) <= (1.0 if attempt else REFINED_SHARE) * self.tolerance_m:
+                break
+            if not attempt:
+                tips = tips_by_joints(self._checker, q[None], begin.tip.phi)
+                slope = np.vstack([tips.position_by[0], tips.tangent_by[0]]) / weights
+                rows, room = self._limits(dt_s)
+                closer, spare, near = closer_by_joints(self._checker, self._solver, q, begin.at, self._most(dt_s))
+                closer = closer / weights
+            elif place is not begin and len(near):
+                left = rooms_on_stretches(self._checker, place.at)[near]
+                closer = closer + np.outer(spare - left - closer @ moved, moved) / (moved @ moved)
+            scaled = slope.copy()
+            scaled[3:] *= weight[0]
+            aim = miss[0] + scaled @ ((tip.joints - q) * weights)
+            step = least_squares_within(scaled, aim, np.vstack([rows, closer]), np.append(room, spare)) / weights
+            joints = self._space.projected((q + step)[None], fallback=q[None])[0]
+            if np.abs((joints - place.tip.joints) * weights).max() <= NO_STEP_M:
+                break
+            ahead, before = self._foreseen(begin, joints), tip
+            tip = ahead or tip
+            if attempt or ahead is None or np.linalg.norm(miss_of(target, tip.pose)[0]) <= self.tolerance_m:
+                place, broken = self._placed(begin, joints, ahead)
+                moved = (joints - q) * weights
+                best, tip = (best, tip) if broken else (place, place.tip)
+            change = (tip.joints - before.joints) * weights
+            if change.any():
+                off = (tip.pose - before.pose)[0] - slope @ change
+                slope = slope + np.outer(off, change) / (change @ change)
+        return best, place, broken
+
+    def _kept_share(self, begin: _Place, place: _Place) -> float:
+        """Share of a motion that breaks a limit which may keep it: to where clearance runs out on a straight line."""
+        limit = self._checker.limits.clearance_m
+        first, last = begin.at.clearance_m[-1] - limit, place.at.clearance_m[-1] - limit
+        return SHORTER * float(first / (first - last)) if last < 0 < first else SHORTER if last >= 0 else 0.0
+
+    def _most(self, dt_s: float) -> Array:
+        """(m,) longest motions of the joints in a time."""
+        return np.asarray(self._space.drive.max_velocity * dt_s)
+
+    def _limits(self, dt_s: float) -> tuple[Array, Array]:
+        """Rows (R, m) and room (R,) of joint motions, weighted to m: limits, speeds and nesting."""
+        q, drive = self._here.tip.joints, self._space.drive
+        one, (nesting, nested) = np.eye(len(q)), self._space.nesting_rules
+        up, down = (np.minimum(left, self._most(dt_s)) for left in (drive.upper - q, q - drive.lower))
+        room = np.concatenate([up, down, nested - nesting @ q])
+        return np.vstack([one, -one, nesting]) * MM_PER_M / self._space.weights_mm, np.maximum(room, 0.0)
+
+    def _placed(self, begin: _Place, q: Array, ahead: _Tip | None = None) -> tuple[_Place, str]:
+        """Joint values (m,) as a place that is reached from another, and which limit it or the way breaks, if any."""
+        samples = self._walk(np.array([begin.tip.joints, q]))
+        tip = ahead or self._foreseen(begin, q) or self._frictionless(q, samples)
+        lost = "" if np.isfinite(tip.pose).all() else "no equilibrium was found along the path"
+        return _Place(tip, samples), breach(samples, self._checker.limits) or lost
+
+    def _foreseen(self, begin: _Place, q: Array) -> _Tip | None:
+        """The tip at joint values (m,) after a motion there, if friction is known."""
+        if self._history is None or begin.tip.history is None:
+            return None
+        self._history.restore(begin.tip.history)
+        return self._followed(self._history, self._offset_m, q)
+
+    def _followed(self, history: History, offset_m: Array, q: Array) -> _Tip:
+        """The tip after a history is led to joint values (m,)."""
+        path = history.follow(*self._space.drive.collars(q[None]))
+        pose = np.hstack([path.position_m + offset_m, path.tangent])
+        return _Tip(q, pose, np.clip(np.nan_to_num(path.phi), -1, 1), history.save())
+
+    def _frictionless(self, q: Array, samples: PathSamples) -> _Tip:
+        """The tip at the end of a walk to joint values (m,)."""
+        pose = np.concatenate([samples.tip_m[-1], samples.tip_tangent[-1]])[None]
+        return _Tip(q, pose, np.zeros((1, self._mechanics.n - 1)))
+
+    def _walk(self, corners: Array) -> PathSamples:
+        """What the core says along a polyline (K, m), with bodies."""
+        checker, collars = self._checker, self._space.drive.collars(corners)
+        return self._mechanics.check_path(
+            *collars, checker.field, density=checker.density, limits=checker.limits, bodies=True
+        )
+
+    def _result(self, target: TipTarget, status: TrackStatus, reason: str) -> TrackedStep:
+        here, samples = self._here.tip, self._here.at
+        tip, tangent = here.pose[0, :3], here.pose[:, 3:]
+        error, turned = float(np.linalg.norm(tip - target.tip_m)), float(angle_to(tangent, target.direction)[0])
+        if error <= self.tolerance_m and turned <= target.direction_tolerance_rad:
+            status, reason = "reached", ""
+        elif not reason:
+            reason = "limits of joints, speeds or clearance hold it"
+        return TrackedStep(
+            status=status,
+            reason=reason,
+            joints=here.joints.copy(),
+            tip_m=self.scenario.located(tip),
+            tip_error_m=error,
+            turned_rad=turned,
+            bound_m=float(samples.position_m[-1]),
+            bound_rad=float(samples.tangent_rad[-1]),
+            stability=float(samples.stability[-1]),
+            clearance_m=float(samples.clearance_m[-1]) if self._checker.field else np.inf,
+        )

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,7 @@ from ctrplan.mechanics.friction import corner_signs
 from ctrplan.mechanics.shapes import Status, Tips
 from ctrplan.mechanics.walk import PathSamples
 from ctrplan.motion.checker import MotionChecker
+from ctrplan.scenario.scenario import anatomy_grid
 from ctrplan.scenario.tip_solver import (
     DAMPING,
     LONGEST_STEP_M,
@@ -30,6 +32,9 @@ from ctrplan.scenario.tip_solver import (
     angle_to,
     hold,
 )
+
+if TYPE_CHECKING:
+    from ctrplan.anatomy.clearance_grid import SignedDistanceField
 
 
 def tips_by_joints(checker: MotionChecker, q: Array, phi: Array) -> Tips:
@@ -68,6 +73,84 @@ def bound_slopes(checker: MotionChecker, q: Array) -> BoundSlopes:
     unit = away[rows, farthest] / np.maximum(size[rows, farthest], 1e-12)[:, None]
     bound_by = np.einsum("ki,kij->kj", unit, by[rows, 1 + farthest] - by[:, 0])
     return BoundSlopes(bound_by, position[:, 0], by[:, 0])
+
+
+HOLD_OFF_M = 0.1e-3  # room beyond the margins for what a straight motion leaves out: 1 mm along a wall of 5 mm radius
+STRETCHES = 24  # of the body, each with the point that has least room
+
+
+def closer_by_joints(
+    checker: MotionChecker, solver: TipSolver, q: Array, samples: PathSamples, most: Array
+) -> tuple[Array, Array, NDArray[np.intp]]:
+    """(R, m) how joints at q (m,) bring the body closer to the anatomy [m per rad or m], room (R,) [m], stretches (R,).
+
+    samples: a walk with bodies that ends at q. Of all points that motions up to `most` (m,) may bring too close, the
+    one with least room on each stretch. All shapes are taken to move as the zero-clearance one.
+    """
+    grid = anatomy_grid(checker.scenario)
+    if grid is None:
+        return np.zeros((0, len(q))), np.zeros(0), np.zeros(0, dtype=int)
+    points, share, room = _points_and_rooms(checker, grid, samples)
+    motion = _body_by_joints(solver, q, share)
+    near = np.flatnonzero(room < np.tile(np.linalg.norm(motion, axis=1) @ most, len(room) // len(share)))
+    stretch = _stretch(share)[near % len(share)]
+    order = np.lexsort((room[near], stretch))
+    stretch, first = np.unique(stretch[order], return_index=True)
+    near = near[order[first]]
+    shifts = grid.spacing_m / 2 * np.vstack([np.eye(3), -np.eye(3)])
+    beside = checker.scenario.located((points[near] + shifts[:, None]).reshape(-1, 3))
+    up, down = grid.sample(beside).reshape(2, 3, -1)
+    closer = -np.einsum("ir,rij->rj", (up - down) / grid.spacing_m, motion[near % len(share)])
+    return closer, room[near], stretch
+
+
+def rooms_on_stretches(checker: MotionChecker, samples: PathSamples) -> Array:
+    """(STRETCHES,) [m] least room of all shapes at the end of a walk with bodies on each stretch, plate to tip.
+
+    Beyond the limit of clearance and HOLD_OFF_M; inf in free space.
+    """
+    result, grid = np.full(STRETCHES, np.inf), anatomy_grid(checker.scenario)
+    if grid is not None:
+        _, share, room = _points_and_rooms(checker, grid, samples)
+        np.minimum.at(result, np.tile(_stretch(share), len(room) // len(share)), room)
+    return result
+
+
+def _stretch(share: Array) -> NDArray[np.intp]:
+    return np.asarray(np.minimum((share * STRETCHES).astype(int), STRETCHES - 1))
+
+
+def _points_and_rooms(
+    checker: MotionChecker, grid: SignedDistanceField, samples: PathSamples
+) -> tuple[Array, Array, Array]:
+    """(B, 3) points of all shapes at the end of a walk, shares (N,) of the body's length of each one's, rooms (B,)."""
+    body = samples.bodies[-1]
+    own = body[: len(body) // (len(samples.corner_tip_m[-1]) + 1), :3]
+    along = np.cumsum(np.linalg.norm(np.diff(own, axis=0, prepend=own[:1]), axis=1))
+    room = grid.sample(checker.scenario.located(body[:, :3])) - body[:, 3] - checker.limits.clearance_m - HOLD_OFF_M
+    return body[:, :3], along / max(float(along[-1]), 1e-9), room
+
+
+def _body_by_joints(solver: TipSolver, q: Array, share: Array) -> Array:
+    """(N, 3, m) derivatives by joints at q (m,) of points at shares (N,) of the zero-clearance body, plate to tip."""
+    drive, common = solver.space.drive, solver.common_rotation
+
+    def line(joints: Array) -> Array:
+        tube = solver.mechanics.zero_clearance(*drive.collars(joints), loads=False).tubes[-1]
+        s, points = tube.s_m / tube.s_m[-1], tube.centreline_m
+        return np.stack([np.interp(share, s, points[:, k]) for k in range(3)], axis=1)
+
+    here, result = line(q), np.zeros((len(share), 3, len(q)))
+    spared = None if common is None or drive.terms else int(np.argmax(np.abs(common)))
+    for j in range(len(q)):
+        moved = q.copy()
+        moved[j] = solver.beside(q[None], j)[0]
+        if j != spared and moved[j] != q[j]:
+            result[:, :, j] = (line(moved) - here) / (moved[j] - q[j])
+    if spared is not None and common is not None:
+        about_z = np.cross([0.0, 0.0, 1.0], here)
+        result[:, :, spared] = (about_z - result @ common) / common[spared]
+    return result
 
 
 SAMPLES = 1500  # random configurations whose tips are looked at
@@ -147,7 +230,7 @@ def reach(
     near = order[q.error_m[order] <= tolerance_m + GAP_M]
     near = _by_room(checker, q.joints, near, least_room_m) if len(near) else order[:1]
     chosen = distinct_rows(checker, q.joints, near, MOST_REFINED)
-    joints = refined(checker, solver, aim, q.joints[chosen], tolerance_m)
+    joints = refined(checker, aim, q.joints[chosen], tolerance_m)
     _probed(checker, joints)
     results = [configuration(checker, target, joint) for joint in joints]
     nearest = min(results, key=lambda c: c.tip_error_m)
@@ -195,24 +278,25 @@ def distinct_rows(
     return np.array(kept, dtype=int)
 
 
-def refined(checker: MotionChecker, solver: TipSolver, target: TipTarget, q: Array, tolerance_m: float) -> Array:
+def refined(checker: MotionChecker, target: TipTarget, q: Array, tolerance_m: float) -> Array:
     """Damped Newton steps on the frictionless tip with clearance, by exact derivatives; the best place of each.
 
     A step follows the derivatives, and the bend that the zero-clearance model shows on the way, so that mostly one
     does. Derivatives are renewed where a step like the one before would not do. Where steps lead is probed, which the
     configuration there needs in any case.
     """
+    solver = TipSolver(checker.space, checker.mechanics)
     best, todo, aim_m = q.copy(), np.arange(len(q)), REFINED_SHARE * tolerance_m
     pose, slope = _pose_by_joints(checker, q)
     for _ in range(CLEARANCE_STEPS):
-        before = np.linalg.norm(_miss(target, pose)[0], axis=1)
+        before = np.linalg.norm(miss_of(target, pose)[0], axis=1)
         far = before > aim_m
         todo, pose, slope, before = todo[far], pose[far], slope[far], before[far]
         if not len(todo):
             break
         moved = _stepped(solver, target, best[todo], pose, slope)
         pose = _probed_pose(checker, moved)
-        error = np.linalg.norm(_miss(target, pose)[0], axis=1)
+        error = np.linalg.norm(miss_of(target, pose)[0], axis=1)
         better = error < before
         best[todo[better]] = moved[better]
         todo, pose, slope, share = todo[better], pose[better], slope[better], (error / before)[better]
@@ -241,7 +325,7 @@ def _probed_pose(checker: MotionChecker, q: Array) -> Array:
     return pose
 
 
-def _miss(target: TipTarget, pose: Array) -> tuple[Array, Array]:
+def miss_of(target: TipTarget, pose: Array) -> tuple[Array, Array]:
     """(K, 6) [m] of tips and of their directions beyond the tolerance, and what a direction weighs (K,) [m per rad]."""
     miss = np.zeros_like(pose)
     miss[:, :3] = target.tip_m - pose[:, :3]
@@ -263,7 +347,7 @@ def _stepped(solver: TipSolver, target: TipTarget, q: Array, pose: Array, slope:
     weights, (tip, tangent) = space.weights_mm / MM_PER_M, solver.tips(q)
     straight = solver.jacobian(q, tip, tangent)
     for _ in range(BEND_STEPS):
-        miss, weight = _miss(target, here)
+        miss, weight = miss_of(target, here)
         scaled = slope / weights
         scaled[:, 3:] *= weight[:, None, None]
         for _ in range(PASSES):

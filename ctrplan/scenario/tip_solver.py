@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
+from scipy.optimize import nnls
 
 from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.base.long_work import SearchWatch
@@ -28,6 +30,7 @@ REACHED_M = 1e-5
 ITERATIONS = 25
 STALL_STEPS, MIN_PROGRESS = 6, 0.8  # steps after which the distance must have fallen to this share
 PASSES = 3  # each holds the limits that the step before it broke
+FEASIBLE = 1e-8  # of non-negative least squares: what is left of 1 where rows contradict each other
 LONGEST_STEP_M = 30e-3  # of weighted joint length
 DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-4, 1e-7, 1e4  # beside the squared singular values, m per m
 M_PER_RAD = 20e-3  # weight of the tip's direction against its position
@@ -108,7 +111,7 @@ class TipSolver:
         columns = [j for j in range(q.shape[1]) if j != spared]
         moved = np.repeat(q[None], len(columns), axis=0)
         for row, j in zip(moved, columns, strict=True):
-            row[:, j] = self._beside(q, j)
+            row[:, j] = self.beside(q, j)
         tips, tangents = self.tips(moved.reshape(-1, q.shape[1]))
         known, jacobian = np.hstack([tip, tangent]), np.zeros((len(q), 6, q.shape[1]))
         for row, j, near in zip(moved, columns, np.hstack([tips, tangents]).reshape(len(columns), -1, 6), strict=True):
@@ -120,8 +123,8 @@ class TipSolver:
             jacobian[:, :, spared] = (_about_z(known) - rest) / common[spared]
         return np.nan_to_num(jacobian, nan=0.0, posinf=0.0, neginf=0.0)
 
-    def _beside(self, q: Array, j: int) -> Array:
-        """(K,) joint j a little further, on the side that is allowed."""
+    def beside(self, q: Array, j: int) -> Array:
+        """(K,) joint j of q (K, m) a little further, on the side that is allowed."""
         result = q[:, j].copy()
         todo = np.ones(len(q), dtype=bool)
         for step in (STEP, -STEP):
@@ -130,6 +133,8 @@ class TipSolver:
             fits = todo & self.space.allowed_rows(moved)
             result[fits] = moved[fits, j]
             todo &= ~fits
+            if not todo.any():
+                break
         return result
 
     def turned_towards(self, target: TipTarget, q: Array) -> tuple[Array, Array, Array]:
@@ -259,6 +264,27 @@ def hold(space: JointSpace, slope: Array, moved: Array) -> None:
         slope[broken] -= (slope[broken] @ along)[:, :, None] * along
     outside = (moved < space.drive.lower) | (moved > space.drive.upper)
     slope *= ~outside[:, None, :]
+
+
+def least_squares_within(slope: Array, aim: Array, rows: Array, room: Array) -> Array:
+    """The x (m,) with least |slope x - aim|^2 + DAMPING |x|^2 where rows (R, m) x <= room (R,).
+
+    Lawson and Hanson's way: as the least distance from the free solution, by non-negative least squares. Where nothing
+    keeps negative rooms, they are taken as zero.
+    """
+    upper = np.linalg.cholesky(slope.T @ slope + DAMPING * np.eye(slope.shape[1])).T
+    free = solve_triangular(upper, solve_triangular(upper, slope.T @ aim, trans="T"))
+    if np.all(rows @ free <= room):
+        return np.asarray(free)
+    for bounds in (room, np.maximum(room, 0.0)):
+        scale = max(float(np.abs(rows @ free).max()), 1e-12)
+        turned = -solve_triangular(upper, rows.T, trans="T").T
+        least = (rows @ free - bounds) / scale
+        weights, off = nnls(np.vstack([turned.T, least]), np.append(np.zeros(len(free)), 1.0))
+        if off > FEASIBLE:
+            rest = np.append(turned.T @ weights, least @ weights - 1)
+            return np.asarray(free + scale * solve_triangular(upper, -rest[:-1] / rest[-1]))
+    return np.zeros(len(free))
 
 
 def angle_to(tangent: Array, direction: Array | None) -> Array:
