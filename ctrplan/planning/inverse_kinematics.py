@@ -10,10 +10,10 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from ctrplan.base.arguments import SEED, Number, Whole, checked, require
-from ctrplan.base.arrays import LONGEST_MM, MM_PER_M, numbers
+from ctrplan.base.arrays import LONGEST_MM, MM_PER_M, Array, numbers
 from ctrplan.base.package import of_this_process, shown
 from ctrplan.errors import InputError
 from ctrplan.mechanics.shapes import HistoryOptions
@@ -38,7 +38,6 @@ from ctrplan.scenario.sizes import place_doubt
 from ctrplan.scenario.tip_solver import TipSolver, TipTarget, angle_to, least_squares_within
 
 if TYPE_CHECKING:
-    from ctrplan.base.arrays import Array
     from ctrplan.mechanics.history import History, HistoryState
     from ctrplan.mechanics.walk import PathSamples
     from ctrplan.scenario.prediction import FrictionStart
@@ -183,8 +182,8 @@ STEPS = HistoryOptions(rotation_rad=0.1, translation_m=1e-3, state_change=0.2)  
 TrackStatus = Literal["reached", "limited", "shortened", "stopped"]
 
 STEP_S = 0.05  # between steps at 20 Hz
-ATTEMPTS = 3  # at a step, of which those after the first one correct what the tip and the body did
-SHORTER = 0.7  # of a motion, where it should keep the limits by what a straight line says
+ATTEMPTS = 2  # at a step, of which those after the first one correct what the tip and the body did
+SHORTER = 0.5  # of a motion, where it should keep the limits by what a straight line says
 NO_STEP_M = 1e-7  # of weighted joint length, that changes nothing
 
 
@@ -231,6 +230,9 @@ class _Place:
     at: PathSamples  # what the core says, at the end of its rows
 
 
+_Derivatives = tuple[Array, Array, Array, NDArray[np.intp]]  # by weighted joints: of the pose, and `closer_by_joints`
+
+
 class TipTracker:
     """Leads the tip along a stream of points, step by step from the joints before. One thread at a time.
 
@@ -269,6 +271,7 @@ class TipTracker:
         if reason := breach(samples, self._checker.limits):
             raise InputError(f"must keep limits and margins: {reason}", key="joints")
         self._history: History | None = None
+        self._stopped: tuple[_Place, float, _Derivatives] | None = None
         self._offset_m = np.zeros(3)
         self._here = _Place(self._frictionless(q, samples), samples)
         self.know(friction)
@@ -314,62 +317,63 @@ class TipTracker:
         """
         target = _target(self.scenario, tip_m, direction, direction_tolerance_rad)
         begin = self._here
-        best, place, broken = self._led(begin, target, dt_s)
-        status: TrackStatus = "limited"
-        if best is begin and broken:
-            q, share = begin.tip.joints, self._kept_share(begin, place)
-            place, still = self._placed(begin, q + share * (place.tip.joints - q))
-            best, status = (begin, "stopped") if still else (place, "shortened")
+        best, shortened, broken = self._led(begin, target, dt_s)
+        status: TrackStatus = "stopped" if broken and best is begin else "shortened" if shortened else "limited"
         self._here = best
         if self._history is not None and best.tip.history is not None:
             self._history.restore(best.tip.history)
         return self._result(target, status, broken)
 
-    def _led(self, begin: _Place, target: TipTarget, dt_s: float) -> tuple[_Place, _Place, str]:
-        """Where least squares lead: the last place that keeps all limits, the last one, and which that one breaks.
+    def _led(self, begin: _Place, target: TipTarget, dt_s: float) -> tuple[_Place, bool, str]:
+        """Where least squares lead: the last place that keeps all limits, whether it is short of that, why it must be.
 
         A place off the target or too close to the anatomy is corrected by what the tip and the body did on the way
         there: derivatives as Broyden's. A known history says that of the tip before the way there is walked.
         """
-        weights, best, place, broken, tip = self._space.weights_mm / MM_PER_M, begin, begin, "", begin.tip
+        weights, best, place, tip, broken, why = self._space.weights_mm / MM_PER_M, begin, begin, begin.tip, "", ""
         q, moved = tip.joints, np.zeros(len(weights))
         for attempt in range(ATTEMPTS):
             miss, weight = miss_of(target, tip.pose)
             if not broken and np.linalg.norm(miss) <= (1.0 if attempt else REFINED_SHARE) * self.tolerance_m:
                 break
             if not attempt:
-                tips = tips_by_joints(self._checker, q[None], begin.tip.phi)
-                slope = np.vstack([tips.position_by[0], tips.tangent_by[0]]) / weights
-                rows, room = self._limits(dt_s)
-                closer, spare, near = closer_by_joints(self._checker, self._solver, q, begin.at, self._most(dt_s))
-                closer = closer / weights
-            elif place is not begin and len(near):
-                left = rooms_on_stretches(self._checker, place.at)[near]
-                closer = closer + np.outer(spare - left - closer @ moved, moved) / (moved @ moved)
+                (rows, room), (slope, closer, spare, near) = self._limits(dt_s), self._derivatives(begin, dt_s)
+                first_slope = slope
             scaled = slope.copy()
             scaled[3:] *= weight[0]
             aim = miss[0] + scaled @ ((tip.joints - q) * weights)
             step = least_squares_within(scaled, aim, np.vstack([rows, closer]), np.append(room, spare)) / weights
-            joints = self._space.projected((q + step)[None], fallback=q[None])[0]
+            joints = self._space.projected((q + (SHORTER if broken else 1.0) * step)[None], fallback=q[None])[0]
             if np.abs((joints - place.tip.joints) * weights).max() <= NO_STEP_M:
                 break
             ahead, before = self._foreseen(begin, joints), tip
-            tip = ahead or tip
-            if attempt or ahead is None or np.linalg.norm(miss_of(target, tip.pose)[0]) <= self.tolerance_m:
+            if ahead is not None and np.isfinite(ahead.pose).all():
+                tip = ahead
+            unforeseen = miss_of(target, tip.pose)[0] - (aim - scaled @ (step * weights))
+            if attempt or ahead is None or np.linalg.norm(unforeseen) <= self.tolerance_m:
+                moved, earlier = (joints - q) * weights, broken
                 place, broken = self._placed(begin, joints, ahead)
-                moved = (joints - q) * weights
-                best, tip = (best, tip) if broken else (place, place.tip)
+                if not broken:
+                    best, tip, why = place, place.tip, earlier
+                elif len(near):
+                    left = rooms_on_stretches(self._checker, place.at)[near]
+                    closer = closer + np.outer(spare - left - closer @ moved, moved) / (moved @ moved)
+                    self._stopped = begin, dt_s, (first_slope, closer, spare, near)
             change = (tip.joints - before.joints) * weights
             if change.any():
                 off = (tip.pose - before.pose)[0] - slope @ change
                 slope = slope + np.outer(off, change) / (change @ change)
-        return best, place, broken
+        return best, bool(why), why or broken
 
-    def _kept_share(self, begin: _Place, place: _Place) -> float:
-        """Share of a motion that breaks a limit which may keep it: to where clearance runs out on a straight line."""
-        limit = self._checker.limits.clearance_m
-        first, last = begin.at.clearance_m[-1] - limit, place.at.clearance_m[-1] - limit
-        return SHORTER * float(first / (first - last)) if last < 0 < first else SHORTER if last >= 0 else 0.0
+    def _derivatives(self, begin: _Place, dt_s: float) -> _Derivatives:
+        """Of the tip and the body where it stands; what was learned of the body there, if it could not leave."""
+        if self._stopped is not None and self._stopped[0] is begin and self._stopped[1] == dt_s:
+            return self._stopped[2]
+        tips = tips_by_joints(self._checker, begin.tip.joints[None], begin.tip.phi)
+        slope, weights = np.vstack([tips.position_by[0], tips.tangent_by[0]]), self._space.weights_mm / MM_PER_M
+        most = self._most(dt_s)
+        closer, spare, near = closer_by_joints(self._checker, self._solver, begin.tip.joints, begin.at, most)
+        return slope / weights, closer / weights, spare, near
 
     def _most(self, dt_s: float) -> Array:
         """(m,) longest motions of the joints in a time."""
