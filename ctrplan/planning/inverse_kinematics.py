@@ -10,20 +10,18 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ctrplan.base.arguments import SEED, Number, Whole, checked, require
 from ctrplan.base.arrays import LONGEST_MM, MM_PER_M, Array, numbers
 from ctrplan.base.package import of_this_process, shown
 from ctrplan.errors import InputError
-from ctrplan.mechanics.shapes import HistoryOptions
 from ctrplan.motion.checker import MotionChecker, breach, path_limits
 from ctrplan.planning.reach import (
     REFINED_SHARE,
     Configuration,
     Reach,
     closer_by_joints,
-    miss_of,
     reach,
     rooms_on_stretches,
     tips_by_joints,
@@ -35,7 +33,7 @@ from ctrplan.scenario.joint_space import bare_scenario
 from ctrplan.scenario.prediction import begun_histories
 from ctrplan.scenario.scenario import Scenario
 from ctrplan.scenario.sizes import place_doubt
-from ctrplan.scenario.tip_solver import TipSolver, TipTarget, angle_to, least_squares_within
+from ctrplan.scenario.tip_solver import NO_STEP_M, MotionLines, TipSolver, TipTarget, angle_to, miss_of
 
 if TYPE_CHECKING:
     from ctrplan.mechanics.history import History, HistoryState
@@ -178,13 +176,12 @@ def _vector(key: str, value: ArrayLike, largest: float, unit: str | None = None)
     return vector
 
 
-STEPS = HistoryOptions(rotation_rad=0.1, translation_m=1e-3, state_change=0.2)  # move tips by less than 0.05 mm
 TrackStatus = Literal["reached", "limited", "shortened", "stopped"]
 
 STEP_S = 0.05  # between steps at 20 Hz
+LOOKS, HEADWAY = 4, 0.7  # by a known history, before a way is walked, while each leaves at most that share of the last
 ATTEMPTS = 2  # at a step, of which those after the first one correct what the tip and the body did
 SHORTER = 0.5  # of a motion, where it should keep the limits by what a straight line says
-NO_STEP_M = 1e-7  # of weighted joint length, that changes nothing
 
 
 @shown
@@ -230,9 +227,6 @@ class _Place:
     at: PathSamples  # what the core says, at the end of its rows
 
 
-_Derivatives = tuple[Array, Array, Array, NDArray[np.intp]]  # by weighted joints: of the pose, and `closer_by_joints`
-
-
 class TipTracker:
     """Leads the tip along a stream of points, step by step from the joints before. One thread at a time.
 
@@ -271,7 +265,7 @@ class TipTracker:
         if reason := breach(samples, self._checker.limits):
             raise InputError(f"must keep limits and margins: {reason}", key="joints")
         self._history: History | None = None
-        self._stopped: tuple[_Place, float, _Derivatives] | None = None
+        self._stopped: tuple[_Place, float, MotionLines] | None = None
         self._offset_m = np.zeros(3)
         self._here = _Place(self._frictionless(q, samples), samples)
         self.know(friction)
@@ -296,7 +290,7 @@ class TipTracker:
         if friction is None:
             self._history, self._here = None, _Place(self._frictionless(q, samples), samples)
             return
-        history = begun_histories(self.scenario.robot, [friction], options=STEPS)[0]
+        history = begun_histories(self.scenario.robot, [friction])[0]
         tip = self._followed(history, offset_m, q)
         if not np.isfinite(tip.pose).all():
             raise InputError("has no equilibrium at these joints", key="friction")
@@ -327,72 +321,79 @@ class TipTracker:
     def _led(self, begin: _Place, target: TipTarget, dt_s: float) -> tuple[_Place, bool, str]:
         """Where least squares lead: the last place that keeps all limits, whether it is short of that, why it must be.
 
-        A place off the target or too close to the anatomy is corrected by what the tip and the body did on the way
-        there: derivatives as Broyden's. A known history says that of the tip before the way there is walked.
+        A place off the target or too close to the anatomy is corrected by what the tip and the body did on the way.
         """
-        weights, best, place, tip, broken, why = self._space.weights_mm / MM_PER_M, begin, begin, begin.tip, "", ""
-        q, moved = tip.joints, np.zeros(len(weights))
-        for attempt in range(ATTEMPTS):
-            miss, weight = miss_of(target, tip.pose)
-            if not broken and np.linalg.norm(miss) <= (1.0 if attempt else REFINED_SHARE) * self.tolerance_m:
+        best, tip, broken, why = begin, begin.tip, "", ""
+        if np.linalg.norm(miss_of(target, tip.pose)[0]) <= REFINED_SHARE * self.tolerance_m:
+            return begin, False, ""
+        lines = self._lines(begin, dt_s)
+        for _ in range(ATTEMPTS):
+            joints, ahead = self._aimed(begin, target, tip, lines, SHORTER if broken else 1.0)
+            if np.abs((joints - best.tip.joints) * lines.weights).max() <= NO_STEP_M:
                 break
-            if not attempt:
-                (rows, room), (slope, closer, spare, near) = self._limits(dt_s), self._derivatives(begin, dt_s)
-                first_slope = slope
-            scaled = slope.copy()
-            scaled[3:] *= weight[0]
-            aim = miss[0] + scaled @ ((tip.joints - q) * weights)
-            step = least_squares_within(scaled, aim, np.vstack([rows, closer]), np.append(room, spare)) / weights
-            joints = self._space.projected((q + (SHORTER if broken else 1.0) * step)[None], fallback=q[None])[0]
-            if np.abs((joints - place.tip.joints) * weights).max() <= NO_STEP_M:
+            earlier, (place, broken) = broken, self._placed(begin, joints, ahead)
+            if broken:
+                lines.learn_body(joints, rooms_on_stretches(self._checker, place.at))
+                self._stopped = begin, dt_s, lines
+                continue
+            if ahead is None:
+                lines.learn_tip(place.tip.joints - tip.joints, place.tip.pose - tip.pose)
+            best, tip, why = place, place.tip, earlier
+            if np.linalg.norm(miss_of(target, tip.pose)[0]) <= self.tolerance_m:
                 break
-            ahead, before = self._foreseen(begin, joints), tip
-            if ahead is not None and np.isfinite(ahead.pose).all():
-                tip = ahead
-            unforeseen = miss_of(target, tip.pose)[0] - (aim - scaled @ (step * weights))
-            if attempt or ahead is None or np.linalg.norm(unforeseen) <= self.tolerance_m:
-                moved, earlier = (joints - q) * weights, broken
-                place, broken = self._placed(begin, joints, ahead)
-                if not broken:
-                    best, tip, why = place, place.tip, earlier
-                elif len(near):
-                    left = rooms_on_stretches(self._checker, place.at)[near]
-                    closer = closer + np.outer(spare - left - closer @ moved, moved) / (moved @ moved)
-                    self._stopped = begin, dt_s, (first_slope, closer, spare, near)
-            change = (tip.joints - before.joints) * weights
-            if change.any():
-                off = (tip.pose - before.pose)[0] - slope @ change
-                slope = slope + np.outer(off, change) / (change @ change)
-        return best, bool(why), why or broken
+        return best, bool(why), why or (broken if best is begin else "")
 
-    def _derivatives(self, begin: _Place, dt_s: float) -> _Derivatives:
-        """Of the tip and the body where it stands; what was learned of the body there, if it could not leave."""
+    def _aimed(
+        self, begin: _Place, target: TipTarget, tip: _Tip, lines: MotionLines, share: float
+    ) -> tuple[Array, _Tip | None]:
+        """Joint values (m,) by least squares from where the tip is known, and the tip there, if friction is known.
+
+        A known history is asked until the tip is where it should be, but not where a way was refused before.
+        """
+        best: _Tip | None = None
+        least, joints = np.inf, tip.joints
+        for _ in range(1 if self._history is None or lines.refused else LOOKS):
+            motion = lines.motion(target, tip.joints, tip.pose)
+            joints = self._space.projected((lines.joints + share * motion)[None], fallback=lines.joints[None])[0]
+            ahead = None if lines.refused else self._foreseen(begin, joints)
+            if ahead is None or not np.isfinite(ahead.pose).all():
+                break
+            off_m = float(np.linalg.norm(miss_of(target, ahead.pose)[0]))
+            unforeseen_m = lines.learn_tip(ahead.joints - tip.joints, ahead.pose - tip.pose)
+            tip, headway = ahead, off_m < HEADWAY * least
+            if off_m < least:
+                best, least = ahead, off_m
+            if min(off_m, unforeseen_m) <= self.tolerance_m or not headway or off_m > unforeseen_m + self.tolerance_m:
+                break
+        return (joints, None) if best is None else (best.joints, best)
+
+    def _lines(self, begin: _Place, dt_s: float) -> MotionLines:
+        """Where it stands; with what was learned of the body there, if it could not leave."""
         if self._stopped is not None and self._stopped[0] is begin and self._stopped[1] == dt_s:
             return self._stopped[2]
-        tips = tips_by_joints(self._checker, begin.tip.joints[None], begin.tip.phi)
-        slope, weights = np.vstack([tips.position_by[0], tips.tangent_by[0]]), self._space.weights_mm / MM_PER_M
-        most = self._most(dt_s)
-        closer, spare, near = closer_by_joints(self._checker, self._solver, begin.tip.joints, begin.at, most)
-        return slope / weights, closer / weights, spare, near
-
-    def _most(self, dt_s: float) -> Array:
-        """(m,) longest motions of the joints in a time."""
-        return np.asarray(self._space.drive.max_velocity * dt_s)
-
-    def _limits(self, dt_s: float) -> tuple[Array, Array]:
-        """Rows (R, m) and room (R,) of joint motions, weighted to m: limits, speeds and nesting."""
-        q, drive = self._here.tip.joints, self._space.drive
-        one, (nesting, nested) = np.eye(len(q)), self._space.nesting_rules
-        up, down = (np.minimum(left, self._most(dt_s)) for left in (drive.upper - q, q - drive.lower))
-        room = np.concatenate([up, down, nested - nesting @ q])
-        return np.vstack([one, -one, nesting]) * MM_PER_M / self._space.weights_mm, np.maximum(room, 0.0)
+        q, drive, weights = begin.tip.joints, self._space.drive, self._space.weights_mm / MM_PER_M
+        most, one, (nesting, nested) = drive.max_velocity * dt_s, np.eye(len(weights)), self._space.nesting_rules
+        up, down = (np.minimum(left, most) for left in (drive.upper - q, q - drive.lower))
+        tips = tips_by_joints(self._checker, q[None], begin.tip.phi)
+        closer, spare, near = closer_by_joints(self._checker, self._solver, q, begin.at, most)
+        return MotionLines(
+            joints=q,
+            weights=weights,
+            slope=np.vstack([tips.position_by[0], tips.tangent_by[0]]) / weights,
+            rows=np.vstack([one, -one, nesting]) / weights,
+            room=np.maximum(np.concatenate([up, down, nested - nesting @ q]), 0.0),
+            closer=closer / weights,
+            spare=spare,
+            near=near,
+        )
 
     def _placed(self, begin: _Place, q: Array, ahead: _Tip | None = None) -> tuple[_Place, str]:
         """Joint values (m,) as a place that is reached from another, and which limit it or the way breaks, if any."""
         samples = self._walk(np.array([begin.tip.joints, q]))
-        tip = ahead or self._foreseen(begin, q) or self._frictionless(q, samples)
+        broken = breach(samples, self._checker.limits)
+        tip = ahead or (None if broken else self._foreseen(begin, q)) or self._frictionless(q, samples)
         lost = "" if np.isfinite(tip.pose).all() else "no equilibrium was found along the path"
-        return _Place(tip, samples), breach(samples, self._checker.limits) or lost
+        return _Place(tip, samples), broken or lost
 
     def _foreseen(self, begin: _Place, q: Array) -> _Tip | None:
         """The tip at joint values (m,) after a motion there, if friction is known."""

@@ -24,13 +24,12 @@ from ctrplan.scenario.scenario import anatomy_grid
 from ctrplan.scenario.tip_solver import (
     DAMPING,
     LONGEST_STEP_M,
-    M_PER_RAD,
     PASSES,
-    TOLERANCE_SHARE,
     TipSolver,
     TipTarget,
     angle_to,
     hold,
+    miss_of,
 )
 
 if TYPE_CHECKING:
@@ -323,18 +322,6 @@ def _probed_pose(checker: MotionChecker, q: Array) -> Array:
     pose = np.array([np.concatenate([s.tip_m[-1], s.tip_tangent[-1]]) for s in result])
     pose[[samples.status[-1] == Status.FAILED for samples in result]] = np.nan
     return pose
-
-
-def miss_of(target: TipTarget, pose: Array) -> tuple[Array, Array]:
-    """(K, 6) [m] of tips and of their directions beyond the tolerance, and what a direction weighs (K,) [m per rad]."""
-    miss = np.zeros_like(pose)
-    miss[:, :3] = target.tip_m - pose[:, :3]
-    if target.direction is None:
-        return miss, np.zeros(len(pose))
-    turned = np.maximum(angle_to(pose[:, 3:], target.direction), 1e-12)
-    weight = M_PER_RAD * np.maximum(0.0, 1 - TOLERANCE_SHARE * target.direction_tolerance_rad / turned)
-    miss[:, 3:] = weight[:, None] * (target.direction - pose[:, 3:])
-    return miss, weight
 
 
 def _stepped(solver: TipSolver, target: TipTarget, q: Array, pose: Array, slope: Array) -> Array:

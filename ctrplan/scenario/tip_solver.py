@@ -30,7 +30,7 @@ REACHED_M = 1e-5
 ITERATIONS = 25
 STALL_STEPS, MIN_PROGRESS = 6, 0.8  # steps after which the distance must have fallen to this share
 PASSES = 3  # each holds the limits that the step before it broke
-FEASIBLE = 1e-8  # of non-negative least squares: what is left of 1 where rows contradict each other
+NO_STEP_M = 1e-7  # of weighted joint length, that changes nothing
 LONGEST_STEP_M = 30e-3  # of weighted joint length
 DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-4, 1e-7, 1e4  # beside the squared singular values, m per m
 M_PER_RAD = 20e-3  # weight of the tip's direction against its position
@@ -266,25 +266,73 @@ def hold(space: JointSpace, slope: Array, moved: Array) -> None:
     slope *= ~outside[:, None, :]
 
 
-def least_squares_within(slope: Array, aim: Array, rows: Array, room: Array) -> Array:
-    """The x (m,) with least |slope x - aim|^2 + DAMPING |x|^2 where rows (R, m) x <= room (R,).
+def miss_of(target: TipTarget, pose: Array) -> tuple[Array, Array]:
+    """(K, 6) [m] of tips and of their directions beyond the tolerance, and what a direction weighs (K,) [m per rad]."""
+    miss = np.zeros_like(pose)
+    miss[:, :3] = target.tip_m - pose[:, :3]
+    if target.direction is None:
+        return miss, np.zeros(len(pose))
+    turned = np.maximum(angle_to(pose[:, 3:], target.direction), 1e-12)
+    weight = M_PER_RAD * np.maximum(0.0, 1 - TOLERANCE_SHARE * target.direction_tolerance_rad / turned)
+    miss[:, 3:] = weight[:, None] * (target.direction - pose[:, 3:])
+    return miss, weight
 
-    Lawson and Hanson's way: as the least distance from the free solution, by non-negative least squares. Where nothing
-    keeps negative rooms, they are taken as zero.
+
+@dataclass(eq=False)
+class MotionLines:
+    """What joint motions from a place do, on straight lines; joints weighted to m. Broyden's formula corrects them."""
+
+    joints: Array  # (m,) of the place, rad or m
+    weights: Array  # (m,)
+    slope: Array  # (6, m) of the pose
+    rows: Array  # (R, m) of what is limited: joints, speeds, nesting
+    room: Array  # (R,)
+    closer: Array  # (C, m), spare (C,), near (C,): `closer_by_joints`
+    spare: Array
+    near: NDArray[np.intp]
+    refused: bool = False  # a way from there
+
+    def motion(self, target: TipTarget, joints: Array, pose: Array) -> Array:
+        """(m,) rad or m, to bring the pose (1, 6), known at joints (m,), to the target as far as limits allow."""
+        miss, weight = miss_of(target, pose)
+        slope = self.slope.copy()
+        slope[3:] *= weight[0]
+        aim = miss[0] + slope @ self._weighted(joints)
+        rows, room = np.vstack([self.rows, self.closer]), np.append(self.room, np.maximum(self.spare, 0.0))
+        return least_squares_within(slope, aim, rows, room) / self.weights
+
+    def learn_tip(self, moved: Array, change: Array) -> float:
+        """Takes in how a motion (m,) changed the pose (1, 6); how far [m] the tip is from where it was expected."""
+        moved = moved * self.weights
+        off = change[0] - self.slope @ moved
+        self.slope = self.slope + np.outer(off, moved) / max(float(moved @ moved), NO_STEP_M**2)
+        return float(np.linalg.norm(off[:3]))
+
+    def learn_body(self, joints: Array, rooms: Array) -> None:
+        """Takes in rooms on all stretches at other joints."""
+        moved, self.refused = self._weighted(joints), True
+        off = self.spare - rooms[self.near] - self.closer @ moved
+        self.closer = self.closer + np.outer(off, moved) / max(float(moved @ moved), NO_STEP_M**2)
+
+    def _weighted(self, joints: Array) -> Array:
+        return np.asarray((joints - self.joints) * self.weights)
+
+
+def least_squares_within(slope: Array, aim: Array, rows: Array, room: Array) -> Array:
+    """The x (m,) with least |slope x - aim|^2 + DAMPING |x|^2 where rows (R, m) x <= room (R,), none negative.
+
+    Lawson and Hanson's way: as the least distance from the free solution, by non-negative least squares.
     """
     upper = np.linalg.cholesky(slope.T @ slope + DAMPING * np.eye(slope.shape[1])).T
     free = solve_triangular(upper, solve_triangular(upper, slope.T @ aim, trans="T"))
-    if np.all(rows @ free <= room):
+    over = rows @ free - room
+    if np.all(over <= 0):
         return np.asarray(free)
-    for bounds in (room, np.maximum(room, 0.0)):
-        scale = max(float(np.abs(rows @ free).max()), 1e-12)
-        turned = -solve_triangular(upper, rows.T, trans="T").T
-        least = (rows @ free - bounds) / scale
-        weights, off = nnls(np.vstack([turned.T, least]), np.append(np.zeros(len(free)), 1.0))
-        if off > FEASIBLE:
-            rest = np.append(turned.T @ weights, least @ weights - 1)
-            return np.asarray(free + scale * solve_triangular(upper, -rest[:-1] / rest[-1]))
-    return np.zeros(len(free))
+    scale = float(np.abs(rows @ free).max())
+    turned = -solve_triangular(upper, rows.T, trans="T")
+    weights, _ = nnls(np.vstack([turned, over / scale]), np.append(np.zeros(len(free)), 1.0))
+    rest = 1 - over @ weights / scale
+    return np.asarray(free + scale / rest * solve_triangular(upper, turned @ weights))
 
 
 def angle_to(tangent: Array, direction: Array | None) -> Array:
