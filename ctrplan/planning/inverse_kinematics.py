@@ -251,6 +251,8 @@ class TipTracker:
 
         Raises InputError for joints that break a limit or margin.
         """
+        import scipy.optimize  # noqa: F401  # now, not in the time of the first step
+
         self.scenario, self.tolerance_m = _scenario(robot_or_scenario), float(tolerance_m)
         self._checker = MotionChecker(self.scenario)
         self._checker.limits = path_limits(self.scenario)

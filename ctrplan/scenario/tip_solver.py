@@ -13,8 +13,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
-from scipy.optimize import nnls
 
 from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.base.long_work import SearchWatch
@@ -323,6 +321,9 @@ def least_squares_within(slope: Array, aim: Array, rows: Array, room: Array) -> 
 
     Lawson and Hanson's way: as the least distance from the free solution, by non-negative least squares.
     """
+    from scipy.linalg import solve_triangular  # slow to import, and of no use to whoever only reaches a point
+    from scipy.optimize import nnls
+
     upper = np.linalg.cholesky(slope.T @ slope + DAMPING * np.eye(slope.shape[1])).T
     free = solve_triangular(upper, solve_triangular(upper, slope.T @ aim, trans="T"))
     over = rows @ free - room
