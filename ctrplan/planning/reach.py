@@ -24,11 +24,9 @@ from ctrplan.scenario.scenario import anatomy_grid
 from ctrplan.scenario.tip_solver import (
     DAMPING,
     LONGEST_STEP_M,
-    PASSES,
     TipSolver,
     TipTarget,
     angle_to,
-    hold,
     miss_of,
 )
 
@@ -157,11 +155,12 @@ STARTS = 300  # of them, the nearest ones after a common rotation: solves
 DISTINCT_MM = 5.0  # of joint length between configurations
 MOST_REFINED = 80
 ROOM_ENOUGH_M = 5e-3  # more than friction makes of most shapes
-CLEARANCE_STEPS = 3  # on the frictionless clearance model
+CLEARANCE_STEPS = 4  # on the frictionless clearance model; most configurations need one
+SHORTER = 0.5  # a step after one that led no nearer
 BEND_STEPS = 3  # within each: the bend of the zero-clearance model changes by a tenth or so of itself, and less again
 GAP_M = 6e-3  # more than clearance moves a tip: within it of the target, refining on the clearance model pays
 TURN_RAD = 0.1  # likewise of the tangent
-REFINED_SHARE = 0.2  # of the tolerance
+REFINED_SHARE = 0.5  # of the tolerance
 LINK_MM = 30.0  # of joint length between neighbours in a branch
 SAME_SHARE = 0.35  # of their distance that the middle of two neighbours may lie off their branch
 
@@ -280,28 +279,33 @@ def distinct_rows(
 def refined(checker: MotionChecker, target: TipTarget, q: Array, tolerance_m: float) -> Array:
     """Damped Newton steps on the frictionless tip with clearance, by exact derivatives; the best place of each.
 
-    A step follows the derivatives, and the bend that the zero-clearance model shows on the way, so that mostly one
-    does. Derivatives are renewed where a step like the one before would not do. Where steps lead is probed, which the
+    A step follows the derivatives and the bend that the zero-clearance model shows on the way: mostly one does. After
+    one that led no nearer comes a shorter one, along the derivatives alone, and no other if that does not either.
+    Derivatives are renewed where a step like the one before would not do. Where steps lead is probed, which the
     configuration there needs in any case.
     """
     solver = TipSolver(checker.space, checker.mechanics)
-    best, todo, aim_m = q.copy(), np.arange(len(q)), REFINED_SHARE * tolerance_m
+    best, share, aim_m = q.copy(), np.ones(len(q)), REFINED_SHARE * tolerance_m
     pose, slope = _pose_by_joints(checker, q)
+    error = np.linalg.norm(miss_of(target, pose)[0], axis=1)
     for _ in range(CLEARANCE_STEPS):
-        before = np.linalg.norm(miss_of(target, pose)[0], axis=1)
-        far = before > aim_m
-        todo, pose, slope, before = todo[far], pose[far], slope[far], before[far]
+        todo = np.flatnonzero((error > aim_m) & (share >= SHORTER))  # not where a solve failed
         if not len(todo):
             break
-        moved = _stepped(solver, target, best[todo], pose, slope)
-        pose = _probed_pose(checker, moved)
-        error = np.linalg.norm(miss_of(target, pose)[0], axis=1)
-        better = error < before
-        best[todo[better]] = moved[better]
-        todo, pose, slope, share = todo[better], pose[better], slope[better], (error / before)[better]
-        falls_short = (error[better] > aim_m) & (share * error[better] > aim_m)
-        if falls_short.any():
-            _, slope[falls_short] = _pose_by_joints(checker, best[todo[falls_short]])
+        here = best[todo]
+        moved = here + share[todo, None] * (
+            _stepped(solver, target, here, pose[todo], slope[todo], share[todo] == 1) - here
+        )
+        moved = checker.space.projected(moved, fallback=here)
+        there = _probed_pose(checker, moved)
+        left = np.linalg.norm(miss_of(target, there)[0], axis=1)
+        better = left < error[todo]
+        share[todo] = np.where(better, 1.0, share[todo] * SHORTER)
+        kept = todo[better]
+        falls_short = kept[(left[better] > aim_m) & (left[better] ** 2 > aim_m * error[kept])]
+        best[kept], pose[kept], error[kept] = moved[better], there[better], left[better]
+        if len(falls_short):
+            _, slope[falls_short] = _pose_by_joints(checker, best[falls_short])
     return best
 
 
@@ -324,11 +328,13 @@ def _probed_pose(checker: MotionChecker, q: Array) -> Array:
     return pose
 
 
-def _stepped(solver: TipSolver, target: TipTarget, q: Array, pose: Array, slope: Array) -> Array:
+def _stepped(
+    solver: TipSolver, target: TipTarget, q: Array, pose: Array, slope: Array, bent: NDArray[np.bool_]
+) -> Array:
     """q (K, m) after least-squares steps, no longer than LONGEST_STEP_M of weighted joint length each.
 
-    Poses (K, 6) are known at q, derivatives (K, 6, m) near there; the bend between q and where a step leads is that of
-    the zero-clearance model, none where that has no solution.
+    Poses (K, 6) are known at q, derivatives (K, 6, m) near there. Where `bent` (K,), the bend on the way is that of the
+    zero-clearance model, none without a solution of it.
     """
     space, joints, here = solver.space, q, pose
     weights, (tip, tangent) = space.weights_mm / MM_PER_M, solver.tips(q)
@@ -337,15 +343,13 @@ def _stepped(solver: TipSolver, target: TipTarget, q: Array, pose: Array, slope:
         miss, weight = miss_of(target, here)
         scaled = slope / weights
         scaled[:, 3:] *= weight[:, None, None]
-        for _ in range(PASSES):
-            gram = scaled @ np.swapaxes(scaled, 1, 2) + DAMPING * np.eye(6)
-            step = np.einsum("kij,ki->kj", scaled, np.linalg.solve(gram, np.nan_to_num(miss)[:, :, None])[:, :, 0])
-            step *= np.minimum(1.0, LONGEST_STEP_M / np.maximum(np.linalg.norm(step, axis=1, keepdims=True), 1e-12))
-            hold(space, scaled, joints + step / weights)
+        gram = scaled @ np.swapaxes(scaled, 1, 2) + DAMPING * np.eye(6)
+        step = np.einsum("kij,ki->kj", scaled, np.linalg.solve(gram, np.nan_to_num(miss)[:, :, None])[:, :, 0])
+        step *= np.minimum(1.0, LONGEST_STEP_M / np.maximum(np.linalg.norm(step, axis=1, keepdims=True), 1e-12))
         joints = space.projected(joints + step / weights, fallback=joints)
         moved = joints - q
         bend = np.hstack(solver.tips(joints)) - np.hstack([tip, tangent]) - _times(straight, moved)
-        here = pose + _times(slope, moved) + np.nan_to_num(bend)
+        here = pose + _times(slope, moved) + np.where(bent[:, None], np.nan_to_num(bend), 0.0)
     return joints
 
 

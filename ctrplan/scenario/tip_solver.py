@@ -214,8 +214,19 @@ class _Batch:
             step = np.einsum("kij,ki->kj", slope, np.linalg.solve(gram, self.miss[rows][:, :, None])[:, :, 0])
             step *= np.minimum(1.0, LONGEST_STEP_M / np.maximum(_length(step), 1e-12))[:, None]
             moved = q + step / weights
-            hold(space, slope, moved)
+            self._hold(slope, moved)
         return space.projected(moved, fallback=q)
+
+    def _hold(self, slope: Array, moved: Array) -> None:
+        """Takes out of `slope` (K, 6, m) the motions that carried `moved` beyond a limit or out of nesting."""
+        space = self.solver.space
+        rules, room = space.nesting_rules
+        for row, limit in zip(rules, room, strict=True):
+            broken = moved @ row > limit
+            along = row / np.linalg.norm(row)  # all translations weigh the same
+            slope[broken] -= (slope[broken] @ along)[:, :, None] * along
+        outside = (moved < space.drive.lower) | (moved > space.drive.upper)
+        slope *= ~outside[:, None, :]
 
     def _weighted(self, rows: Rows) -> Array:
         """(K, 6, m) derivatives of what `_miss` measures."""
@@ -251,17 +262,6 @@ class _Batch:
         if len(rows):
             self.jacobian[rows] = self.solver.jacobian(self.q[rows], self.tip[rows], self.tangent[rows])
             self.fresh[rows] = True
-
-
-def hold(space: JointSpace, slope: Array, moved: Array) -> None:
-    """Takes out of `slope` (K, 6, m) the motions that carried `moved` (K, m) beyond a limit or out of nesting."""
-    rules, room = space.nesting_rules
-    for row, limit in zip(rules, room, strict=True):
-        broken = moved @ row > limit
-        along = row / np.linalg.norm(row)  # all translations weigh the same
-        slope[broken] -= (slope[broken] @ along)[:, :, None] * along
-    outside = (moved < space.drive.lower) | (moved > space.drive.upper)
-    slope *= ~outside[:, None, :]
 
 
 def miss_of(target: TipTarget, pose: Array) -> tuple[Array, Array]:

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from places import SCENARIOS
 
+import ctrplan
 from ctrplan.cli import main
 from ctrplan.errors import NoAnswerError
 from ctrplan.files.robot_file import load_robot, robot_from_dict
@@ -139,6 +140,15 @@ def test_every_branch_of_a_multi_start_is_found(name: str) -> None:
         together = replace(known, configurations=known.configurations + more.configurations).branches()
         count = len(known.configurations)
         assert set(together[count:].tolist()) <= set(together[:count].tolist())
+
+
+@pytest.mark.parametrize("seed", [0, 2])
+def test_a_branch_at_the_end_of_a_joint_is_found_though_the_first_step_leads_away(seed: int) -> None:
+    """The outer tube starts at its limit of 180 deg and is turned back by 17 deg for the clearance of the tubes."""
+    scenario = load_robot_or_scenario(SCENARIOS / "ribs.toml")
+    found = ctrplan.inverse_kinematics(scenario, scenario.goal.tip_m, seed=seed)
+    assert len(set(found.branches)) == 2
+    assert max(c.joints[0] for c in found.configurations) > math.radians(160)
 
 
 def test_branches_do_not_depend_on_the_order_of_configurations() -> None:
