@@ -50,6 +50,7 @@ if TYPE_CHECKING:
     from ctrplan.planning.given_path import certify as certify
     from ctrplan.planning.given_path import reorder as reorder
     from ctrplan.planning.inverse_kinematics import InverseKinematics
+    from ctrplan.planning.inverse_kinematics import TipTracker as TipTracker
     from ctrplan.planning.inverse_kinematics import inverse_kinematics as inverse_kinematics
     from ctrplan.planning.place import Placement
     from ctrplan.planning.place import place as place
@@ -139,6 +140,7 @@ _HOMES = {
     "reorder": "planning.given_path",
     "InverseKinematics": "planning.inverse_kinematics",
     "inverse_kinematics": "planning.inverse_kinematics",
+    "TipTracker": "planning.inverse_kinematics",
     "BasePose": "planning.base_pose",
     "Placement": "planning.place",
     "place": "planning.place",
@@ -199,6 +201,7 @@ __all__ = [
     "Sphere",
     "Status",
     "Study",
+    "TipTracker",
     "StudyTable",
     "Tube",
     "TubeDesign",

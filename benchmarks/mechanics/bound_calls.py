@@ -1,10 +1,11 @@
-"""What bounds take beside the three-tube robot's solves: more tubes, and calls from Python.
+"""What bounds take beside the three-tube robot's solves: more tubes, calls from Python, inverse kinematics.
 
-    python benchmarks/run.py bound_calls [times] [extremes] [overhead] [threads]
+    python benchmarks/run.py bound_calls [times] [extremes] [overhead] [threads] [tracking] [ways]
 
 times: time and peak memory of one bound for 2 to 12 tubes. extremes: what the extreme corners miss of all of them.
 overhead: what a call from Python takes beyond the core's own work: zero-clearance shapes, bounds, steps of a walker.
 threads: 10,000 bounds and 400 motions on two threads against one, by the clock and in seconds of the processor.
+tracking: a step of `TipTracker` at 20 Hz on a circle, a line, through a lumen to its wall. ways: all ways to a point.
 The core's own time is that of the same configurations in one call, on one thread, which gives numbers and no shapes.
 """
 
@@ -212,8 +213,96 @@ def threads() -> None:
     table("threads", head, rows)
 
 
+LED = np.array([0.3, -0.4, 0.9, -0.04])  # joints where tracks in free space begin
+POINTS = 150
+PAST_THE_WALL_M = 12e-3
+
+
+def tracks() -> dict[str, tuple[Any, Any, Any]]:
+    """Robot or scenario, joints (m,) at the start and points (K, 3) by name; through the lumen at 2/3 of full speed."""
+    tip = frictionless(ROBOT, LED[None])[0]
+    turn, way = np.linspace(0, 2.4, POINTS), np.linspace(0, 1, POINTS)
+    circle = tip + 6e-3 * np.stack([np.cos(turn) - 1, np.sin(turn), 0 * turn], axis=1)
+    straight = tip + way[:, None] * np.array([8e-3, -6e-3, 6e-3])
+    scenario = ctrplan.load_scenario(SCENARIOS / "vessel.toml")
+    corners, drive = ctrplan.plan(scenario, seed=0, time_s=1).waypoints, scenario.robot.drive
+    legs = [corners[:1]]
+    for a, b in zip(corners[:-1], corners[1:], strict=True):
+        count = int(np.ceil(30 * (np.abs(b - a) / drive.max_velocity).max()))
+        legs.append(a + np.arange(1, count + 1)[:, None] / count * (b - a))
+    lumen = scenario.located(frictionless(scenario.robot, np.concatenate(legs)))
+    wall = lumen[-1] + np.linspace(0, 1, POINTS // 2)[:, None] * np.array([0, PAST_THE_WALL_M, 0])
+    return {
+        "circle": (ROBOT, LED, circle),
+        "line": (ROBOT, LED, straight),
+        "vessel": (scenario, corners[0], lumen),
+        "vessel, into the wall": (scenario, corners[-1], wall),
+    }
+
+
+def frictionless(robot: Robot, joints: Any) -> Any:
+    """(K, 3) tips [m] at joints (K, m), robot's frame."""
+    states = np.zeros((len(joints), robot.n - 1))
+    return robot.mechanics.tips_with_friction(*robot.drive.collars(joints), states).position_m
+
+
+def tracking() -> None:
+    """Prints milliseconds of a processor a step, the best of TRIES for each, and what the steps did."""
+    rows = []
+    for name, (given, begin, points) in tracks().items():
+        for friction in (None, "released"):
+            least_ms, steps = np.full(len(points), np.inf), []
+            for _ in range(TRIES):
+                tracker, steps, spent_ms = ctrplan.TipTracker(given, begin, friction=friction), [], []
+                for point in points:
+                    begun = time.process_time()
+                    steps.append(tracker.step(point))
+                    spent_ms.append(1e3 * (time.process_time() - begun))
+                least_ms = np.minimum(least_ms, spent_ms)
+            middle, most = np.percentile(least_ms, [50, 95])
+            left = 1e3 * float(np.percentile([step.tip_error_m for step in steps], 95))
+            room = f"{1e3 * min(step.clearance_m for step in steps):.2f}"
+            reached = f"{sum(step.status == 'reached' for step in steps)} of {len(steps)}"
+            known = "unknown" if friction is None else "followed"
+            rows.append(
+                (name, known, f"{middle:.1f}", f"{most:.1f}", f"{least_ms.max():.1f}", reached, f"{left:.3f}", room)
+            )
+    head = (
+        "track",
+        "friction",
+        "median ms",
+        "95 % ms",
+        "largest ms",
+        "reached",
+        "95 % left, mm",
+        "least clearance, mm",
+    )
+    table("tracking", head, rows)
+
+
+WAYS = ("vessel", "ventricle", "heart_chamber", "airway", "sinus", "ribs", "biopsy_tour", "deploy")
+
+
+def ways() -> None:
+    """Prints seconds of a processor, the least of TRIES, for all ways to the goal of a scenario, and their branches."""
+    rows = []
+    for name in WAYS:
+        scenario, spent = ctrplan.load_scenario(SCENARIOS / f"{name}.toml"), []
+        for _ in range(TRIES):
+            begun = time.process_time()
+            result = ctrplan.inverse_kinematics(scenario, scenario.targets[0].tip_m)
+            found = time.process_time()
+            branches = len(set(result.branches))
+            spent.append((found - begun, time.process_time() - found))
+        least = np.min(spent, axis=0)
+        counts = (len(result.configurations), len(result.valid), branches)
+        rows.append((name, *(f"{x:.3f}" for x in least), *counts))
+    table("ways", ("scenario", "ways, s", "their branches, s", "configurations", "valid", "branches"), rows)
+
+
 def main() -> None:
     parser = common.parser(__doc__)
     parser.add_argument("sections", nargs="*", metavar="SECTION")
-    known = {"times": times, "extremes": extremes, "overhead": overhead, "threads": threads}
+    known = {"times": times, "extremes": extremes, "overhead": overhead, "threads": threads, "tracking": tracking}
+    known["ways"] = ways
     common.sections(parser.parse_args().sections, known, parser.error)

@@ -39,6 +39,8 @@ def numbers(values: ArrayLike, key: str) -> Array:
     Raises InputError for what numpy would take silently or with a warning: texts, dates, truth values, complex
     numbers, masked entries, whole numbers too large for a float.
     """
+    if type(values) is np.ndarray and values.dtype == np.float64:
+        return values
     try:
         given = np.asarray(values)
         rows = values if isinstance(values, (list, tuple)) else [values]

@@ -1,4 +1,6 @@
-"""`ctrplan.inverse_kinematics`: every way found to bring the tip to a point, and which of them may be used."""
+"""Every way found to bring the tip to a point, and steps that lead it along points: `ctrplan.inverse_kinematics` and
+`ctrplan.TipTracker`.
+"""
 
 from __future__ import annotations
 
@@ -11,20 +13,32 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ctrplan.base.arguments import SEED, Number, Whole, checked, require
-from ctrplan.base.arrays import LONGEST_MM, numbers
-from ctrplan.base.package import shown
+from ctrplan.base.arrays import LONGEST_MM, MM_PER_M, Array, numbers
+from ctrplan.base.package import of_this_process, shown
 from ctrplan.errors import InputError
-from ctrplan.motion.checker import MotionChecker, path_limits
-from ctrplan.planning.reach import Configuration, Reach, reach
+from ctrplan.motion.checker import MotionChecker, breach, path_limits
+from ctrplan.planning.reach import (
+    REFINED_SHARE,
+    Configuration,
+    Reach,
+    closer_by_joints,
+    reach,
+    rooms_on_stretches,
+    tips_by_joints,
+)
 from ctrplan.robot.magnitudes import UNITS_M
+from ctrplan.robot.observer import ObserverState
 from ctrplan.robot.robot import Robot
 from ctrplan.scenario.joint_space import bare_scenario
+from ctrplan.scenario.prediction import begun_histories
 from ctrplan.scenario.scenario import Scenario
 from ctrplan.scenario.sizes import place_doubt
-from ctrplan.scenario.tip_solver import TipTarget
+from ctrplan.scenario.tip_solver import NO_STEP_M, MotionLines, TipSolver, TipTarget, angle_to, miss_of
 
 if TYPE_CHECKING:
-    from ctrplan.base.arrays import Array
+    from ctrplan.mechanics.history import History, HistoryState
+    from ctrplan.mechanics.walk import PathSamples
+    from ctrplan.scenario.prediction import FrictionStart
 
 TOLERANCE_M = 1e-4
 DIRECTION_TOLERANCE_RAD = math.radians(5.0)
@@ -160,3 +174,271 @@ def _vector(key: str, value: ArrayLike, largest: float, unit: str | None = None)
     for component in vector.tolist():
         require(key, component, Number(-largest, largest, unit))
     return vector
+
+
+TrackStatus = Literal["reached", "limited", "shortened", "stopped"]
+
+STEP_S = 0.05  # between steps at 20 Hz
+LOOKS, HEADWAY = 4, 0.7  # by a known history, before a way is walked, while each leaves at most that share of the last
+ATTEMPTS = 2  # at a step, of which those after the first one correct what the tip and the body did
+SHORTER = 0.5  # of a motion, where it should keep the limits by what a straight line says
+
+
+@shown
+@dataclass(frozen=True, eq=False)
+class TrackedStep:
+    """Where a step led, which keeps all limits and margins; positions in the frame of the points that are asked for."""
+
+    status: TrackStatus
+    reason: str  # what holds it short of the point; empty where it is reached
+    joints: Array  # (m,)
+    tip_m: Array  # (3,) expected: with friction where that is known, else without
+    tip_error_m: float  # of the expected tip
+    turned_rad: float  # of its tangent from the direction asked for
+    bound_m: float  # how far friction, whatever it is, moves the tip from the frictionless one
+    bound_rad: float
+    stability: float
+    clearance_m: float  # of all shapes beyond the anatomy's margins; inf in free space
+
+    @property
+    def sentence(self) -> str:
+        """What it did."""
+        left = (
+            f"tip {self.tip_error_m * 1e3:.3g} mm from the point, worst-case friction error {self.bound_m * 1e3:.3g} mm"
+        )
+        return f"{self.status}: {left}" + (f", {self.reason}." if self.reason else ".")
+
+
+@dataclass(frozen=True, eq=False)
+class _Tip:
+    """A configuration and its expected tip."""
+
+    joints: Array  # (m,)
+    pose: Array  # (1, 6) tip and tangent, robot's frame; NaN without an equilibrium
+    phi: Array  # (1, n - 1) friction state of each pair, averaged
+    history: HistoryState | None = None  # there, where friction is known
+
+
+@dataclass(frozen=True, eq=False)
+class _Place:
+    """A configuration that was walked to."""
+
+    tip: _Tip
+    at: PathSamples  # what the core says, at the end of its rows
+
+
+class TipTracker:
+    """Leads the tip along a stream of points, step by step from the joints before. One thread at a time.
+
+    A step is a damped least-squares step by the tip's exact derivatives, within the joints' limits, nesting, what the
+    drive can turn and slide in the time, and the clearance as the body's motion changes it; derivatives of the body are
+    those of the zero-clearance model. It is made where a walk to its end keeps all limits and margins with friction in
+    every corner, else a shorter one. Speeds are kept, accelerations are not looked at.
+    """
+
+    __reduce__ = of_this_process("make another where this one stands")
+
+    @checked(tolerance_m=Number(1e-6, 1.0, "m"))
+    def __init__(
+        self,
+        robot_or_scenario: Robot | Scenario,
+        joints: ArrayLike,
+        *,
+        friction: FrictionStart | ObserverState | None = None,
+        tolerance_m: float = TOLERANCE_M,
+    ) -> None:
+        """`joints` (m,) [rad, m] is where the robot stands; `friction` what is known of it there, see `know`.
+
+        Raises InputError for joints that break a limit or margin.
+        """
+        import scipy.optimize  # noqa: F401  # now, not in the time of the first step
+
+        self.scenario, self.tolerance_m = _scenario(robot_or_scenario), float(tolerance_m)
+        self._checker = MotionChecker(self.scenario)
+        self._checker.limits = path_limits(self.scenario)
+        self._space, self._mechanics = self._checker.space, self._checker.mechanics
+        self._solver = TipSolver(self._space, self._mechanics)
+        q = numbers(joints, "joints").copy()
+        if q.shape != (len(self._space.weights_mm),) or not np.isfinite(q).all():
+            raise InputError(f"must be {len(self._space.weights_mm)} finite numbers", key="joints", value=joints)
+        if not self._space.allowed(q):
+            raise InputError(self._space.violation(q[None]), key="joints")
+        samples = self._walk(q[None])
+        if reason := breach(samples, self._checker.limits):
+            raise InputError(f"must keep limits and margins: {reason}", key="joints")
+        self._history: History | None = None
+        self._stopped: tuple[_Place, float, MotionLines] | None = None
+        self._offset_m = np.zeros(3)
+        self._here = _Place(self._frictionless(q, samples), samples)
+        self.know(friction)
+
+    @property
+    def joints(self) -> Array:
+        """(m,) where it stands."""
+        return self._here.tip.joints.copy()
+
+    def know(self, friction: FrictionStart | ObserverState | None) -> None:
+        """What is known of friction at the joints where it stands, of which the tip is expected from there on.
+
+        "released", "oscillated", a share of each pair, or a state of a history or observer, whose likeliest history is
+        followed; None: nothing, and the expected tip is the frictionless one. Raises InputError for an observer's state
+        at other joints, and where there is no equilibrium.
+        """
+        q, samples = self._here.tip.joints, self._here.at
+        offset_m = np.zeros(3)
+        if isinstance(friction, ObserverState):
+            friction.check(self._mechanics, *self._space.drive.collars(q))
+            offset_m, friction = friction.offset_m, friction.histories[0]
+        if friction is None:
+            self._history, self._here = None, _Place(self._frictionless(q, samples), samples)
+            return
+        history = begun_histories(self.scenario.robot, [friction])[0]
+        tip = self._followed(history, offset_m, q)
+        if not np.isfinite(tip.pose).all():
+            raise InputError("has no equilibrium at these joints", key="friction")
+        self._history, self._offset_m, self._here = history, offset_m, _Place(tip, samples)
+
+    @checked(dt_s=Number(1e-4, 60.0, "s"), direction_tolerance_rad=Number(0, math.pi, "rad", above=True))
+    def step(
+        self,
+        tip_m: ArrayLike,
+        direction: ArrayLike | None = None,
+        *,
+        direction_tolerance_rad: float | None = None,
+        dt_s: float = STEP_S,
+    ) -> TrackedStep:
+        """Moves towards a point (3,) [m] and direction (3,) of `inverse_kinematics`, as far as `dt_s` allows.
+
+        Nothing moves where no step keeps all limits. Raises InputError.
+        """
+        target = _target(self.scenario, tip_m, direction, direction_tolerance_rad)
+        begin = self._here
+        best, shortened, broken = self._led(begin, target, dt_s)
+        status: TrackStatus = "stopped" if broken and best is begin else "shortened" if shortened else "limited"
+        self._here = best
+        if self._history is not None and best.tip.history is not None:
+            self._history.restore(best.tip.history)
+        return self._result(target, status, broken)
+
+    def _led(self, begin: _Place, target: TipTarget, dt_s: float) -> tuple[_Place, bool, str]:
+        """Where least squares lead: the last place that keeps all limits, whether it is short of that, why it must be.
+
+        A place off the target or too close to the anatomy is corrected by what the tip and the body did on the way.
+        """
+        best, tip, broken, why = begin, begin.tip, "", ""
+        if np.linalg.norm(miss_of(target, tip.pose)[0]) <= REFINED_SHARE * self.tolerance_m:
+            return begin, False, ""
+        lines = self._lines(begin, dt_s)
+        for _ in range(ATTEMPTS):
+            joints, ahead = self._aimed(begin, target, tip, lines, SHORTER if broken else 1.0)
+            if np.abs((joints - best.tip.joints) * lines.weights).max() <= NO_STEP_M:
+                break
+            earlier, (place, broken) = broken, self._placed(begin, joints, ahead)
+            if broken:
+                lines.learn_body(joints, rooms_on_stretches(self._checker, place.at))
+                self._stopped = begin, dt_s, lines
+                continue
+            if ahead is None:
+                lines.learn_tip(place.tip.joints - tip.joints, place.tip.pose - tip.pose)
+            best, tip, why = place, place.tip, earlier
+            if np.linalg.norm(miss_of(target, tip.pose)[0]) <= self.tolerance_m:
+                break
+        return best, bool(why), why or (broken if best is begin else "")
+
+    def _aimed(
+        self, begin: _Place, target: TipTarget, tip: _Tip, lines: MotionLines, share: float
+    ) -> tuple[Array, _Tip | None]:
+        """Joint values (m,) by least squares from where the tip is known, and the tip there, if friction is known.
+
+        A known history is asked until the tip is where it should be, but not where a way was refused before.
+        """
+        best: _Tip | None = None
+        least, joints = np.inf, tip.joints
+        for _ in range(1 if self._history is None or lines.refused else LOOKS):
+            motion = lines.motion(target, tip.joints, tip.pose)
+            joints = self._space.projected((lines.joints + share * motion)[None], fallback=lines.joints[None])[0]
+            ahead = None if lines.refused else self._foreseen(begin, joints)
+            if ahead is None or not np.isfinite(ahead.pose).all():
+                break
+            off_m = float(np.linalg.norm(miss_of(target, ahead.pose)[0]))
+            unforeseen_m = lines.learn_tip(ahead.joints - tip.joints, ahead.pose - tip.pose)
+            tip, headway = ahead, off_m < HEADWAY * least
+            if off_m < least:
+                best, least = ahead, off_m
+            if min(off_m, unforeseen_m) <= self.tolerance_m or not headway or off_m > unforeseen_m + self.tolerance_m:
+                break
+        return (joints, None) if best is None else (best.joints, best)
+
+    def _lines(self, begin: _Place, dt_s: float) -> MotionLines:
+        """Where it stands; with what was learned of the body there, if it could not leave."""
+        if self._stopped is not None and self._stopped[0] is begin and self._stopped[1] == dt_s:
+            return self._stopped[2]
+        q, drive, weights = begin.tip.joints, self._space.drive, self._space.weights_mm / MM_PER_M
+        most, one, (nesting, nested) = drive.max_velocity * dt_s, np.eye(len(weights)), self._space.nesting_rules
+        up, down = (np.minimum(left, most) for left in (drive.upper - q, q - drive.lower))
+        tips = tips_by_joints(self._checker, q[None], begin.tip.phi)
+        closer, spare, near = closer_by_joints(self._checker, self._solver, q, begin.at, most)
+        return MotionLines(
+            joints=q,
+            weights=weights,
+            slope=np.vstack([tips.position_by[0], tips.tangent_by[0]]) / weights,
+            rows=np.vstack([one, -one, nesting]) / weights,
+            room=np.maximum(np.concatenate([up, down, nested - nesting @ q]), 0.0),
+            closer=closer / weights,
+            spare=spare,
+            near=near,
+        )
+
+    def _placed(self, begin: _Place, q: Array, ahead: _Tip | None = None) -> tuple[_Place, str]:
+        """Joint values (m,) as a place that is reached from another, and which limit it or the way breaks, if any."""
+        samples = self._walk(np.array([begin.tip.joints, q]))
+        broken = breach(samples, self._checker.limits)
+        tip = ahead or (None if broken else self._foreseen(begin, q)) or self._frictionless(q, samples)
+        lost = "" if np.isfinite(tip.pose).all() else "no equilibrium was found along the path"
+        return _Place(tip, samples), broken or lost
+
+    def _foreseen(self, begin: _Place, q: Array) -> _Tip | None:
+        """The tip at joint values (m,) after a motion there, if friction is known."""
+        if self._history is None or begin.tip.history is None:
+            return None
+        self._history.restore(begin.tip.history)
+        return self._followed(self._history, self._offset_m, q)
+
+    def _followed(self, history: History, offset_m: Array, q: Array) -> _Tip:
+        """The tip after a history is led to joint values (m,)."""
+        path = history.follow(*self._space.drive.collars(q[None]))
+        pose = np.hstack([path.position_m + offset_m, path.tangent])
+        return _Tip(q, pose, np.clip(np.nan_to_num(path.phi), -1, 1), history.save())
+
+    def _frictionless(self, q: Array, samples: PathSamples) -> _Tip:
+        """The tip at the end of a walk to joint values (m,)."""
+        pose = np.concatenate([samples.tip_m[-1], samples.tip_tangent[-1]])[None]
+        return _Tip(q, pose, np.zeros((1, self._mechanics.n - 1)))
+
+    def _walk(self, corners: Array) -> PathSamples:
+        """What the core says along a polyline (K, m), with bodies."""
+        checker, collars = self._checker, self._space.drive.collars(corners)
+        return self._mechanics.check_path(
+            *collars, checker.field, density=checker.density, limits=checker.limits, bodies=True
+        )
+
+    def _result(self, target: TipTarget, status: TrackStatus, reason: str) -> TrackedStep:
+        here, samples = self._here.tip, self._here.at
+        tip, tangent = here.pose[0, :3], here.pose[:, 3:]
+        error, turned = float(np.linalg.norm(tip - target.tip_m)), float(angle_to(tangent, target.direction)[0])
+        if error <= self.tolerance_m and turned <= target.direction_tolerance_rad:
+            status, reason = "reached", ""
+        elif not reason:
+            reason = "limits of joints, speeds or clearance hold it"
+        return TrackedStep(
+            status=status,
+            reason=reason,
+            joints=here.joints.copy(),
+            tip_m=self.scenario.located(tip),
+            tip_error_m=error,
+            turned_rad=turned,
+            bound_m=float(samples.position_m[-1]),
+            bound_rad=float(samples.tangent_rad[-1]),
+            stability=float(samples.stability[-1]),
+            clearance_m=float(samples.clearance_m[-1]) if self._checker.field else np.inf,
+        )

@@ -167,7 +167,7 @@ class Screen:
         near = near.reshape(len(goal), -1)
         each = near.shape[1]
         goals = np.repeat(goal, each, axis=0)
-        q = self.solver.turned_towards(TipTarget(goals), self.q[near.ravel()])
+        q, _, _ = self.solver.turned_towards(TipTarget(goals), self.q[near.ravel()])
         pose = np.repeat(np.arange(len(poses)), len(self.targets) * each)
         room = self._rooms_of(poses, pose, q).reshape(len(goal), each)
         best = np.argsort(-room, axis=1, kind="stable")[:, :SOLVED]

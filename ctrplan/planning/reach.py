@@ -8,11 +8,10 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.base.long_work import cores
@@ -21,15 +20,18 @@ from ctrplan.mechanics.friction import corner_signs
 from ctrplan.mechanics.shapes import Status, Tips
 from ctrplan.mechanics.walk import PathSamples
 from ctrplan.motion.checker import MotionChecker
+from ctrplan.scenario.scenario import anatomy_grid
 from ctrplan.scenario.tip_solver import (
     DAMPING,
     LONGEST_STEP_M,
-    M_PER_RAD,
-    TOLERANCE_SHARE,
     TipSolver,
     TipTarget,
     angle_to,
+    miss_of,
 )
+
+if TYPE_CHECKING:
+    from ctrplan.anatomy.clearance_grid import SignedDistanceField
 
 
 def tips_by_joints(checker: MotionChecker, q: Array, phi: Array) -> Tips:
@@ -70,15 +72,95 @@ def bound_slopes(checker: MotionChecker, q: Array) -> BoundSlopes:
     return BoundSlopes(bound_by, position[:, 0], by[:, 0])
 
 
+HOLD_OFF_M = 0.1e-3  # room beyond the margins for what a straight motion leaves out: 1 mm along a wall of 5 mm radius
+STRETCHES = 24  # of the body, each with the point that has least room
+
+
+def closer_by_joints(
+    checker: MotionChecker, solver: TipSolver, q: Array, samples: PathSamples, most: Array
+) -> tuple[Array, Array, NDArray[np.intp]]:
+    """(R, m) how joints at q (m,) bring the body closer to the anatomy [m per rad or m], room (R,) [m], stretches (R,).
+
+    samples: a walk with bodies that ends at q. Of all points that motions up to `most` (m,) may bring too close, the
+    one with least room on each stretch. All shapes are taken to move as the zero-clearance one.
+    """
+    grid = anatomy_grid(checker.scenario)
+    if grid is None:
+        return np.zeros((0, len(q))), np.zeros(0), np.zeros(0, dtype=int)
+    points, share, room = _points_and_rooms(checker, grid, samples)
+    motion = _body_by_joints(solver, q, share)
+    near = np.flatnonzero(room < np.tile(np.linalg.norm(motion, axis=1) @ most, len(room) // len(share)))
+    stretch = _stretch(share)[near % len(share)]
+    order = np.lexsort((room[near], stretch))
+    stretch, first = np.unique(stretch[order], return_index=True)
+    near = near[order[first]]
+    shifts = grid.spacing_m / 2 * np.vstack([np.eye(3), -np.eye(3)])
+    beside = checker.scenario.located((points[near] + shifts[:, None]).reshape(-1, 3))
+    up, down = grid.sample(beside).reshape(2, 3, -1)
+    closer = -np.einsum("ir,rij->rj", (up - down) / grid.spacing_m, motion[near % len(share)])
+    return closer, room[near], stretch
+
+
+def rooms_on_stretches(checker: MotionChecker, samples: PathSamples) -> Array:
+    """(STRETCHES,) [m] least room of all shapes at the end of a walk with bodies on each stretch, plate to tip.
+
+    Beyond the limit of clearance and HOLD_OFF_M; inf in free space.
+    """
+    result, grid = np.full(STRETCHES, np.inf), anatomy_grid(checker.scenario)
+    if grid is not None:
+        _, share, room = _points_and_rooms(checker, grid, samples)
+        np.minimum.at(result, np.tile(_stretch(share), len(room) // len(share)), room)
+    return result
+
+
+def _stretch(share: Array) -> NDArray[np.intp]:
+    return np.asarray(np.minimum((share * STRETCHES).astype(int), STRETCHES - 1))
+
+
+def _points_and_rooms(
+    checker: MotionChecker, grid: SignedDistanceField, samples: PathSamples
+) -> tuple[Array, Array, Array]:
+    """(B, 3) points of all shapes at the end of a walk, shares (N,) of the body's length of each one's, rooms (B,)."""
+    body = samples.bodies[-1]
+    own = body[: len(body) // (len(samples.corner_tip_m[-1]) + 1), :3]
+    along = np.cumsum(np.linalg.norm(np.diff(own, axis=0, prepend=own[:1]), axis=1))
+    room = grid.sample(checker.scenario.located(body[:, :3])) - body[:, 3] - checker.limits.clearance_m - HOLD_OFF_M
+    return body[:, :3], along / max(float(along[-1]), 1e-9), room
+
+
+def _body_by_joints(solver: TipSolver, q: Array, share: Array) -> Array:
+    """(N, 3, m) derivatives by joints at q (m,) of points at shares (N,) of the zero-clearance body, plate to tip."""
+    drive, common = solver.space.drive, solver.common_rotation
+
+    def line(joints: Array) -> Array:
+        tube = solver.mechanics.zero_clearance(*drive.collars(joints), loads=False).tubes[-1]
+        s, points = tube.s_m / tube.s_m[-1], tube.centreline_m
+        return np.stack([np.interp(share, s, points[:, k]) for k in range(3)], axis=1)
+
+    here, result = line(q), np.zeros((len(share), 3, len(q)))
+    spared = None if common is None or drive.terms else int(np.argmax(np.abs(common)))
+    for j in range(len(q)):
+        moved = q.copy()
+        moved[j] = solver.beside(q[None], j)[0]
+        if j != spared and moved[j] != q[j]:
+            result[:, :, j] = (line(moved) - here) / (moved[j] - q[j])
+    if spared is not None and common is not None:
+        about_z = np.cross([0.0, 0.0, 1.0], here)
+        result[:, :, spared] = (about_z - result @ common) / common[spared]
+    return result
+
+
 SAMPLES = 1500  # random configurations whose tips are looked at
 STARTS = 300  # of them, the nearest ones after a common rotation: solves
 DISTINCT_MM = 5.0  # of joint length between configurations
 MOST_REFINED = 80
 ROOM_ENOUGH_M = 5e-3  # more than friction makes of most shapes
-CLEARANCE_STEPS = 3  # on the frictionless clearance model
+CLEARANCE_STEPS = 4  # on the frictionless clearance model; most configurations need one
+SHORTER = 0.5  # a step after one that led no nearer
+BEND_STEPS = 3  # within each: the bend of the zero-clearance model changes by a tenth or so of itself, and less again
 GAP_M = 6e-3  # more than clearance moves a tip: within it of the target, refining on the clearance model pays
 TURN_RAD = 0.1  # likewise of the tangent
-REFINED_SHARE = 0.2  # of the tolerance
+REFINED_SHARE = 0.5  # of the tolerance
 LINK_MM = 30.0  # of joint length between neighbours in a branch
 SAME_SHARE = 0.35  # of their distance that the middle of two neighbours may lie off their branch
 
@@ -145,7 +227,7 @@ def reach(
     order = np.argsort(q.error_m)
     near = order[q.error_m[order] <= tolerance_m + GAP_M]
     near = _by_room(checker, q.joints, near, least_room_m) if len(near) else order[:1]
-    chosen = distinct_rows(checker, q.joints, near)[:MOST_REFINED]
+    chosen = distinct_rows(checker, q.joints, near, MOST_REFINED)
     joints = refined(checker, aim, q.joints[chosen], tolerance_m)
     _probed(checker, joints)
     results = [configuration(checker, target, joint) for joint in joints]
@@ -182,87 +264,98 @@ def _by_room(checker: MotionChecker, q: Array, rows: NDArray[np.int_], least_m: 
     return rows[np.argsort(-np.minimum(rooms, ROOM_ENOUGH_M), kind="stable")]
 
 
-def distinct_rows(checker: MotionChecker, q: Array, order: NDArray[np.int_]) -> NDArray[np.int_]:
-    """Those of `order` that are not within DISTINCT_MM of one before them."""
+def distinct_rows(
+    checker: MotionChecker, q: Array, order: NDArray[np.int_], most: int | None = None
+) -> NDArray[np.int_]:
+    """Those of `order` that are not within DISTINCT_MM of one before them, `most` of them at most."""
     kept: list[int] = []
-    for k in order.tolist():
-        if not kept or _apart_mm(checker, q[kept], q[k]).min() > DISTINCT_MM:
-            kept.append(k)
+    while len(order) and len(kept) != most:
+        kept.append(int(order[0]))
+        delta = checker.space.difference(q[order[0]], q[order[1:]])
+        order = order[1:][np.linalg.norm(delta * checker.space.weights_mm, axis=1) > DISTINCT_MM]
     return np.array(kept, dtype=int)
-
-
-def _apart_mm(checker: MotionChecker, a: Array, b: Array) -> Array:
-    """(K,) Euclidean weighted joint distances of a (K, m) from b (m,)."""
-    apart: Array = np.linalg.norm(checker.space.difference(a, b) * checker.space.weights_mm, axis=1)
-    return apart
 
 
 def refined(checker: MotionChecker, target: TipTarget, q: Array, tolerance_m: float) -> Array:
     """Damped Newton steps on the frictionless tip with clearance, by exact derivatives; the best place of each.
 
+    A step follows the derivatives and the bend that the zero-clearance model shows on the way: mostly one does. After
+    one that led no nearer comes a shorter one, along the derivatives alone, and no other if that does not either.
     Derivatives are renewed where a step like the one before would not do. Where steps lead is probed, which the
     configuration there needs in any case.
     """
-    best, todo, aim_m = q.copy(), np.arange(len(q)), REFINED_SHARE * tolerance_m
-    miss, slope = _miss_by_joints(checker, target, q)
+    solver = TipSolver(checker.space, checker.mechanics)
+    best, share, aim_m = q.copy(), np.ones(len(q)), REFINED_SHARE * tolerance_m
+    pose, slope = _pose_by_joints(checker, q)
+    error = np.linalg.norm(miss_of(target, pose)[0], axis=1)
     for _ in range(CLEARANCE_STEPS):
-        before = np.linalg.norm(miss, axis=1)
-        far = before > aim_m
-        todo, miss, slope, before = todo[far], miss[far], slope[far], before[far]
+        todo = np.flatnonzero((error > aim_m) & (share >= SHORTER))  # not where a solve failed
         if not len(todo):
             break
-        moved = _stepped(checker, best[todo], miss, slope)
-        miss = _probed_miss(checker, target, moved)
-        error = np.linalg.norm(miss, axis=1)
-        better = error < before
-        best[todo[better]] = moved[better]
-        todo, miss, slope, share = todo[better], miss[better], slope[better], (error / before)[better]
-        falls_short = (error[better] > aim_m) & (share * error[better] > aim_m)
-        if falls_short.any():
-            _, slope[falls_short] = _miss_by_joints(checker, target, best[todo[falls_short]])
+        here = best[todo]
+        moved = here + share[todo, None] * (
+            _stepped(solver, target, here, pose[todo], slope[todo], share[todo] == 1) - here
+        )
+        moved = checker.space.projected(moved, fallback=here)
+        there = _probed_pose(checker, moved)
+        left = np.linalg.norm(miss_of(target, there)[0], axis=1)
+        better = left < error[todo]
+        share[todo] = np.where(better, 1.0, share[todo] * SHORTER)
+        kept = todo[better]
+        falls_short = kept[(left[better] > aim_m) & (left[better] ** 2 > aim_m * error[kept])]
+        best[kept], pose[kept], error[kept] = moved[better], there[better], left[better]
+        if len(falls_short):
+            _, slope[falls_short] = _pose_by_joints(checker, best[falls_short])
     return best
 
 
-def _miss_by_joints(checker: MotionChecker, target: TipTarget, q: Array) -> tuple[Array, Array]:
-    """What `_miss` tells of the frictionless tip at q (K, m), and its derivatives by joints (K, 6, m), of the tip.
+def _pose_by_joints(checker: MotionChecker, q: Array) -> tuple[Array, Array]:
+    """(K, 6) frictionless tips and tangents at q (K, m), and their derivatives by joints (K, 6, m).
 
     NaN where the solve failed; a joint at a limit of the tubes' nesting has no derivative and counts as fixed.
     """
     tips = tips_by_joints(checker, q, np.zeros((len(q), checker.mechanics.n - 1)))
-    miss, weight = _miss(target, tips.position_m, tips.tangent)
-    miss[tips.status == Status.FAILED] = np.nan
-    return miss, np.concatenate([tips.position_by, weight[:, None, None] * tips.tangent_by], axis=1)
+    pose = np.hstack([tips.position_m, tips.tangent])
+    pose[tips.status == Status.FAILED] = np.nan
+    return pose, np.concatenate([tips.position_by, tips.tangent_by], axis=1)
 
 
-def _probed_miss(checker: MotionChecker, target: TipTarget, q: Array) -> Array:
-    """What `_miss` tells of the frictionless tip at q (K, m); NaN where the solve failed."""
+def _probed_pose(checker: MotionChecker, q: Array) -> Array:
+    """(K, 6) frictionless tips and tangents at q (K, m); NaN where the solve failed."""
     result = _probed(checker, q)
-    tips, tangents = np.array([s.tip_m[-1] for s in result]), np.array([s.tip_tangent[-1] for s in result])
-    miss, _ = _miss(target, tips, tangents)
-    miss[[samples.status[-1] == Status.FAILED for samples in result]] = np.nan
-    return miss
+    pose = np.array([np.concatenate([s.tip_m[-1], s.tip_tangent[-1]]) for s in result])
+    pose[[samples.status[-1] == Status.FAILED for samples in result]] = np.nan
+    return pose
 
 
-def _miss(target: TipTarget, tip_m: Array, tangent: Array) -> tuple[Array, Array]:
-    """(K, 6) [m] of tips and of their directions beyond the tolerance, and what a direction weighs (K,) [m per rad]."""
-    miss = np.zeros((len(tip_m), 6))
-    miss[:, :3] = target.tip_m - tip_m
-    if target.direction is None:
-        return miss, np.zeros(len(tip_m))
-    turned = np.maximum(angle_to(tangent, target.direction), 1e-12)
-    weight = M_PER_RAD * np.maximum(0.0, 1 - TOLERANCE_SHARE * target.direction_tolerance_rad / turned)
-    miss[:, 3:] = weight[:, None] * (target.direction - tangent)
-    return miss, weight
+def _stepped(
+    solver: TipSolver, target: TipTarget, q: Array, pose: Array, slope: Array, bent: NDArray[np.bool_]
+) -> Array:
+    """q (K, m) after least-squares steps, no longer than LONGEST_STEP_M of weighted joint length each.
+
+    Poses (K, 6) are known at q, derivatives (K, 6, m) near there. Where `bent` (K,), the bend on the way is that of the
+    zero-clearance model, none without a solution of it.
+    """
+    space, joints, here = solver.space, q, pose
+    weights, (tip, tangent) = space.weights_mm / MM_PER_M, solver.tips(q)
+    straight = solver.jacobian(q, tip, tangent)
+    for _ in range(BEND_STEPS):
+        miss, weight = miss_of(target, here)
+        scaled = slope / weights
+        scaled[:, 3:] *= weight[:, None, None]
+        gram = scaled @ np.swapaxes(scaled, 1, 2) + DAMPING * np.eye(6)
+        step = np.einsum("kij,ki->kj", scaled, np.linalg.solve(gram, np.nan_to_num(miss)[:, :, None])[:, :, 0])
+        step *= np.minimum(1.0, LONGEST_STEP_M / np.maximum(np.linalg.norm(step, axis=1, keepdims=True), 1e-12))
+        joints = space.projected(joints + step / weights, fallback=joints)
+        moved = joints - q
+        bend = np.hstack(solver.tips(joints)) - np.hstack([tip, tangent]) - _times(straight, moved)
+        here = pose + _times(slope, moved) + np.where(bent[:, None], np.nan_to_num(bend), 0.0)
+    return joints
 
 
-def _stepped(checker: MotionChecker, q: Array, miss: Array, slope: Array) -> Array:
-    """q (K, m) after a least-squares step, not longer than LONGEST_STEP_M of weighted joint length."""
-    weights = checker.space.weights_mm / MM_PER_M
-    scaled = slope / weights
-    gram = scaled @ np.swapaxes(scaled, 1, 2) + DAMPING * np.eye(6)
-    step = np.einsum("kij,ki->kj", scaled, np.linalg.solve(gram, np.nan_to_num(miss)[:, :, None])[:, :, 0])
-    step *= np.minimum(1.0, LONGEST_STEP_M / np.maximum(np.linalg.norm(step, axis=1, keepdims=True), 1e-12))
-    return checker.space.projected(q + step / weights, fallback=q)
+def _times(slope: Array, moved: Array) -> Array:
+    """(K, 6) changes by joint motions (K, m) along derivatives (K, 6, m)."""
+    return np.asarray(np.einsum("kij,kj->ki", slope, moved))
 
 
 def _probed(checker: MotionChecker, q: Array) -> list[PathSamples]:
@@ -299,24 +392,27 @@ def configuration(checker: MotionChecker, target: TipTarget, joints: Array) -> C
 
 
 def _branches(solver: TipSolver, target: TipTarget, q: Array) -> NDArray[np.int_]:
-    """Neighbours are linked when the configuration in their middle can be put back onto the target nearby."""
-    if len(q) < 2:
-        return np.zeros(len(q), dtype=int)
-    space = solver.space
+    """Neighbours are linked when the configuration in their middle can be put back onto the target nearby.
+
+    The nearest neighbours are tried first, and those that are not linked by others yet: most are, by a few links.
+    """
+    space, count = solver.space, len(q)
+    if count < 2:
+        return np.zeros(count, dtype=int)
     delta = space.difference(q[:, None], q[None])
     apart = np.linalg.norm(delta * space.weights_mm, axis=2)
     a, b = np.nonzero(np.triu(apart < LINK_MM, 1))
     middle = q[a] + delta[a, b] / 2
-    allowed = space.allowed_rows(middle)
-    a, b, middle = a[allowed], b[allowed], middle[allowed]
-    linked = np.zeros(len(a), dtype=bool)
-    if len(a):
-        # each pair's own zero-clearance tips, which differ a little where the clearance tip is on the target
-        tips = np.stack([solver.tips(q[a])[0], solver.tips(q[b])[0]]).mean(axis=0)
-        back = solver.solve(TipTarget(tips), middle, 5, turned=False)
-        off = np.linalg.norm(space.difference(middle, back.joints) * space.weights_mm, axis=1)
-        linked = (back.error_m < 0.5e-3) & (off <= SAME_SHARE * apart[a, b] + 1.0)
-    graph = coo_array((np.ones(linked.sum()), (a[linked], b[linked])), shape=(len(q), len(q)))
-    label = connected_components(graph, directed=False)[1]
-    _, first, inverse = np.unique(label, return_index=True, return_inverse=True)
-    return np.asarray(np.argsort(np.argsort(first))[inverse])
+    kept = np.flatnonzero(space.allowed_rows(middle))
+    untried = kept[np.argsort(apart[a[kept], b[kept]], kind="stable")]
+    # each pair's own zero-clearance tips, which differ a little where the clearance tip is on the target
+    tips, label, at_once = solver.tips(q)[0], np.arange(count), count
+    while len(untried := untried[label[a[untried]] != label[b[untried]]]):
+        pairs, untried, at_once = untried[:at_once], untried[at_once:], 2 * at_once
+        back = solver.solve(TipTarget((tips[a[pairs]] + tips[b[pairs]]) / 2), middle[pairs], 5, turned=False)
+        off = np.linalg.norm(space.difference(middle[pairs], back.joints) * space.weights_mm, axis=1)
+        linked = pairs[(back.error_m < 0.5e-3) & (off <= SAME_SHARE * apart[a[pairs], b[pairs]] + 1.0)]
+        for pair in linked:
+            ends = label[a[pair]], label[b[pair]]
+            label[label == max(ends)] = min(ends)
+    return np.unique(label, return_inverse=True)[1]

@@ -28,6 +28,7 @@ REACHED_M = 1e-5
 ITERATIONS = 25
 STALL_STEPS, MIN_PROGRESS = 6, 0.8  # steps after which the distance must have fallen to this share
 PASSES = 3  # each holds the limits that the step before it broke
+NO_STEP_M = 1e-7  # of weighted joint length, that changes nothing
 LONGEST_STEP_M = 30e-3  # of weighted joint length
 DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-4, 1e-7, 1e4  # beside the squared singular values, m per m
 M_PER_RAD = 20e-3  # weight of the tip's direction against its position
@@ -75,7 +76,9 @@ class TipSolver:
 
         With `turned`, all tubes first turn together to the target's side.
         """
-        work = _Batch(self, target, self.turned_towards(target, starts) if turned else starts.copy())
+        work = _Batch(
+            self, target, *self.turned_towards(target, starts) if turned else (starts.copy(), *self.tips(starts))
+        )
         for _ in range(iterations):
             if self.watch:
                 self.watch.ask()
@@ -106,7 +109,7 @@ class TipSolver:
         columns = [j for j in range(q.shape[1]) if j != spared]
         moved = np.repeat(q[None], len(columns), axis=0)
         for row, j in zip(moved, columns, strict=True):
-            row[:, j] = self._beside(q, j)
+            row[:, j] = self.beside(q, j)
         tips, tangents = self.tips(moved.reshape(-1, q.shape[1]))
         known, jacobian = np.hstack([tip, tangent]), np.zeros((len(q), 6, q.shape[1]))
         for row, j, near in zip(moved, columns, np.hstack([tips, tangents]).reshape(len(columns), -1, 6), strict=True):
@@ -118,8 +121,8 @@ class TipSolver:
             jacobian[:, :, spared] = (_about_z(known) - rest) / common[spared]
         return np.nan_to_num(jacobian, nan=0.0, posinf=0.0, neginf=0.0)
 
-    def _beside(self, q: Array, j: int) -> Array:
-        """(K,) joint j a little further, on the side that is allowed."""
+    def beside(self, q: Array, j: int) -> Array:
+        """(K,) joint j of q (K, m) a little further, on the side that is allowed."""
         result = q[:, j].copy()
         todo = np.ones(len(q), dtype=bool)
         for step in (STEP, -STEP):
@@ -128,25 +131,35 @@ class TipSolver:
             fits = todo & self.space.allowed_rows(moved)
             result[fits] = moved[fits, j]
             todo &= ~fits
+            if not todo.any():
+                break
         return result
 
-    def turned_towards(self, target: TipTarget, q: Array) -> Array:
-        """Starts with all tubes turned together so that the tip's azimuth is the target's, where limits allow."""
+    def turned_towards(self, target: TipTarget, q: Array) -> tuple[Array, Array, Array]:
+        """Starts with all tubes turned together so that the tip's azimuth is the target's, where limits allow.
+
+        And their tips and tangents (K, 3), (K, 3), which turn with them, if the drive is ideal.
+        """
+        tip, tangent = self.tips(q)
         if self.common_rotation is None or len(q) == 0:
-            return q.copy()
-        tip, _ = self.tips(q)
+            return q.copy(), tip, tangent
         goal = np.broadcast_to(target.tip_m, tip.shape)
         angle = np.nan_to_num(np.arctan2(goal[:, 1], goal[:, 0]) - np.arctan2(tip[:, 1], tip[:, 0]))
         turned = self.space.wound_into_limits(q + angle[:, None] * self.common_rotation)
-        return np.where(self.space.allowed_rows(turned)[:, None], turned, q)
+        allowed = self.space.allowed_rows(turned)
+        result = np.where(allowed[:, None], turned, q)
+        if self.space.drive.terms:
+            return result, *self.tips(result)
+        angle = np.where(allowed, angle, 0.0)
+        return result, _turned(tip, angle), _turned(tangent, angle)
 
 
 class _Batch:
     """The state of K solves."""
 
-    def __init__(self, solver: TipSolver, target: TipTarget, q: Array) -> None:
-        self.solver, self.target, self.q = solver, target, q
-        self.tip, self.tangent = solver.tips(q)
+    def __init__(self, solver: TipSolver, target: TipTarget, q: Array, tip: Array, tangent: Array) -> None:
+        """q (K, m) with its tips and tangents (K, 3), (K, 3)."""
+        self.solver, self.target, self.q, self.tip, self.tangent = solver, target, q, tip, tangent
         self.goal = np.broadcast_to(target.tip_m, self.tip.shape)
         self.miss = self._miss(np.arange(len(q)), self.tip, self.tangent)
         self.error = _length(self.miss)
@@ -251,12 +264,90 @@ class _Batch:
             self.fresh[rows] = True
 
 
+def miss_of(target: TipTarget, pose: Array) -> tuple[Array, Array]:
+    """(K, 6) [m] of tips and of their directions beyond the tolerance, and what a direction weighs (K,) [m per rad]."""
+    miss = np.zeros_like(pose)
+    miss[:, :3] = target.tip_m - pose[:, :3]
+    if target.direction is None:
+        return miss, np.zeros(len(pose))
+    turned = np.maximum(angle_to(pose[:, 3:], target.direction), 1e-12)
+    weight = M_PER_RAD * np.maximum(0.0, 1 - TOLERANCE_SHARE * target.direction_tolerance_rad / turned)
+    miss[:, 3:] = weight[:, None] * (target.direction - pose[:, 3:])
+    return miss, weight
+
+
+@dataclass(eq=False)
+class MotionLines:
+    """What joint motions from a place do, on straight lines; joints weighted to m. Broyden's formula corrects them."""
+
+    joints: Array  # (m,) of the place, rad or m
+    weights: Array  # (m,)
+    slope: Array  # (6, m) of the pose
+    rows: Array  # (R, m) of what is limited: joints, speeds, nesting
+    room: Array  # (R,)
+    closer: Array  # (C, m), spare (C,), near (C,): `closer_by_joints`
+    spare: Array
+    near: NDArray[np.intp]
+    refused: bool = False  # a way from there
+
+    def motion(self, target: TipTarget, joints: Array, pose: Array) -> Array:
+        """(m,) rad or m, to bring the pose (1, 6), known at joints (m,), to the target as far as limits allow."""
+        miss, weight = miss_of(target, pose)
+        slope = self.slope.copy()
+        slope[3:] *= weight[0]
+        aim = miss[0] + slope @ self._weighted(joints)
+        rows, room = np.vstack([self.rows, self.closer]), np.append(self.room, np.maximum(self.spare, 0.0))
+        return least_squares_within(slope, aim, rows, room) / self.weights
+
+    def learn_tip(self, moved: Array, change: Array) -> float:
+        """Takes in how a motion (m,) changed the pose (1, 6); how far [m] the tip is from where it was expected."""
+        moved = moved * self.weights
+        off = change[0] - self.slope @ moved
+        self.slope = self.slope + np.outer(off, moved) / max(float(moved @ moved), NO_STEP_M**2)
+        return float(np.linalg.norm(off[:3]))
+
+    def learn_body(self, joints: Array, rooms: Array) -> None:
+        """Takes in rooms on all stretches at other joints."""
+        moved, self.refused = self._weighted(joints), True
+        off = self.spare - rooms[self.near] - self.closer @ moved
+        self.closer = self.closer + np.outer(off, moved) / max(float(moved @ moved), NO_STEP_M**2)
+
+    def _weighted(self, joints: Array) -> Array:
+        return np.asarray((joints - self.joints) * self.weights)
+
+
+def least_squares_within(slope: Array, aim: Array, rows: Array, room: Array) -> Array:
+    """The x (m,) with least |slope x - aim|^2 + DAMPING |x|^2 where rows (R, m) x <= room (R,), none negative.
+
+    Lawson and Hanson's way: as the least distance from the free solution, by non-negative least squares.
+    """
+    from scipy.linalg import solve_triangular  # slow to import, and of no use to whoever only reaches a point
+    from scipy.optimize import nnls
+
+    upper = np.linalg.cholesky(slope.T @ slope + DAMPING * np.eye(slope.shape[1])).T
+    free = solve_triangular(upper, solve_triangular(upper, slope.T @ aim, trans="T"))
+    over = rows @ free - room
+    if np.all(over <= 0):
+        return np.asarray(free)
+    scale = float(np.abs(rows @ free).max())
+    turned = -solve_triangular(upper, rows.T, trans="T")
+    weights, _ = nnls(np.vstack([turned, over / scale]), np.append(np.zeros(len(free)), 1.0))
+    rest = 1 - over @ weights / scale
+    return np.asarray(free + scale / rest * solve_triangular(upper, turned @ weights))
+
+
 def angle_to(tangent: Array, direction: Array | None) -> Array:
     """(K,) angles [rad] between tangents (K, 3) and a direction (3,); 0 without one."""
     if direction is None:
         return np.zeros(len(tangent))
     across = np.asarray(np.cross(tangent, direction), dtype=np.float64)
     return np.asarray(np.arctan2(_length(across), tangent @ direction))
+
+
+def _turned(vectors: Array, angle: Array) -> Array:
+    """Vectors (K, 3) turned about z by angles (K,) [rad]."""
+    (x, y, z), c, s = vectors.T, np.cos(angle), np.sin(angle)
+    return np.stack([c * x - s * y, s * x + c * y, z], axis=1)
 
 
 def _about_z(vectors: Array) -> Array:

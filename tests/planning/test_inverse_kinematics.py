@@ -5,17 +5,19 @@ from __future__ import annotations
 import json
 import math
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from places import SCENARIOS
 
+import ctrplan
 from ctrplan.cli import main
 from ctrplan.errors import NoAnswerError
 from ctrplan.files.robot_file import load_robot, robot_from_dict
 from ctrplan.files.scenario_file import load_robot_or_scenario
 from ctrplan.motion.checker import MotionChecker
-from ctrplan.planning.reach import reach
+from ctrplan.planning.reach import _branches, reach
 from ctrplan.reports.live_state import LiveState
 from ctrplan.scenario.joint_space import JointSpace, bare_scenario
 from ctrplan.scenario.tip_solver import REACHED_M, TipSolver, TipTarget, angle_to
@@ -122,6 +124,42 @@ def test_mirrored_target_of_a_planar_pair_has_two_branches_of_equal_bound() -> N
     assert best[0].bound_m == pytest.approx(best[1].bound_m, rel=0.05)
     first, second = (np.diff(c.joints[:2])[0] for c in best)  # inner against outer
     assert math.remainder(first + second, 2 * math.pi) == pytest.approx(0, abs=0.05)
+
+
+@pytest.mark.parametrize("name", ["table_5_pair", "table_1_pair", "three_tube"])
+def test_every_branch_of_a_multi_start_is_found(name: str) -> None:
+    """Solves from four times as many other starts lead to no branch that is not known."""
+    robot = load_robot(ROBOTS / f"{name}.toml")
+    space, rng = JointSpace.of_robot(robot), np.random.default_rng(12)
+    drawn = space.sample(rng, 3)
+    tips = robot.mechanics.tips_with_friction(*robot.drive.collars(drawn), np.zeros((3, robot.n - 1))).position_m
+    for tip in tips:
+        target, checker = TipTarget(tip), MotionChecker(bare_scenario(robot))
+        known, more = (reach(checker, target, 1e-4, np.random.default_rng(k), 400 * k) for k in (1, 4))
+        assert known.configurations
+        together = replace(known, configurations=known.configurations + more.configurations).branches()
+        count = len(known.configurations)
+        assert set(together[count:].tolist()) <= set(together[:count].tolist())
+
+
+@pytest.mark.parametrize("seed", [0, 2])
+def test_a_branch_at_the_end_of_a_joint_is_found_though_the_first_step_leads_away(seed: int) -> None:
+    """The outer tube starts at its limit of 180 deg and is turned back by 17 deg for the clearance of the tubes."""
+    scenario = load_robot_or_scenario(SCENARIOS / "ribs.toml")
+    found = ctrplan.inverse_kinematics(scenario, scenario.goal.tip_m, seed=seed)
+    assert len(set(found.branches)) == 2
+    assert max(c.joints[0] for c in found.configurations) > math.radians(160)
+
+
+def test_branches_do_not_depend_on_the_order_of_configurations() -> None:
+    solve, rng = solver("three_tube"), np.random.default_rng(3)
+    tip = solve.tips(solve.space.sample(rng, 1))[0]
+    solutions = solve.solve(TipTarget(tip[0]), solve.space.sample(rng, 60))
+    q = solutions.joints[solutions.error_m <= REACHED_M]
+    labels, order = _branches(solve, TipTarget(tip[0]), q), rng.permutation(len(q))
+    again = _branches(solve, TipTarget(tip[0]), q[order])
+    assert len(set(zip(labels[order].tolist(), again.tolist(), strict=True))) == len(set(labels.tolist()))
+    assert labels[0] == 0 and list(dict.fromkeys(labels.tolist())) == list(range(labels.max() + 1))
 
 
 def test_ik_prints_a_table_and_json(capsys: pytest.CaptureFixture[str]) -> None:
