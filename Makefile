@@ -27,7 +27,7 @@ demo: demo-time install
 	@echo "Open $(OUTPUT)/report.html, or look at $(OUTPUT)/plan.png; the drive plays $(OUTPUT)/trajectory.csv."
 
 test: test-time install lint
-	$(BIN)/pytest -n auto --dist loadfile  # a file shares what it makes once
+	$(BIN)/pytest -n $$(( $$(nproc) + 1 )) --dist loadfile  # a file shares what it makes once; where one waits others work
 
 lint: install
 	$(BIN)/ruff check .
@@ -52,7 +52,7 @@ $(VENV)/.installed: $(VENV)/.deps $(SOURCES)
 # What CI does a few hundred times, done 10,000 times (files) and 100 times (interruptions), and all keys, pairs of
 # effects and robots of which the suite has a sample (tests/README.md): an hour or two.
 fuzz: install
-	CTRPLAN_FUZZ=1 $(BIN)/pytest $(shell grep -lE "from (made_up_input|effect_values) import .*(FUZZ|cases|repetitions|pairs_of|one_of_each)" tests/*/test_*.py)
+	CTRPLAN_FUZZ=1 $(BIN)/pytest $(shell grep -lE "from (made_up_input|effect_values) import .*(FUZZ|cases|repetitions|thorough|pairs_of|one_of_each)" tests/*/test_*.py)
 
 # In a copy of the tree, whose core is built anew the first time: a quarter of an hour, then as long again.
 mutants: install

@@ -12,6 +12,7 @@ from unittest.mock import MagicMock
 import numpy as np
 import pytest
 import tomli_w
+from made_up_input import thorough
 from measured_data import SIGMA_M, measured, pair_robot, waypoints
 
 from ctrplan.calibration.residuals import Noise
@@ -103,6 +104,7 @@ def test_what_the_catalogue_has_is_named_beside_a_built_term_that_had_hidden_it(
     assert value == pytest.approx(OFFSET["sensor_offset"]["offset_x_mm"], abs=0.15)
 
 
+@thorough("test_what_the_catalogue_has_is_named_beside_a_built_term_that_had_hidden_it")
 def test_no_name_stays_that_blocks_left_out_speak_against(monkeypatch: pytest.MonkeyPatch) -> None:
     """Friction at the plate was built, and called play as well, of 3 deg (0 to 35) that no block asked for."""
     data = rippled()
@@ -117,6 +119,7 @@ def test_no_name_stays_that_blocks_left_out_speak_against(monkeypatch: pytest.Mo
     assert asked.path[1].gain <= 0 and not asked.findings and asked.chosen.names == ("learned_theta_2",)
 
 
+@thorough("test_what_the_catalogue_has_is_named_beside_a_built_term_that_had_hidden_it")
 def test_names_stay_where_the_poses_kept_aside_take_the_term_back(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(workflow, "LEAST_SHARE_ASIDE", 2.0)
     after = diagnose(ROBOT, rippled(FURTHER), catalogue={"sensor_offset": CATALOGUE["sensor_offset"]})
@@ -124,6 +127,7 @@ def test_names_stay_where_the_poses_kept_aside_take_the_term_back(monkeypatch: p
     assert after.built is None and any("taken back" in note for note in after.notes)
 
 
+@thorough("test_what_the_catalogue_has_is_named_beside_a_built_term_that_had_hidden_it")
 def test_a_term_is_sought_beside_the_most_probable_effect_as_well(monkeypatch: pytest.MonkeyPatch) -> None:
     """As where no piece comes within reach beside nothing: on screws that couple joints of a wrong scale."""
     settled = term_building._settled

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tomli_w
+from made_up_input import FUZZ
 from measured_data import measured, pair_robot, waypoints, write_csv
 from unbuilt import build_nothing
 
@@ -147,7 +148,7 @@ def test_zeros_of_a_robot_that_was_homed_anew_are_free_and_found_anew_on_other_r
     assert asked.after.rms_m < 1.1 * never_homed.after.rms_m
 
 
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [0, 1] if FUZZ else [0])
 def test_what_changes_slowly_while_poses_are_measured_is_no_drift(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """An error of 3 mm that is smooth in time: a drift was named in both, and in one of them a misaligned base."""
     if seed:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tomli_w
+from made_up_input import thorough
 from measured_data import measured, pair_robot, waypoints, write_csv
 from places import SCENARIOS
 from scipy.spatial.transform import Rotation
@@ -140,6 +141,7 @@ def test_the_reading_is_written_where_nothing_is_fitted(tmp_path: Path, capsys: 
     assert not (out / "robot.toml").exists() and "diagnosis.json" in (out / "SHA256SUMS").read_text()
 
 
+@thorough("test_the_reading_is_written_where_nothing_is_fitted has the sentence")
 def test_the_reading_is_the_first_sentence_of_an_answer(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     files = misread_files(tmp_path)
     assert main(["diagnose", *files, "-o", str(tmp_path / "out"), "--quiet", "--as-read"]) in (0, 1)

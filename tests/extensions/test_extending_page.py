@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 from extending_page import PLACES, block, run, section, source, write_extension, write_inputs
+from made_up_input import thorough
 from places import ROOT
 
 
@@ -102,6 +103,7 @@ def test_settings_of_a_planner_of_ones_own_are_read_strictly(tmp_path: Path) -> 
     assert refusals(tmp_path, "first.toml", overrides) == [f"first.toml: {rule}" for rule in rules.values()]
 
 
+@thorough("test_a_planner_is_one_file")
 def test_an_obstacle_is_one_file(tmp_path: Path) -> None:
     """Its distances are those to the surface that is drawn, as the library for meshes finds them."""
     used(tmp_path, "An obstacle")
@@ -144,6 +146,7 @@ def test_keys_of_an_obstacle_of_ones_own_are_read_strictly(tmp_path: Path) -> No
     assert found == [f"boxed.toml: anatomy.1.{rule}" for rule in rules.values()]
 
 
+@thorough("test_an_effect_is_one_file")
 def test_an_output_format_is_one_file(tmp_path: Path) -> None:
     """What it writes is what the CSV file says, and no format is written that was not asked for."""
     printed = used(tmp_path, "An output format")

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import paper_oracle as paper
 import pytest
+from made_up_input import FUZZ
 from places import REFERENCE, ROOT
 
 from ctrplan.base.arrays import Array
@@ -225,7 +226,7 @@ def test_against_the_references_and_ctrplan(clearance_m: float, mu: float) -> No
     [
         ("+,+", (2.5e-3,), 5e-5),
         ("+,-", (5e-3, 1e-3, 6e-3), 5e-5),  # a uniform 2.5 mm leaves 0.13 mm to the oracle here, this 0.05 mm
-    ],
+    ][0 if FUZZ else 1 :],
 )
 def test_three_tubes_against_the_references_and_ctrplan(
     signs: str, spacing: tuple[float, ...], mesh_error_m: float

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from made_up_input import thorough
 from places import SCENARIOS
 
 import ctrplan
@@ -138,6 +139,7 @@ def test_settling_releases_a_loaded_goal(loaded: Certificate, settled: Settled, 
     assert settled.certificate.goal_bound_m == pytest.approx(before.goal_bound_m)  # no history changes the worst case
 
 
+@thorough("test_settling_releases_a_loaded_goal")
 def test_settling_that_would_load_friction_is_left_out(checker: MotionChecker) -> None:
     released = certify(checker.scenario, TURN_FIRST)
     settled = settle(checker, TURN_FIRST, released)

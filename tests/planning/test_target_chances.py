@@ -10,6 +10,7 @@ from functools import partial
 import numpy as np
 import pytest
 from jsonschema import Draft202012Validator
+from made_up_input import thorough
 from places import ROOT, SCENARIOS
 from scipy import stats
 from scipy.spatial.transform import Rotation
@@ -353,6 +354,7 @@ def test_chances_by_history_are_those_of_robots_that_drive_the_path(toured: Call
         assert both.chance_any_friction.share >= both.chance_by_history.share
 
 
+@thorough("test_chances_by_history_are_those_of_robots_that_drive_the_path")
 def test_a_line_is_missed_where_the_tip_leaves_it_on_the_way_or_at_its_end(plan: Plan) -> None:
     plain = registered(load_scenario(SCENARIOS / "pair_free.toml", [*CURVED, NO_FRICTION]), 0.2e-3)
     robot, drive = plain.robot, plain.robot.drive

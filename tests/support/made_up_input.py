@@ -10,6 +10,7 @@ from collections.abc import Callable
 from datetime import timedelta
 from typing import Any
 
+import pytest
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 
@@ -42,6 +43,11 @@ NUMBERS = st.sampled_from(
     ["nan", "inf", "-inf", "0", "-0.0", "5e-324", "1e-310", "2.3e-308", "1e-12", "1", "-1", "0.5", "90", "1e5", "1e12"]
     + ["1e154", "1e200", "1e300", "-1e300", "1.7e308", "9223372036854775807", "-9223372036854775808", "1e-300"]
 )
+
+
+def thorough(shown_by: str) -> pytest.MarkDecorator:
+    """Marks a test of many seconds; `make fuzz` runs it. Most of its law another one shows every time, which is named."""
+    return pytest.mark.skipif(not FUZZ, reason=f"{shown_by}; this one in make fuzz")
 
 
 def cases(few: int) -> Callable[[Any], Any]:
