@@ -46,7 +46,7 @@ NUMBERS = st.sampled_from(
 
 
 def thorough(shown_by: str) -> pytest.MarkDecorator:
-    """Marks a test of many seconds; `make fuzz` runs it. Most of its law another one shows every time, which is named."""
+    """Marks a test of many seconds, for `make fuzz`: most of its law another one shows every time, which is named."""
     return pytest.mark.skipif(not FUZZ, reason=f"{shown_by}; this one in make fuzz")
 
 
