@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
-from made_up_input import FUZZ
+from made_up_input import FUZZ, thorough
 from places import SCENARIOS
 
 import ctrplan
@@ -226,6 +226,7 @@ def test_ctrl_c_ends_a_search_within_its_loops(planner: str) -> None:
     assert time.monotonic() - began < 0.3 + ONE_SOLVE_S
 
 
+@thorough("test_no_planner_outlives_its_time counts some of what takes time")
 def test_counted_time_ends_by_the_clock_when_what_it_counts_takes_too_long(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where next to nothing is counted of what takes time."""
     checker = MotionChecker(pair((0, 0), (0.3, 0.3)))
