@@ -139,7 +139,7 @@ def collar_names(n: int) -> list[str]:
 
 
 def _gradient(value: Array, by: Array, n: int) -> Gradient:
-    """Of a quantity (...) and its derivatives (..., 2 n + P) by collars, then parameters."""
+    """The gradient of a quantity (...) from its derivatives (..., 2 n + P) by collars, then parameters."""
     return Gradient(value, by[..., :n], by[..., n : 2 * n], by[..., 2 * n :])
 
 
@@ -204,7 +204,7 @@ def _turned(u: Gradient, v: Gradient) -> Gradient:
 def _stability(
     mechanics: Differentiable, names: Sequence[str], accuracy: Accuracy, theta_b: Array, l_b: Array
 ) -> tuple[float, Array]:
-    """Of the frictionless shape at (n,), (n,), and its derivatives by P names, (P,)."""
+    """Stability of the frictionless shape at (n,) [rad], (n,) [m], and its derivatives (P,) by the names."""
     state = np.zeros(mechanics.n - 1)
     _, _, stability, by = mechanics.core_body(theta_b, l_b, state, names, accuracy, LONG_M)
     return stability, by

@@ -23,9 +23,6 @@ from ctrplan.mechanics.tube import Loads, Tube
 STEP_M = 5e-3  # longest of the integration; halving it moves no tip by more than 2e-8 m (test)
 STATION_M = 2e-3  # between the stations of a shape
 NEWTON_STEPS, LOAD_STEPS = 12, 32  # for one load, and parts into which a load is divided at most: budgets
-PATIENCE = (
-    4  # Newton's steps after which less has to be left than at first, or the part of the load is halved: a budget
-)
 SETTLED = 1e-10  # of what is left at the tips over the largest moment of a precurvature
 SMALL = 1e-7  # step of the unknowns over their size, for derivatives
 LEAST_MOMENT_NM = 1e-6  # that counts as a scale, of straight tubes
@@ -182,18 +179,17 @@ class _Spans:
     def newton(self, rows: NDArray[np.int_], x: Array, share: Array) -> tuple[Array, Array]:
         """The unknowns (k, n + 2) after Newton's steps from x, and what is left (k,) over the scale."""
         x, count = x.copy(), x.shape[1]
-        best, first, active = np.full(len(rows), np.inf), np.full(len(rows), np.inf), np.arange(len(rows))
-        for k in range(NEWTON_STEPS + 1):
+        best, active = np.full(len(rows), np.inf), np.arange(len(rows))
+        for _ in range(NEWTON_STEPS + 1):
             size, at = SMALL * self.robot.scale, x[active]
             moved = np.concatenate([at[None], at[None] + size * np.eye(count)[:, None, :]]).reshape(-1, count)
             _, left = self.integrate(np.tile(rows[active], count + 1), moved, np.tile(share[active], count + 1))
             left = left.reshape(count + 1, len(active), count)
             size_left = np.abs(left[0]).max(axis=1) / self.robot.scale
             best[active] = np.where(np.isfinite(size_left), size_left, np.inf)
-            first = best.copy() if k == 0 else first
             slope = (left[1:] - left[0]).transpose(1, 2, 0) / size
             usable = np.isfinite(slope).all(axis=(1, 2)) & (np.abs(np.linalg.det(np.nan_to_num(slope))) > 0)
-            usable &= (best[active] >= SETTLED) & ((k < PATIENCE) | (best[active] < first[active]))
+            usable &= best[active] >= SETTLED
             active = active[usable]
             if not len(active):
                 break

@@ -260,7 +260,7 @@ class BoundGradient:
         return f"of {self.position_m.value.size} bounds by {2 * self.position_m.theta_b.shape[-1]} collars"
 
     def each(self, change: Callable[[Gradient], Gradient]) -> BoundGradient:
-        """The same change of every quantity."""
+        """A copy in which `change` was made of every quantity's gradient."""
         return BoundGradient(*(change(getattr(self, name.name)) for name in fields(self)))
 
 

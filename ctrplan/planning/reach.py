@@ -159,8 +159,8 @@ CLEARANCE_STEPS = 4  # on the frictionless clearance model; most configurations 
 SHORTER = 0.5  # a step after one that led no nearer
 BEND_STEPS = 3  # within each: the bend of the zero-clearance model changes by a tenth or so of itself, and less again
 GAP_M = 6e-3  # more than clearance moves a tip: within it of the target, refining on the clearance model pays
-TURN_RAD = 0.1  # likewise of the tangent
-REFINED_SHARE = 0.5  # of the tolerance
+TURN_RAD = 0.1  # more than clearance turns a tangent
+REFINED_SHARE = 0.2  # of the tolerance; half of it saved nothing and left goals 0.5 mm off
 LINK_MM = 30.0  # of joint length between neighbours in a branch
 SAME_SHARE = 0.35  # of their distance that the middle of two neighbours may lie off their branch
 

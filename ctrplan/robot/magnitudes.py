@@ -34,15 +34,16 @@ OUTER_M = 1e-4, 0.04  # outer diameters
 SLENDER = 8.0  # length over outer diameter of the shortest tube
 DENSITY = 200.0, 25_000.0  # kg/m^3, foam to platinum
 NOISE_M = 2e-6, 0.02  # standard deviation of a tracker
-TANGENT_NOISE = 0.02, 30.0, 0.1, 10.0  # deg, likewise; the last two are those of a reading that explains a number
-FINE_TURN = 0.005, 5.0, 0.01, 2.0  # deg within which a drive follows, likewise
-FINE_WAY_M = 5e-7, 1e-3, 1e-6, 5e-4  # m, likewise
+# Least and most that there is, then those of a reading that explains a number
+TANGENT_NOISE = 0.02, 30.0, 0.1, 10.0  # deg, standard deviation of a measured direction
+FINE_TURN = 0.005, 5.0, 0.01, 2.0  # deg within which a drive follows
+FINE_WAY_M = 5e-7, 1e-3, 1e-6, 5e-4  # m within which a drive follows
 MOST_FRICTION = 1.0  # of dry metal on metal
 WRITTEN = 9  # digits behind the point that a change of units leaves as they were
 WRITTEN_M = 1e-6  # to which diameters and clearances are written
-ONCE_S = 0.5, 300.0  # a drive takes for a whole turn, or for the length of the robot, at full speed
+ONCE_S = 0.5, 300.0  # s that a drive takes for a whole turn, or for the length of the robot, at full speed
 SPEED: dict[str, tuple[float, float]] = {"rotation": (5.0, 360.0), "translation": (1.0, 50.0)}  # deg/s, mm/s, usual
-RISE_S = 2e-3, 4.0, 0.02, 1.0  # to full speed, and to full acceleration; the last two are usual
+RISE_S = 2e-3, 4.0, 0.02, 1.0  # s to full speed, and to full acceleration
 TRAVEL, MOST_TRAVEL = 0.01, 20.0  # lengths of the longest tube that a translation spans
 GREATER_SHEAR = -0.5 + 1e-9  # Poisson's ratio from which on the shear modulus is Young's and more
 
@@ -165,7 +166,7 @@ def _stiffness_doubts(tube: Tube, i: int) -> Iterator[Doubt]:
 
 
 def _radii_doubt(robot: Robot) -> list[Doubt]:
-    """Of diameters that are radii a tube is sixteen times as stiff as one of its size and usual metal.
+    """Doubts about outer diameters that would be radii: such a tube is sixteen times too stiff for its size and metal.
 
     Thin walls may be so by rounding: it counts where all tubes are, or where one has room to be twice as wide.
     """
@@ -182,7 +183,7 @@ def _radii_doubt(robot: Robot) -> list[Doubt]:
 
 
 def _contact_doubts(robot: Robot, i: int, are_diameters: bool) -> Iterator[Doubt]:
-    """Of the pair i (from 0): its stated clearance by the gap of the diameters, and its friction."""
+    """Doubts about the pair i (from 0): its stated clearance by the gap of the diameters, and its friction."""
     stated, gap = robot.contacts[i].clearance_m, diametral_gap_m(robot.tubes, i)
     key: tuple[str | int, ...] = ("contact", i, "clearance_mm")
     left = f"the {gap * 1e3:.4g} mm that the diameters leave on every side"
@@ -324,7 +325,7 @@ def _speed_doubt(
 
 
 def _rise_doubt(rates: tuple[float, float, float], n: int, readings: dict[str, float]) -> str | None:
-    """Of the acceleration (n = 1) or the jerk (n = 2), by how long what is before it takes to be reached with it."""
+    """A doubt about an acceleration (n = 1) or a jerk (n = 2), by how long full speed or acceleration takes with it."""
     usual = [words for words, x in readings.items() if RISE_S[2] <= rates[n - 1] / x <= RISE_S[3]]
     if usual and _is_beyond(rise := rates[n - 1] / rates[n]):
         return f"brings full {('speed', 'acceleration')[n - 1]} after {rise:.3g} s: is it in {_or(usual)}?"

@@ -180,7 +180,7 @@ def test_least_squares_within_is_the_constrained_minimum(seed: int) -> None:
 
 
 def test_what_brings_a_body_closer_agrees_with_differences(vessel: Scenario) -> None:
-    """Of shapes with clearance and friction to a good part, for all are taken to move as the one without."""
+    """Shapes with clearance and friction move to a good part as the one without, which all are taken to do."""
     checker = MotionChecker(vessel)
     checker.limits = path_limits(vessel)
     solver = TipSolver(checker.space, checker.mechanics)

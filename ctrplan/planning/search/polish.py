@@ -18,12 +18,18 @@ from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.base.long_work import ROOM_NS
 from ctrplan.drive.legs import merge_legs
 from ctrplan.motion.checker import MotionChecker
-from ctrplan.planning.goal_states import RANK, TIP_STEPS, goal_state
+from ctrplan.planning.goal_states import (
+    FIRST_MM,
+    LEAST_MM,
+    LONGER,
+    RANK,
+    SHORTER,
+    TIP_STEPS,
+    goal_state,
+)
 from ctrplan.planning.reach import bound_slopes
 from ctrplan.scenario.tip_solver import TipSolver, TipTarget, tip_target
 
-FIRST_MM, LEAST_MM = 8.0, 0.5  # of joint length: the first step of a level, and where it stays as it is
-LONGER, SHORTER = 1.6, 0.5  # the next step, after one that cost less and after one that did not
 LEAST_GAIN_MM = 1e-3  # of the cost: below, two paths are alike
 
 
