@@ -29,8 +29,9 @@ from ctrplan.planning.search.polish import Polish
 from ctrplan.planning.search.roadmap_search import RoadmapSearch
 from ctrplan.scenario.tip_solver import GoalState
 
-# Shares of the time by which a first path and the cheapest of the roadmap are sought, and that one is polished
-FIRST_SHARE, ROADMAP_SHARE, POLISH_SHARE = 0.7, 0.6, 0.9
+# Shares of the time by which a first path and the cheapest of the roadmap are sought
+FIRST_SHARE, ROADMAP_SHARE = 0.7, 0.6
+POLISH_SHARE = 0.3  # of the time, whenever polish begins: a first path that took all of it is where it gains most
 # Shares by which L-shaped motions are sampled that led to no path, and then simultaneous ones
 SAMPLED_SHARE, FALLBACK_SHARE = 0.9, 1.08
 STRAIGHT_HOPE = 0.5  # of motions from the start to a goal, without which chains are made before any is walked
@@ -123,12 +124,15 @@ class StageSearch:
             self._cheapest_of(roadmap)
         if self.best is not None and not self.best.reordered and not self._is_enough():
             self._tidied(self.checker, self.best.corners, self.best.found_by)
-        self._polish(POLISH_SHARE * self.budget)
+        self._polish()
         self._sample()
         return self._answer()
 
-    def _polish(self, until: float) -> None:
+    def _polish(self) -> None:
         """Improves the best path from where it is; certified again, or else half of the way there."""
+        until = self.clock.now() + POLISH_SHARE * self.budget
+        if self.clock.timed:
+            until = min(until, self.budget)
         if self.best is None or self._is_enough():
             return
         before = self.best
