@@ -41,6 +41,7 @@ DOUBTFUL_M = 3e-3  # less room than that, and a motion is looked at where it has
 JUMP, JUMP_M = 3.0, 5e-3  # times the steps of the tip beside, and more than that and the translation by
 SAMPLES, SEED = 8, 6  # configurations that say what a search has to allow for uncertain parameters
 FEW = 100  # shapes, which are not worth a thread
+TERM_STEP_MM = 1.0  # of joint length between states at which terms of the cost are asked for
 COEFFICIENTS = 0.3  # share by which a friction coefficient is mostly uncertain, a prior of the search
 DEFINITE_COLLISION = "a corner shape comes too close to the anatomy: so does the zero-clearance shape"
 
@@ -245,7 +246,7 @@ class MotionChecker:
         length, integral = self.price(corners, samples, error)
         bound, last = float(samples.position_m[-1]), samples.at_end()
         left = partial(left_at_end, self.scenario.robot, corners, last, float(error[-1]))
-        terms_mm = self._terms_mm(corners, samples) if self.scenario.terms else ()
+        terms_mm = self.terms_mm(corners)
         return Motion(True, "", length, integral, bound, left, count_legs(corners), terms_mm)
 
     def walk(self, corners: Array, density: PathDensity, limits: PathLimits) -> PathSamples:
@@ -318,24 +319,27 @@ class MotionChecker:
         """Weighted joint length [mm] and the integral [mm] of errors (K,) [m] of a walked polyline."""
         if len(corners) == 1:
             return 0.0, 0.0
-        lengths, travelled = self._travelled(corners, samples)
+        lengths = self._lengths(corners)
+        before = np.concatenate([[0.0], np.cumsum(lengths)])
+        travelled = before[samples.segment] + samples.fraction * lengths[samples.segment]
         integral = np.trapezoid(error * MM_PER_M, travelled) / self.scenario.cost.mm_per_rad
         return float(lengths.sum()), float(integral)
 
-    def _travelled(self, corners: Array, samples: PathSamples) -> tuple[Array, Array]:
-        """Lengths [mm] of a polyline's legs, and how far along it samples (K,) are."""
-        lengths = np.array([self.space.length_mm(d) for d in np.diff(corners, axis=0)])
-        before = np.concatenate([[0.0], np.cumsum(lengths)])
-        return lengths, before[samples.segment] + samples.fraction * lengths[samples.segment]
+    def _lengths(self, corners: Array) -> Array:
+        """Weighted joint lengths [mm] of a polyline's legs."""
+        return np.array([self.space.length_mm(d) for d in np.diff(corners, axis=0)])
 
-    def _terms_mm(self, corners: Array, samples: PathSamples) -> tuple[float, ...]:
-        """What the scenario's own terms cost on a walked polyline (K, m); a state alone costs nothing."""
+    def terms_mm(self, corners: Array) -> tuple[float, ...]:
+        """What the scenario's own terms cost on a polyline (K, m), valid or not; a state alone costs nothing."""
         terms, mm_per_rad = self.scenario.terms, self.scenario.cost.mm_per_rad
-        if len(corners) == 1:
+        if not terms or len(corners) == 1:
             return (0.0,) * len(terms)
-        begins = corners[samples.segment]
-        states = begins + samples.fraction[:, None] * (corners[samples.segment + 1] - begins)
-        _, travelled = self._travelled(corners, samples)
+        lengths = self._lengths(corners)
+        steps = np.maximum(1, np.ceil(lengths / TERM_STEP_MM).astype(int))
+        corner = np.concatenate([[0.0], np.cumsum(steps)])
+        at = np.arange(corner[-1] + 1)
+        states = np.column_stack([np.interp(at, corner, joint) for joint in corners.T])
+        travelled = np.interp(at, corner, np.concatenate([[0.0], np.cumsum(lengths)]))
         return tuple(term.cost_mm(states, travelled, mm_per_rad) for term in terms)
 
     def cost_mm(self, motion: Motion, *, ends_at_goal: bool) -> float:

@@ -103,7 +103,8 @@ def _endings(checker: MotionChecker, joints: Array, pairs: list[int]) -> list[tu
             ending = np.array([row for move in moves for row in (joints + move, joints)])
             if moves and space.allowed(ending):
                 length = 2 * sum(space.length_mm(move) for move in moves)
-                results.append((cost.path * length + cost.stop * len(ending), ending))
+                terms_mm = checker.terms_mm(np.concatenate([joints[None], ending]))
+                results.append((cost.path * length + cost.stop * len(ending) + sum(terms_mm), ending))
     return sorted(results, key=lambda pair: pair[0])
 
 

@@ -35,7 +35,7 @@ from ctrplan.motion.checker import MotionChecker
 from ctrplan.planning.compensate import compensate
 from ctrplan.planning.endings import erase
 from ctrplan.scenario.prediction import TIP_TOLERANCE_M, ball_centre, predict, predict_end, start_states, step_error
-from ctrplan.scenario.scenario import Registration
+from ctrplan.scenario.scenario import CostTerm, Registration
 
 
 def test_shares_add_up_and_states_are_erased_by_slip() -> None:
@@ -147,6 +147,20 @@ def test_an_ending_erases_what_the_path_does_not() -> None:
     assert "mm of cost" in ended.note and len(ended.corners) > len(SHORT)
     already = certify(pair(), PATH)
     assert erase(MotionChecker(pair()), PATH, already).corners is PATH
+
+
+def test_endings_heed_terms_of_the_cost() -> None:
+    """A term that is dear where the cheapest ending goes leads to another one."""
+    case = replace(pair(), start=SHORT[0])
+    usual = erase(MotionChecker(case), SHORT, certify(case, SHORT)).corners
+    turned = usual[len(SHORT)] - SHORT[-1]  # where the first leg of the ending leads
+
+    def beyond(states: np.ndarray) -> np.ndarray:
+        return np.maximum(0.0, (states - SHORT[-1]) @ turned) / (turned @ turned)
+
+    dear = replace(case, terms=(CostTerm("beyond", 1000.0, beyond),))
+    other = erase(MotionChecker(dear), SHORT, certify(dear, SHORT)).corners
+    assert len(other) > len(SHORT) and beyond(other[len(SHORT) :]).max() < 0.1 < beyond(usual[len(SHORT) :]).max()
 
 
 def test_where_no_ending_is_allowed_the_larger_set_is_said() -> None:

@@ -71,8 +71,7 @@ class Candidate:
     @cached_property
     def cost_mm(self) -> float:
         """The cost of a path by its certificate's samples, the scenario's own terms included."""
-        terms = self.checker.scenario.terms
-        return self.walk.cost_mm + (sum(self.checker.along(self.corners).terms_mm) if terms else 0.0)
+        return self.walk.cost_mm + sum(self.checker.terms_mm(self.corners))
 
     @cached_property
     def certificate(self) -> Certificate:
