@@ -237,6 +237,19 @@ def test_tips_beside_are_the_corners_of_the_branch() -> None:
 
 
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="reads the memory of the process from Linux")
+def test_shapes_do_not_drift_where_breaks_of_the_mesh_pass_each_other() -> None:
+    """Without friction the shape depends on the joints alone, however often collars went through the front plate."""
+    robot, rng = load_robot(ROBOTS / "three_tube_insertion.toml"), np.random.default_rng(0)
+    home = np.array([-1.1, 2.1, 2.2, -0.8e-3, -43e-3])  # the outermost collar is just behind the plate
+    history, frictionless = robot.history(), robot.solve(*robot.drive.collars(home)).tip_m
+    history.advance(*robot.drive.collars(home))
+    for _ in range(20):
+        away = home + np.concatenate([rng.uniform(-0.2, 0.2, 3), rng.uniform(-8e-3, 8e-3, 2)])
+        away = np.clip(away, robot.drive.lower, robot.drive.upper)
+        history.follow(*robot.drive.collars(np.array([away, home])))
+        np.testing.assert_allclose(history.tip_beside([0.0, 0.0]), frictionless, atol=1e-9)
+
+
 def test_memory_does_not_grow_with_the_path() -> None:
     theta_b = np.radians([[0.0, 100.0 + 10 * (k % 2)] for k in range(12)])
     l_b = np.array([[0.0, -0.0604 - 1e-3 * (k % 2)] for k in range(12)])

@@ -152,6 +152,12 @@ void FrictionSolver::set_base(LaneState& state, const Configuration& q) {
             if (k > pb.shaft_node[t] || 5 * t < pb.node_unknowns[k]) continue;  // an unknown there
             for (int lane = 0; lane < state.lanes(); ++lane) state.unknown(k, 5 * t, lane) = q.theta[pb.tubes - 1 - t];
         }
+    // A tube is clamped in the middle of the next one where that begins. A state that was carried from another mesh may have
+    // an offset there, of a place beside: nothing would take it back, and the shapes of a long history would drift.
+    for (int pair = 0; pair + 1 < pb.tubes; ++pair)
+        for (int k = 0; k < pb.nodes && 1 + 5 * pair >= pb.node_unknowns[k]; ++k)
+            for (int i = 1 + 5 * pair; i < 5 + 5 * pair; ++i)
+                for (int lane = 0; lane < state.lanes(); ++lane) state.unknown(k, i, lane) = 0;
 }
 
 }  // namespace ctr
