@@ -289,6 +289,8 @@ def _correction(
     best = (np.inf, delta)
     for _ in range(ITERATIONS if states else 0):
         path = place.path(is_rotation, delta)
+        if not checker.space.allowed(path):
+            break
         prediction = predict_from(robot, states, path[unchanged:])
         miss = aim - prediction.end_middle_m
         distance = float(np.linalg.norm(miss))
@@ -373,7 +375,7 @@ def _on_line(
 def _newton_step(
     checker: MotionChecker, joints: Array, miss: Array, tangent: Array | None, movable: NDArray[np.bool_]
 ) -> Array:
-    """(m,) damped least-squares step of movable joints in mm-weighted lengths, within limits.
+    """(m,) damped least-squares step of movable joints in mm-weighted lengths, within limits and nesting.
 
     Joints that can't move on stay where they are, and the others take over. What the position leaves free turns the
     tip's tangent (3,) to the goal's direction, where there is one.
@@ -391,7 +393,7 @@ def _newton_step(
             step = step + np.linalg.pinv(D, rcond=1e-3) @ (turned * MM_PER_M - D @ step)
         step *= min(1.0, LONGEST_STEP_MM / max(float(np.linalg.norm(step)), 1e-12))
         step = np.where(free, step / space.weights_mm, 0.0)
-        clipped: Array = np.clip(joints + step, space.drive.lower, space.drive.upper) - joints
+        clipped: Array = space.projected((joints + step)[None], fallback=joints[None])[0] - joints
         stopped = free & (clipped != step) & (np.abs(clipped) <= 1e-12)
         if not stopped.any():
             break

@@ -10,15 +10,18 @@ import numpy as np
 import pytest
 from arriving_pair import GOAL, PATH, START, pair
 from made_up_input import FUZZ
-from places import SCENARIOS
+from places import ROBOTS, SCENARIOS
 
 import ctrplan
 from ctrplan.certificate.certify import certify
+from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.motion.checker import MotionChecker
 from ctrplan.planning import compensate as compensation
 from ctrplan.planning.compensate import _Place, compensate
+from ctrplan.scenario.joint_space import bare_scenario
 from ctrplan.scenario.prediction import TIP_TOLERANCE_M, predict
+from ctrplan.storage.toml_document import read_document
 
 
 def test_corrections_change_the_last_legs_or_add_two() -> None:
@@ -30,6 +33,29 @@ def test_corrections_change_the_last_legs_or_add_two() -> None:
     np.testing.assert_array_equal(longer[: len(PATH)], PATH)
     np.testing.assert_allclose(np.diff(longer, axis=0)[-2:], [[0.1, -0.2, 0], [0, 0, 0.001]], atol=1e-12)
     assert added.unchanged(turns) == len(PATH) - 1 and len(added.path(turns, 0 * delta)) == len(PATH)
+
+
+def test_steps_of_a_correction_keep_the_tubes_nested() -> None:
+    """Where the bases of two tubes that slide on their own touch, neither goes into the other, wherever the aim is."""
+    three = read_document(ROBOTS / "three_tube.toml").content
+    curved = {"length_mm": 80, "curvature_x_per_m": 0, "curvature_y_per_m": 6}
+    innermost = {
+        **{"outer_diameter_mm": 1.5, "inner_diameter_mm": 1.2, "bending_stiffness_Nm2": 0.007, "poisson_ratio": 0.3},
+        **{"collar_length_mm": 17, "section": [{**curved, "length_mm": 240, "curvature_y_per_m": 0}, curved]},
+    }
+    joints = [{**joint, "moves": {k: [*v, 0] for k, v in joint["moves"].items()}} for joint in three["joint"]]
+    joints += [{"name": "turn the innermost", "moves": {"theta": [0, 0, 0, 1]}}]
+    joints += [{"name": "slide the innermost", "moves": {"l": [0, 0, 0, 1]}, "min_mm": -80, "max_mm": 0}]
+    parts = {"tube": [*three["tube"], innermost], "contact": [*three["contact"], {"friction_coefficient": 0.2}]}
+    robot = robot_from_dict({**three, **parts, "joint": joints, "home": {"l_mm": [0, -17, -34, -51]}})
+    checker = MotionChecker(bare_scenario(robot))
+    (slope, room), rng = checker.space.nesting_rules, np.random.default_rng(0)
+    touching = int(np.argmax((slope[:, 3] < 0) & (slope[:, 5] > 0)))
+    for q in checker.space.sample(rng, 20):
+        q[5] += room[touching] - slope[touching] @ q
+        if checker.space.allowed(q):
+            step = compensation._newton_step(checker, q, rng.normal(size=3) * 1e-3, None, np.ones(6, dtype=bool))
+            assert step.any() and checker.space.allowed(q + step)
 
 
 @pytest.mark.skipif(not FUZZ, reason="a plan of a patient's size, of which benchmarks have a table: make fuzz")
