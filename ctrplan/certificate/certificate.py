@@ -1,5 +1,4 @@
-"""What a certificate says of a motion: its figures in one table, what comes out when it is checked again, and
-certificates of several stages joined.
+"""What a certificate says of a motion: its figures in one table, a recheck of them, certificates of stages joined.
 
 A recheck asks two questions. Do the figures follow from the legs? On the mesh of the first walk each must come out
 again. Do the legs hold? On the certificate mesh, the finer one, they must be valid too.
@@ -7,7 +6,7 @@ again. Do the legs hold? On the certificate mesh, the finer one, they must be va
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from itertools import chain
 from operator import itemgetter
@@ -126,6 +125,8 @@ def _compared(figure: str, stated: Any, result: Any) -> Iterator[Difference]:
     elif isinstance(stated, str):
         if stated != result:
             yield Difference(figure, stated, str(result))
+    elif isinstance(stated, Mapping):
+        yield from _compared(figure, tuple(stated.items()), tuple(result.items()))
     elif isinstance(stated, tuple):
         if len(stated) != len(result):
             yield Difference(figure, len(stated), len(result))
@@ -187,6 +188,7 @@ class Closest:
     path_mm: float  # weighted joint length travelled until then
     joints: Array  # (m,)
     phi: Array  # (n - 1,) friction state
+    taken_m: Mapping[str, float] = field(default_factory=dict)  # by cause, see `causes`; of the certified clearance
 
 
 @dataclass(frozen=True, eq=False)
@@ -391,15 +393,14 @@ def joined_certificates(stages: list[Certificate]) -> Certificate:
 
 def _closest(stages: list[Certificate], name: Literal["nominal", "closest", "narrowest"]) -> Closest | None:
     """The closest of all stages, that of least certified clearance for "narrowest"; leg and path are the tour's."""
-    results: list[tuple[float, Closest]] = []
-    legs, travelled = 0, 0.0
+    results, legs, travelled = list[tuple[float, Closest]](), 0, 0.0
     for stage in stages:
         place: Closest | None = getattr(stage, name)
         if place is not None:
             left_m = stage.min_clearance_m if name == "narrowest" else place.clearance_m
             results.append((left_m, replace(place, leg=place.leg + legs, path_mm=place.path_mm + travelled)))
         legs, travelled = legs + _legs(stage), travelled + stage.length_mm
-    return min(results, key=lambda one: one[0])[1] if results else None
+    return min(results, key=lambda pair: pair[0])[1] if results else None
 
 
 def _all_again(stages: list[Certificate]) -> WalkAgain | None:
@@ -423,8 +424,7 @@ def _legs(stage: Certificate) -> int:
 
 
 def _legs_driven(stage: Certificate) -> int:
-    """Times that the drive stops in the stage, its end included."""
-    return stage.stops + 1 if stage.length_mm > 0 else 0
+    return stage.stops + 1 if stage.length_mm > 0 else 0  # times that the drive stops, its end included
 
 
 def _joined_samples(stages: list[Certificate]) -> tuple[CertificateSamples, tuple[TargetReached, ...]]:

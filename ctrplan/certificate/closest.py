@@ -6,7 +6,7 @@ The narrowest samples of a path are solved on the certificate mesh, with points 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, partial
 from typing import TYPE_CHECKING
 
@@ -64,8 +64,52 @@ def closest_places(scenario: Scenario, pieces: Sequence[Piece], samples: Certifi
             there = variants.configuration(variants.at(s), samples.joints[k], "certificate")
             other = _closest(distance, samples, k, there, [*rest, *corners, tuple(phi[k, :pairs].tolist())])
             by_row[k] = _least([by_row[k], other])
-    tied = [place for k, place in by_row.items() if samples.clearance_m[k] <= samples.clearance_m[certified] + TIGHT_M]
-    return ClosestPlaces(_least(results), _least([*by_row.values(), *results]), _least(tied))
+    least_m = samples.clearance_m[certified] + TIGHT_M
+    tied = [(place.clearance_m, k) for k, place in by_row.items() if place and samples.clearance_m[k] <= least_m]
+    narrowest = None
+    if tied:
+        _, k = min(tied)
+        taken_m = causes(distance, pieces, samples, k, [*corners, tuple(phi[k, :pairs].tolist())])
+        narrowest = replace(by_row[k], taken_m=taken_m)  # type: ignore[type-var]
+    return ClosestPlaces(_least(results), _least([*by_row.values(), *results]), narrowest)
+
+
+def causes(
+    distance: AnatomyDistance,
+    pieces: Sequence[Piece],
+    samples: CertificateSamples,
+    row: int,
+    states: Sequence[State],
+) -> dict[str, float]:
+    """What is taken off the frictionless robot's clearance at a sample until the certified one is left [m], by cause.
+
+    Friction by the shapes solved. What intervals, play and registration took together is shared among them in
+    proportion to what each takes alone, friction as it is worst. The rest is what allowances take.
+    """
+    scenario, variants = distance.scenario, pieces[0].variants
+    at = [(piece, k) for number, piece in enumerate(pieces) for k in range(number > 0, len(piece.theta_b))]
+    piece, sample = at[row]
+
+    def least_m(there: FrictionStates, friction: Sequence[State]) -> float:
+        place = _closest(distance, samples, row, there, list(friction))
+        return -np.inf if place is None else place.clearance_m
+
+    own, released = _configuration(scenario, samples, row), (0.0,) * (scenario.robot.n - 1)
+    alone_m, every = least_m(own, [released]), [released, *states]
+    with_friction_m = least_m(own, every)
+    singly: dict[str, float] = {}
+    for axis in range(variants.count):
+        ends = (variants.configuration(variants.end(axis, s), samples.joints[row], "certificate") for s in (-1.0, 1.0))
+        name = variants.title(axis)
+        singly[name] = singly.get(name, 0.0) + max(with_friction_m - min(least_m(end, every) for end in ends), 0.0)
+    if not scenario.registration.is_exact:
+        base, reach_m = variants.base, float(np.linalg.norm(samples.tip_m[row]))
+        singly["registration"] = base.shift_m + base.rotation_rad * reach_m
+    total, certified_m = sum(singly.values()), float(samples.clearance_m.min())
+    together_m = min(float(piece.taken_m[sample]), with_friction_m - certified_m)
+    shares = {name: together_m * part / total for name, part in singly.items()} if total > 0 else {}
+    taken = {"friction": alone_m - with_friction_m, **shares}
+    return {**taken, "motion between samples, meshes, uneven friction": alone_m - certified_m - sum(taken.values())}
 
 
 def _as_solved(scenario: Scenario, piece: Piece) -> Array:

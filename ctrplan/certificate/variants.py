@@ -94,6 +94,13 @@ class Variants:
         """Whether the file's robot is the middle of the box."""
         return not self.box.middle.any()
 
+    def title(self, axis: int) -> str:
+        """What people call it: of correlated parameters all that it moves."""
+        if axis >= self.of_parameters:
+            return "play and delay of the drive"
+        moved = np.flatnonzero(self.box.axes[:, axis])
+        return " with ".join(dict.fromkeys(self.parameters.title[int(k)] for k in moved))
+
     @property
     def base(self) -> BaseBall:
         """Where the base may stand instead."""

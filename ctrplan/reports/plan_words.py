@@ -295,8 +295,15 @@ def _settling(plan: Plan) -> list[CertificateRow]:
 def _clearance(plan: Plan) -> list[CertificateRow]:
     if math.isinf(plan.certificate.min_clearance_m):
         return [CertificateRow("Clearance to the anatomy", "free space")]
-    row = _row(plan, "min_clearance_m")
-    return [replace(row, requirement=f"{row.requirement} (model error)") if plan.scenario.robot.model_error_m else row]
+    row, place = _row(plan, "min_clearance_m"), plan.certificate.narrowest
+    if plan.scenario.robot.model_error_m:
+        row = replace(row, requirement=f"{row.requirement} (model error)")
+    taken = sorted(place.taken_m.items(), key=lambda pair: -pair[1]) if place else []
+    causes = [CertificateRow(f"  taken by {cause}", millimetres(m)) for cause, m in taken if m > TAKEN_SHOWN_M]
+    return [row, *causes]
+
+
+TAKEN_SHOWN_M = 5e-6  # of a clearance: less is 0.00 mm on a page
 
 
 Standing = Literal["good", "caution", "bad"]

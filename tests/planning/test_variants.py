@@ -181,6 +181,35 @@ def test_no_robot_that_the_file_allows_comes_nearer_than_certified(seed: int) ->
     assert least - stated < 1.2e-3  # meshes, steps between samples, and small axes that are added up
 
 
+def test_what_takes_clearance_is_said_by_cause() -> None:
+    """The parts add up from the frictionless robot to the certificate; each takes more where more of it is stated."""
+    start, goal = joints(0, 40, 80, -40), joints(0, 55, 80, -40)
+    plain = robot()
+    tip = plain.solve(*plain.drive.collars((start + goal) / 2)).tip_m
+    ball = ((tip + [3e-3, 9e-3, 2e-3]) * 1e3).tolist(), 3.0
+
+    def taken(play_deg: float, per_m: float, sigma_mm: float) -> dict[str, float]:
+        changes = {"effects": {"backlash": {"theta_2_deg": play_deg}}} if play_deg else {}
+        if per_m:
+            changes["uncertainty"] = {"ci95": {"tube.3.section.2.curvature_per_m": [18.1818 - per_m, 18.1818 + per_m]}}
+        case = scene(robot(**changes), start, goal, ball, registration=Registration(sigma_mm * 1e-3, 0.0))
+        result = certified(case)
+        assert result.narrowest is not None
+        parts = dict(result.narrowest.taken_m)
+        at = plain.mechanics.friction_states(*plain.drive.collars(result.narrowest.joints), accuracy="certificate")
+        bodies = at.bodies(np.zeros((1, 2)), spacing_m=0.25e-3)
+        apart = np.linalg.norm(bodies.point_m[0] - np.array(ball[0]) * 1e-3, axis=1) - 3e-3 - bodies.radius_m
+        assert sum(parts.values()) == pytest.approx(apart.min() - result.min_clearance_m, abs=0.02e-3)
+        assert min(parts.values()) >= 0
+        return parts
+
+    little, much = taken(0.5, 0.2, 0.1), taken(1.0, 0.4, 0.2)
+    play, curvature = "play and delay of the drive", "precurvature of tube 3"
+    assert little.keys() - taken(0, 0, 0).keys() == {play, curvature, "registration"}
+    for cause in (play, curvature, "registration"):
+        assert 0 < little[cause] < much[cause]
+
+
 def _unit(rng: np.random.Generator) -> Array:
     v = rng.standard_normal(3)
     return np.asarray(v / np.linalg.norm(v))
