@@ -34,7 +34,7 @@ A robot file with effects is the same robot to every command. What an effect doe
 | `homing_shift` | none: the robot stands as after the first homing | acts on logs |
 
 `python tools/effects_page.py` makes this page from the catalogue. How to write another effect:
-[diagnosis](diagnosis.md#a-new-effect).
+[extending](extending.md#an-effect).
 """
 
 BUILT = """\
