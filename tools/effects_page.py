@@ -51,7 +51,7 @@ AFTER = """
 stage = "drive"
 acts_on = "the rotation of tube 2"
 formula = "the rotation of tube 2 changes by 3.1 deg sin(3 theta_2) - 1.2 deg cos(3 theta_2)"
-may_be = "acts in the drive on the rotation of tube 2 with a period of 120 deg, ...: like a ripple of gears"
+may_be = "acts in the drive on the rotation of tube 2 with a period of 120 deg, ..."
 sin_3_theta_2_deg = 3.1
 cos_3_theta_2_deg = -1.2
 [effects.learned_theta_2.range]
