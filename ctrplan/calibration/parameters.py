@@ -12,9 +12,8 @@ from ctrplan.effects.effect import CATALOGUE, Effect, Parameter, Values
 from ctrplan.errors import InputError
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.pipeline.term import Term, term
-from ctrplan.robot.named_numbers import value_of
+from ctrplan.robot.named_numbers import MOST_RATIO, value_of
 from ctrplan.robot.robot import Robot
-from ctrplan.robot.tube_keys import MOST_RATIO
 
 CURVATURE_PRIOR, STIFFNESS_PRIOR, POISSON_PRIOR, FRICTION_PRIOR = 0.1, 0.2, 0.15, 0.1
 

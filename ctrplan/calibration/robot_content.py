@@ -20,9 +20,8 @@ from ctrplan.measurement.measurements import Measurements
 from ctrplan.pipeline.chain import taken_along
 from ctrplan.pipeline.parametric_chain import ParametricChain
 from ctrplan.pipeline.term import Term
-from ctrplan.robot.named_numbers import MAGNITUDE, with_values
+from ctrplan.robot.named_numbers import MAGNITUDE, MOST_RATIO, with_plain_keys, with_values
 from ctrplan.robot.robot import Robot, StatedIntervals, file_key
-from ctrplan.robot.tube_keys import MOST_RATIO, with_plain_keys
 
 INTERVAL_DIGITS = 7
 HELD = 1e-4  # share of what an earlier fit left uncertain, below which a later one merely held the parameter

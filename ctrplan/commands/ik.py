@@ -59,7 +59,7 @@ def run(arguments: argparse.Namespace) -> int:
     import numpy as np
 
     from ctrplan.files.scenario_file import load_robot_or_scenario
-    from ctrplan.pipeline.installed import plan_range_notes
+    from ctrplan.pipeline.chain import plan_range_notes
     from ctrplan.planning.inverse_kinematics import inverse_kinematics, refuse_wrong_unit
 
     scenario = load_robot_or_scenario(arguments.file, arguments.overrides, allow_outside=arguments.allow_outside)

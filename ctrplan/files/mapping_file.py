@@ -24,8 +24,16 @@ from ctrplan.errors import InputError
 from ctrplan.files.ros_bag import TIP, BagTable, is_bag
 from ctrplan.robot.robot import Robot
 from ctrplan.storage.csv_table import CsvTable, file_name
-from ctrplan.storage.toml_document import Angle, Coordinate, Document, Name, Point, read_document
-from ctrplan.storage.toml_table import file_inside, path_inside
+from ctrplan.storage.toml_document import (
+    Angle,
+    Coordinate,
+    Document,
+    Name,
+    Point,
+    file_inside,
+    path_inside,
+    read_document,
+)
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation

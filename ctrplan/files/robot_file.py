@@ -22,8 +22,7 @@ from ctrplan.files.robot_tables import (
 from ctrplan.measurement.measurements import Marker, SensorNoise
 from ctrplan.mechanics.tube import RANGES, SOFTEST_NM2, STIFFEST_NM2, Contact, Tube, TubeSection
 from ctrplan.robot.magnitudes import bend_readings, one_sentence, robot_doubts
-from ctrplan.robot.robot import Robot, diametral_gap_m, never_nests
-from ctrplan.robot.tube_keys import (
+from ctrplan.robot.named_numbers import (
     BENDING,
     CURVATURES,
     MOST_RATIO,
@@ -38,6 +37,7 @@ from ctrplan.robot.tube_keys import (
     stiffness_fault,
     stiffnesses,
 )
+from ctrplan.robot.robot import Robot, diametral_gap_m, never_nests
 from ctrplan.storage.output_folder import write_atomically
 from ctrplan.storage.toml_document import (
     LARGEST_NUMBER,
@@ -330,7 +330,7 @@ def _build(document: Document) -> Robot:
     robot = replace(robot, intervals=intervals, warnings=warnings)
     if not robot.effects:
         return robot
-    from ctrplan.pipeline.installed import (
+    from ctrplan.pipeline.chain import (
         check_effects,
         installed,  # slow to import; most robots have no effects
     )

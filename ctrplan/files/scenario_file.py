@@ -43,13 +43,15 @@ from ctrplan.storage.toml_document import (
     Point,
     Step,
     Tolerance,
+    TomlTable,
     Vector,
     Weight,
     checked_overrides,
+    chosen,
+    file_inside,
     metres,
     read_document,
 )
-from ctrplan.storage.toml_table import TomlTable, chosen, file_inside
 
 if TYPE_CHECKING:
     pass

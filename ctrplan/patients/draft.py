@@ -31,8 +31,7 @@ from ctrplan.patients.structures import CaseContent, Structure, between_phases_m
 from ctrplan.patients.work import SCENARIO, Work
 from ctrplan.planning.room import blocked
 from ctrplan.scenario.scenario import Scenario
-from ctrplan.storage.toml_document import Document
-from ctrplan.storage.toml_table import TomlTable
+from ctrplan.storage.toml_document import Document, TomlTable
 
 BEHIND_MM, LONGEST_MM, STEP_MM = 10.0, 150.0, 0.5
 

@@ -20,8 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
-from ctrplan.anatomy.anatomy_field import anatomy_field, shared_spacing_m
-from ctrplan.anatomy.clearance_grid import SignedDistanceField, field_bounds
+from ctrplan.anatomy.clearance_grid import SignedDistanceField, anatomy_field, field_bounds, shared_spacing_m
 from ctrplan.anatomy.parts import exact_clearance
 from ctrplan.base.arguments import EVENT, PROGRESS, SEED, Made, Number, Whole, checked, require
 from ctrplan.base.arrays import LONGEST_MM, Array, numbers

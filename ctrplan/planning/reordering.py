@@ -14,7 +14,7 @@ from ctrplan.drive.legs import merge_legs
 from ctrplan.drive.trajectory import time_parameterise
 from ctrplan.errors import InputError
 from ctrplan.motion.checker import Motion, MotionChecker
-from ctrplan.pipeline.installed import plan_range_notes
+from ctrplan.pipeline.chain import plan_range_notes
 from ctrplan.plans.plan import Plan
 from ctrplan.plans.planned_motion import ComparedWay, Compensation, Leg, ReorderReport, follow_the_leader_m, leg_kind
 from ctrplan.scenario.joint_space import MotionStyle

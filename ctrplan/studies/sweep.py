@@ -36,7 +36,7 @@ from ctrplan.errors import CtrplanError, InputError, NoAnswerError
 from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.mechanics.shapes import Status
 from ctrplan.mechanics.walk import TASK, chunks, columns_of, join, run
-from ctrplan.pipeline.installed import range_notes
+from ctrplan.pipeline.chain import range_notes
 from ctrplan.planning.planner import plan
 from ctrplan.plans.plan import Plan
 from ctrplan.robot.robot import Robot, nesting_violation

@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from ctrplan.base.arrays import Array
 from ctrplan.effects.learned.learned import effect_of, is_learned
 from ctrplan.mechanics.tube import SOFTEST_NM2
-from ctrplan.pipeline.chain import Acting, Chain
-from ctrplan.pipeline.installed import with_chain
+from ctrplan.pipeline.chain import Acting, Chain, with_chain
 from ctrplan.robot.named_numbers import value_of, with_values
 from ctrplan.robot.robot import KEYS, Robot, file_key
 
