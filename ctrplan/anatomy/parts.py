@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 from ctrplan import _model
 from ctrplan.anatomy.shape import PartShape, Role
 from ctrplan.base.arguments import Made, require
-from ctrplan.base.arrays import MM_PER_M, Array, content_sha256
+from ctrplan.base.arrays import MM_PER_M, ROUNDING_M, Array, content_sha256
 from ctrplan.base.package import of_this_process, shown
 from ctrplan.base.surface import Surface
 from ctrplan.errors import CtrplanError, InputError
@@ -137,7 +137,6 @@ class TriangleTree:
 
 FEW = 8  # parts that are asked straight away
 MANY = 64  # parts of which boxes are looked at first, where places are few: boxes of many take longer than they save
-ROUNDING_M = 1e-9
 CELL_M = 10e-3  # within which points are asked together
 
 

@@ -67,7 +67,7 @@ class BaseParameters(Effect):
         return changed
 
 
-RELATIVE_PRIOR, LEAST_PRIOR = 0.2, 0.2  # of a named number whose size is known, and of one that is zero
+RELATIVE_PRIOR = 0.2  # of a named number: share of its size, or of one where it is zero
 
 
 class NamedParameters(Effect):
@@ -93,7 +93,7 @@ class NamedParameters(Effect):
         value = value_of(robot, name)
         low, high = self.bounds.get(name, _usual_bounds(name, value))
         is_ratio = name.endswith("poisson_ratio")
-        usual = _ratio(name, value).prior if is_ratio else RELATIVE_PRIOR * abs(value) or LEAST_PRIOR
+        usual = _ratio(name, value).prior if is_ratio else RELATIVE_PRIOR * (abs(value) or 1.0)
         prior = self.priors.get(name, usual)
         return Parameter(name, prior, neutral=value, lower=low, upper=high)
 

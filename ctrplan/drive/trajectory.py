@@ -26,7 +26,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
 import ruckig
@@ -35,15 +34,12 @@ from numpy.typing import ArrayLike, NDArray
 from ctrplan.base.arguments import Flag, Made, Number, checked
 from ctrplan.base.arrays import Array, numbers
 from ctrplan.base.package import shown
+from ctrplan.drive.drive import JOINT_ROUNDING, Drive
 from ctrplan.drive.legs import distance_from_leg, merge_legs, rounding
 from ctrplan.errors import InputError, SolverError
 
-if TYPE_CHECKING:
-    from ctrplan.drive.drive import Drive
-
 QUANTITIES = ("velocity", "acceleration", "jerk")
 RATIO_TOLERANCE = 1e-9  # relative excess of a limit that counts as rounding
-RANGE_TOLERANCE = 1e-9  # rad or m by which rounding may carry a waypoint out of its joint's range
 END_TOLERANCE = 1e-10  # of s, by which rounding may leave the end of a leg
 LINE_TOLERANCE = 1e-12  # rad or m by which a sample may leave its leg, rounding apart
 MAX_SAMPLES = 1_000_000
@@ -322,7 +318,7 @@ def _limits(drive: Drive) -> Array:
 
 
 def _out_of_range(points: Array, drive: Drive) -> NDArray[np.bool_]:
-    outside: NDArray[np.bool_] = (points < drive.lower - RANGE_TOLERANCE) | (points > drive.upper + RANGE_TOLERANCE)
+    outside: NDArray[np.bool_] = (points < drive.lower - JOINT_ROUNDING) | (points > drive.upper + JOINT_ROUNDING)
     return outside
 
 

@@ -28,14 +28,13 @@ from ctrplan.measurement.approach import friction_state, last_directions
 from ctrplan.measurement.measurements import Measurements, Poses, frames_along
 from ctrplan.pipeline.chain import Acting, Chain, taken_along, with_chain
 from ctrplan.pipeline.term import SensorPrediction, Term, TermValues
-from ctrplan.pipeline.tip_table import TipTable, on_body, point_table, remembered_tip_x
+from ctrplan.pipeline.tip_table import NEAR_M, TipTable, on_body, point_table, remembered_tip_x
 from ctrplan.robot.named_numbers import value_of, with_values
 from ctrplan.robot.robot import Robot
 
 STEP = 1e-4  # of a parameter's prior, for the stages that are arithmetic
 COARSE_STEP = 0.005  # of a parameter's prior, where the mechanics are differenced
 MOVE = 1e-5  # [m] and [rad] alike, of what a sensor is shown
-NEAR_M = 0.3e-3  # that points may have moved since
 NEAR_SHARE = 0.1  # of its prior that a parameter may have moved since
 MOST = 3  # columns of one parameter, at other places
 

@@ -20,6 +20,7 @@ import numpy as np
 from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.base.long_work import ROOM_NS, SearchOver, cores
 from ctrplan.certificate.problems import with_shares
+from ctrplan.drive.drive import JOINT_ROUNDING
 from ctrplan.drive.legs import distance_from_polyline
 from ctrplan.errors import NoAnswerError
 from ctrplan.mechanics.shapes import Status
@@ -218,9 +219,6 @@ def _no_answer(checker: MotionChecker, sentence: str) -> NoAnswerError:
     return NoAnswerError(f"{scenario.path or scenario.name}: {scenario.goal.place}: {sentence}.")
 
 
-AT_GOAL = 1e-9  # rad or m
-
-
 def nearest_turn(scenario: Scenario, start: Array, goal: Goal) -> Goal:
     """The goal with the unlimited rotations of its joint values at the turn nearest to start (m,); a tip goal as is."""
     if goal.joints is None:
@@ -229,9 +227,9 @@ def nearest_turn(scenario: Scenario, start: Array, goal: Goal) -> Goal:
 
 
 def is_at_goal(scenario: Scenario) -> bool:
-    """Whether the start is the scenario's joint goal, to AT_GOAL and whole turns of unlimited rotations."""
+    """Whether the start is the scenario's joint goal, to JOINT_ROUNDING and whole turns of unlimited rotations."""
     start, goal = scenario.start, scenario.goal.joints
-    return goal is not None and bool(np.all(np.abs(JointSpace.of(scenario).difference(start, goal)) <= AT_GOAL))
+    return goal is not None and bool(np.all(np.abs(JointSpace.of(scenario).difference(start, goal)) <= JOINT_ROUNDING))
 
 
 def turn_notes(scenario: Scenario, ends: Sequence[Array]) -> tuple[str, ...]:
