@@ -24,7 +24,9 @@ from ctrplan.pipeline.term import Term
 from ctrplan.robot.named_numbers import MAGNITUDE, MOST_RATIO, with_plain_keys, with_values
 from ctrplan.robot.robot import Robot, StatedIntervals, file_key
 
-HELD = 1e-4  # share of what an earlier fit left uncertain, below which a later one merely held the parameter
+CONSTRAINED = (
+    1e-4  # share of what an earlier fit left uncertain, below which a later one merely constrained the parameter
+)
 
 Intervals = dict[str, tuple[float, float]]  # name of a number -> ends, SI
 
@@ -39,7 +41,7 @@ def uncertainty_table(result: Fit, effects: Sequence[Term], before: Fit | None =
     fitted, rows = _of_fit(result, effects, ideal)
     if before is not None:
         earlier, _ = _of_fit(before, effects, ideal)
-        wider = {name for name, ends in earlier.items() if np.ptp(fitted[name]) < HELD * np.ptp(ends)}
+        wider = {name for name, ends in earlier.items() if np.ptp(fitted[name]) < CONSTRAINED * np.ptp(ends)}
         fitted |= {name: earlier[name] for name in wider}
         rows = {name: row for name, row in rows.items() if name not in wider}
     if not fitted:

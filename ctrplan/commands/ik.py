@@ -77,7 +77,7 @@ def run(arguments: argparse.Namespace) -> int:
         starts=arguments.starts,
         seed=arguments.seed,
     )
-    outcome, branches = result.found, list(result.branches)
+    outcome, branches = result.solutions, list(result.branches)
     warn(plan_range_notes(scenario.robot, np.array([c.joints for c in outcome.configurations or [outcome.nearest]])))
     print(
         json.dumps(_json(scenario, outcome, branches), indent=1)

@@ -22,7 +22,7 @@ from ctrplan.files.robot_tables import (
 )
 from ctrplan.measurement.measurements import Marker, SensorNoise
 from ctrplan.mechanics.tube import RANGES, SOFTEST_NM2, STIFFEST_NM2, Contact, Tube, TubeSection
-from ctrplan.robot.magnitudes import bend_readings, one_sentence, robot_doubts
+from ctrplan.robot.magnitudes import bend_readings, robot_doubts, summarised
 from ctrplan.robot.named_numbers import (
     BENDING,
     CURVATURES,
@@ -324,7 +324,7 @@ def _build(document: Document) -> Robot:
         raise document.fault(f"no joint values within limits nest the tubes, at home {violation}", "home", "l_mm")
     intervals = build_intervals(entry.uncertainty, robot, document)
     doubts = doubtful_numbers(robot, document)
-    in_doubt = one_sentence(doubts, f"ctrplan check {document.file or 'ROBOT.toml'}")
+    in_doubt = summarised(doubts, f"ctrplan check {document.file or 'ROBOT.toml'}")
     told = [text for text in _clearance_warnings(robot, document) if not _is_doubted(text, doubts)]
     warnings = (*in_doubt, *_ratio_warnings(entry, document), *told)
     robot = replace(robot, intervals=intervals, warnings=warnings)

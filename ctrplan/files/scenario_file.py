@@ -20,7 +20,7 @@ from ctrplan.drive.drive import JOINT_ROUNDING, Joint
 from ctrplan.errors import InputError
 from ctrplan.files.robot_file import load_robot, robot_from_dict
 from ctrplan.files.scenario_anatomy import anatomy_notes, anatomy_part, fixture, refuse_targets_outside_images
-from ctrplan.robot.magnitudes import one_sentence
+from ctrplan.robot.magnitudes import summarised
 from ctrplan.robot.robot import Robot, nesting_violation
 from ctrplan.scenario.joint_space import bare_scenario
 from ctrplan.scenario.scenario import (
@@ -309,7 +309,7 @@ def _refuse_wrong_units(
     for doubt, fault in doubts:
         if doubt.is_sure:
             raise fault
-    return one_sentence([str(fault) for _, fault in doubts], f"ctrplan check {document.file or 'SCENARIO.toml'}")
+    return summarised([str(fault) for _, fault in doubts], f"ctrplan check {document.file or 'SCENARIO.toml'}")
 
 
 def doubtful_sizes(scenario: Scenario) -> list[str]:

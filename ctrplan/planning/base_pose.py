@@ -118,7 +118,7 @@ class ReachedTarget:
     """A target seen from a base pose."""
 
     goal: Goal
-    found: int  # configurations that reach it
+    solutions: int  # configurations that reach it
     valid: int  # of them within all limits and margins
     best: Configuration | None  # of the valid ones, the least error at worst
     reason: str  # why there is none; empty if there is one
