@@ -6,7 +6,7 @@ import os
 from typing import Any
 
 LONGEST_VALUE = 60  # characters of a value that a sentence shows
-FEW = 6  # numbers of an array that are
+FEW = 6  # entries of an array or a list that are shown one by one
 
 
 class CtrplanError(Exception):

@@ -34,7 +34,7 @@ A robot file with effects is the same robot to every command. What an effect doe
 | `homing_shift` | none: the robot stands as after the first homing | acts on logs |
 
 `python tools/effects_page.py` makes this page from the catalogue. How to write another effect:
-[diagnosis](diagnosis.md#a-new-effect).
+[extending](extending.md#an-effect).
 """
 
 BUILT = """\
@@ -51,7 +51,7 @@ AFTER = """
 stage = "drive"
 acts_on = "the rotation of tube 2"
 formula = "the rotation of tube 2 changes by 3.1 deg sin(3 theta_2) - 1.2 deg cos(3 theta_2)"
-may_be = "acts in the drive on the rotation of tube 2 with a period of 120 deg, ...: like a ripple of gears"
+may_be = "acts in the drive on the rotation of tube 2 with a period of 120 deg, ..."
 sin_3_theta_2_deg = 3.1
 cos_3_theta_2_deg = -1.2
 [effects.learned_theta_2.range]

@@ -21,8 +21,7 @@ from common import ROBOTS, SCENARIOS, table
 from scipy.spatial.transform import Rotation
 
 import ctrplan
-from ctrplan.anatomy.anatomy_field import anatomy_field, shared_spacing_m
-from ctrplan.anatomy.clearance_grid import build_field, default_spacing_m, field_bounds
+from ctrplan.anatomy.clearance_grid import anatomy_field, build_field, default_spacing_m, field_bounds, shared_spacing_m
 from ctrplan.base.arrays import Array
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.scenario.scenario import Scenario

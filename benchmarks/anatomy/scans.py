@@ -23,8 +23,7 @@ from common import SCENARIOS
 from scipy.spatial.transform import Rotation
 
 import ctrplan
-from ctrplan.anatomy.anatomy_field import anatomy_field, shared_spacing_m
-from ctrplan.anatomy.clearance_grid import field_bounds
+from ctrplan.anatomy.clearance_grid import anatomy_field, field_bounds, shared_spacing_m
 from ctrplan.anatomy.parts import AnatomyPart
 
 SPACINGS_MM = [(0.5, 0.5, 0.5), (1.0, 1.0, 1.0), (0.7, 0.7, 1.4), (2.0, 2.0, 2.0)]

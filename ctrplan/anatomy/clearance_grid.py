@@ -1,4 +1,5 @@
-"""Obstacles and lumens as one signed-distance field: the clearance available to a point, on a grid.
+"""Obstacles and lumens as one signed-distance field: the clearance available to a point, on a grid, or in bricks of one
+lattice that belong to the anatomy: any base pose, any robot.
 
 Exact queries cost microseconds, and most nodes of a grid lie far from the surface. Distances are therefore exact on a
 grid COARSEST times coarser; each halving of the step interpolates and then replaces by exact values all nodes within
@@ -6,6 +7,10 @@ FAR coarse steps S. What stays interpolated is at least (FAR - sqrt(3) / 2) S fr
 1-Lipschitz and each node within sqrt(3) / 2 S of what it is interpolated from. On either side of the surface distance
 is a minimum of cones |x - p| with second derivatives of at most 1 / |x - p|, so that interpolation exceeds the unsigned
 distance by at most 3 S^2 / (8 d): below 2 % of d. It can fall short by sqrt(3) / 2 S, on the medial axis.
+
+The lattice stands in the anatomy's frame, at the lower corner of the lumens' box, else at its origin. Bricks are kept
+on disk one by one, and a field is put together of those it needs. Where two bricks meet they hold the same nodes.
+Bricks beyond reach are neither built nor needed.
 
 The core samples the field at every point of every shape; the certificate uses `exact_clearance` instead. What the parts
 mean together stands in `ctrplan.anatomy.parts`.
@@ -15,18 +20,20 @@ from __future__ import annotations
 
 import hashlib
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ctrplan import _model
-from ctrplan.anatomy.parts import CHUNK_POINTS, AnatomyPart, combined_clearance, surface_distance
+from ctrplan.anatomy.parts import CHUNK_POINTS, FEW, AnatomyPart, combined_clearance, nearby, surface_distance
 from ctrplan.anatomy.shape import PartShape
 from ctrplan.base.arrays import Array
-from ctrplan.base.long_work import Progress, part_of
+from ctrplan.base.long_work import Progress, cores, part_of
 from ctrplan.errors import InputError
 from ctrplan.storage import cache as field_cache
 
@@ -225,3 +232,173 @@ def _source(shape: type[PartShape]) -> bytes:
     """Hash of the file that defines a kind: who writes one changes its distances now and then."""
     file = getattr(sys.modules.get(shape.__module__), "__file__", None)
     return hashlib.sha256(Path(file).read_bytes() if file else b"").digest()
+
+
+BRICK = 48  # cells along an edge: 0.5 MB
+BLOCK = 12  # cells along an edge of what is asked for the same few of many parts, a multiple of COARSEST
+RUNGS = 3  # spacings to a factor of two, so that robots of much the same reach share them
+FINEST_M = 0.5e-3
+ROUNDING = 1e-9  # of a cell
+AT_ONCE = 64  # bricks held in memory, and kept together
+
+Index = tuple[int, int, int]
+
+
+def shared_spacing_m(parts: Sequence[AnatomyPart], reach_m: float) -> float:
+    """Spacing [m] for an anatomy and robots of about that reach, whatever their base; see `default_spacing_m`."""
+    extents = [np.array([2 * reach_m, 2 * reach_m, reach_m])]
+    if (box := _lumens(parts)) is not None:
+        extents.append(box[1] - box[0])
+    spacing = min(default_spacing_m(np.zeros(3), extent) for extent in extents)
+    return float(FINEST_M * 2 ** (round(RUNGS * np.log2(spacing / FINEST_M)) / RUNGS))
+
+
+def anatomy_field(
+    parts: Sequence[AnatomyPart],
+    lower_m: ArrayLike,
+    upper_m: ArrayLike,
+    spacing_m: float,
+    *,
+    base_position_m: ArrayLike,
+    reach_m: float,
+    progress: Progress | None = None,
+) -> SignedDistanceField:
+    """Clearance on the lattice's nodes around the box lower_m (3,) to upper_m (3,) [m], which `field_bounds` gives.
+
+    Beyond reach_m [m] of base_position_m (3,) [m], anatomy's frame, it may say -reach_m: no robot gets there.
+    progress: called with the fraction done, 0 to 1. Accuracy: `ctrplan.anatomy.clearance_grid`.
+    """
+    lattice = Lattice.of(parts, spacing_m)
+    first, last = lattice.nodes_around(np.asarray(lower_m, np.float64), np.asarray(upper_m, np.float64))
+    values: Grid = np.full(last - first + 1, -reach_m, dtype=np.float32)
+    base = np.asarray(base_position_m, dtype=np.float64)
+    needed = [index for index in lattice.bricks(first, last) if lattice.distance_m(index, base) <= reach_m]
+    for index, brick in _bricks(parts, lattice, needed, progress):
+        start = np.array(index) * BRICK
+        low, high = np.maximum(start, first), np.minimum(start + brick.shape - 1, last)
+        values[_box(low - first, high - first)] = brick[_box(low - start, high - start)]
+    return SignedDistanceField(lattice.node_m(first), spacing_m, values, tuple(parts))
+
+
+@dataclass(frozen=True, eq=False)
+class Lattice:
+    """Nodes origin_m + spacing_m (i, j, k) [m]; brick (a, b, c) begins at node BRICK (a, b, c)."""
+
+    origin_m: Array  # (3,)
+    spacing_m: float
+    lowest: Array  # (3,) first node and
+    highest: Array  # (3,) last node that may matter: those of the lumens' box, else infinite
+
+    @classmethod
+    def of(cls, parts: Sequence[AnatomyPart], spacing_m: float) -> Lattice:
+        """The lattice of an anatomy."""
+        box = _lumens(parts)
+        if box is None:
+            return cls(np.zeros(3), spacing_m, np.full(3, -np.inf), np.full(3, np.inf))
+        cells = np.ceil(np.maximum((box[1] - box[0]) / (COARSEST * spacing_m) - ROUNDING, 1.0)) * COARSEST
+        return cls(box[0], spacing_m, np.zeros(3), cells)
+
+    def node_m(self, node: NDArray[np.int_]) -> Array:
+        """Where a node (3,) stands [m]."""
+        return np.asarray(self.origin_m + self.spacing_m * node)
+
+    def nodes_around(self, lower_m: Array, upper_m: Array) -> tuple[NDArray[np.int_], NDArray[np.int_]]:
+        """The first and the last node (3,), (3,) of the cells that hold a box [m], at least one along each axis."""
+        first = np.floor((lower_m - self.origin_m) / self.spacing_m + ROUNDING)
+        first = np.clip(first, self.lowest, self.highest - 1)
+        last = np.ceil((upper_m - self.origin_m) / self.spacing_m - ROUNDING)
+        last = np.maximum(np.minimum(last, self.highest), first + 1)
+        return first.astype(np.int64), last.astype(np.int64)
+
+    def bricks(self, first: NDArray[np.int_], last: NDArray[np.int_]) -> Iterator[Index]:
+        """Bricks that hold the cells between two nodes."""
+        ranges = [range(a // BRICK, (b - 1) // BRICK + 1) for a, b in zip(first.tolist(), last.tolist(), strict=True)]
+        return product(*ranges)  # type: ignore[return-value]  # of three ranges
+
+    def shape(self, index: Index) -> Index:
+        """Nodes of a brick along each axis; fewer where the lumens' box ends."""
+        nx, ny, nz = np.minimum(BRICK, self.highest - np.array(index) * BRICK).astype(int) + 1
+        return int(nx), int(ny), int(nz)
+
+    def distance_m(self, index: Index, point_m: Array) -> float:
+        """From a brick to a point (3,) [m]; 0 within it."""
+        lower = self.node_m(np.array(index) * BRICK)
+        upper = lower + self.spacing_m * (np.array(self.shape(index)) - 1)
+        return float(np.linalg.norm(point_m - np.clip(point_m, lower, upper)))
+
+
+def _bricks(
+    parts: Sequence[AnatomyPart], lattice: Lattice, needed: list[Index], progress: Progress | None
+) -> Iterator[tuple[Index, Grid]]:
+    """Each brick needed, from disk or built and then kept."""
+    anatomy = content_key(parts, lattice.origin_m, lattice.spacing_m)
+
+    def brick(index: Index) -> tuple[str, Grid, bool]:
+        key = hashlib.sha256(f"{anatomy} {BRICK} {index}".encode()).hexdigest()
+        kept = field_cache.load(key, lattice.shape(index))
+        return (key, _build(parts, lattice, index), True) if kept is None else (key, kept, False)
+
+    with ThreadPoolExecutor(cores()) as pool:
+        for first in range(0, len(needed), AT_ONCE):
+            some, built = needed[first : first + AT_ONCE], dict[str, Grid]()
+            for done, (index, (key, values, is_new)) in enumerate(
+                zip(some, pool.map(brick, some), strict=True), first + 1
+            ):
+                if is_new:
+                    built[key] = values
+                if progress:
+                    progress(done / len(needed))
+                yield index, values
+            field_cache.store_all(built)
+
+
+def _build(parts: Sequence[AnatomyPart], lattice: Lattice, index: Index) -> Grid:
+    start, shape = np.array(index) * BRICK, lattice.shape(index)
+    centre, radius = _ball(lattice, start, shape)
+    (parts,) = nearby(parts, centre[None], radius)
+    if len(parts) <= FEW:
+        return _clearance(parts, lattice, start, shape)
+    values: Grid = np.empty(shape, dtype=np.float32)
+    blocks = list(product(*(range(0, size - 1, BLOCK) for size in shape)))
+    shapes = [(np.minimum(np.array(shape) - 1 - block, BLOCK) + 1).astype(int) for block in blocks]
+    balls = [_ball(lattice, start + np.array(block), size) for block, size in zip(blocks, shapes, strict=True)]
+    matter = nearby(parts, np.array([middle for middle, _ in balls]), max(radius for _, radius in balls))
+    for block, size, few in zip(blocks, shapes, matter, strict=True):
+        nx, ny, nz = size.tolist()
+        values[_box(np.array(block), np.array(block) + size - 1)] = _clearance(
+            few, lattice, start + np.array(block), (nx, ny, nz)
+        )
+    return values
+
+
+def _clearance(parts: Sequence[AnatomyPart], lattice: Lattice, start: NDArray[np.int_], shape: Index) -> Grid:
+    """At the nodes from `start` on."""
+    origin = lattice.node_m(start)
+    nodes = origin + lattice.spacing_m * np.indices(shape).reshape(3, -1).T
+
+    def distance(part: AnatomyPart) -> NDArray[np.floating]:
+        if part.shape.is_formula:
+            return surface_distance(part, nodes).reshape(shape)
+        return grid_distance(part, origin, lattice.spacing_m, shape, lambda _: None)
+
+    return combined_clearance(parts, distance).astype(np.float32, copy=False)
+
+
+def _ball(lattice: Lattice, start: NDArray[np.int_], shape: ArrayLike) -> tuple[Array, float]:
+    """Centre (3,) and radius [m] around so many nodes, those that coarse levels ask for included."""
+    half = lattice.spacing_m * (np.asarray(shape) - 1) / 2
+    return lattice.node_m(start) + half, float(np.linalg.norm(half)) * (1 + 1e-9)
+
+
+def _lumens(parts: Sequence[AnatomyPart]) -> tuple[Array, Array] | None:
+    """The box (3,), (3,) [m] of all lumens; None without any."""
+    boxes = [part.shape.box() for part in parts if part.role == "inside"]
+    if not boxes:
+        return None
+    return np.min([lower for lower, _ in boxes], axis=0), np.max([upper for _, upper in boxes], axis=0)
+
+
+def _box(first: NDArray[np.int_], last: NDArray[np.int_]) -> tuple[slice, slice, slice]:
+    """Nodes from first (3,) to last (3,), both included."""
+    i, j, k = (slice(int(a), int(b) + 1) for a, b in zip(first, last, strict=True))
+    return i, j, k

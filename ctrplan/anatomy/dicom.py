@@ -84,7 +84,7 @@ def read_series(folder: Path, series: str | None) -> Image:
     files = result[series or next(iter(result))]
     if len(files) == 1 and "SegmentSequence" in files[0][1]:
         return _segmentation(*files[0])
-    slices, notes = _one_stack(files)
+    slices, notes = _single_stack(files)
     order = _in_order(slices)
     kept: dict[Path, tuple[Any, Any]] = {}
     pixels = [_values(part, kept) for part in order]
@@ -153,7 +153,7 @@ def _listed(result: dict[str, list[tuple[Path, Any]]]) -> str:
     return "; ".join(texts) + (f" and {len(result) - SHOWN} more" if len(result) > SHOWN else "")
 
 
-def _one_stack(files: Sequence[tuple[Path, Any]]) -> tuple[list[Slice], tuple[str, ...]]:
+def _single_stack(files: Sequence[tuple[Path, Any]]) -> tuple[list[Slice], tuple[str, ...]]:
     """The slices of the stack among the files; a scout is left out, with a note of its name. Raises ImageRefusal."""
     first = files[0][1]
     if int(first.get("SamplesPerPixel", 1)) > 1:

@@ -33,7 +33,7 @@ from ctrplan.anatomy.image import (
     voxel_bytes,
 )
 from ctrplan.anatomy.patient_frame import TURNED, Frame
-from ctrplan.base.arrays import Array
+from ctrplan.base.arrays import NORM_TOLERANCE, Array
 
 UNITS_MM = {0: 1.0, 1: 1e3, 2: 1.0, 3: 1e-3}  # xyzt_units: unknown, metre, millimetre, micrometre
 TYPES = {2: "u1", 4: "i2", 8: "i4", 16: "f4", 64: "f8", 256: "i1", 512: "u2", 768: "u4", 1024: "i8", 1280: "u8"}
@@ -43,7 +43,6 @@ NO_NUMBERS = {
     **{1792: "complex values: must have real ones", 2048: "complex values: must have real ones"},
     **{1536: "128-bit numbers: save it with 64 bits"},
 }
-QUATERNION_TOLERANCE = 1e-3  # by which b^2 + c^2 + d^2 of a header may exceed 1
 SAME_SIZE = 1e-3  # of two statements of a voxel's size
 
 
@@ -224,7 +223,7 @@ def _quaternion_form(quaternion: tuple[float, ...], pixdim: Array) -> Array:
     """Affine (3, 4) of the header's quaternion and offset, in RAS."""
     b, c, d, *offset = quaternion
     square = b * b + c * c + d * d
-    if not square <= 1 + QUATERNION_TOLERANCE:
+    if not square <= 1 + NORM_TOLERANCE:
         raise ImageRefusal("is damaged: its qform has a quaternion that is longer than 1")
     a = np.sqrt(max(0.0, 1.0 - square))
     rotation = np.array(

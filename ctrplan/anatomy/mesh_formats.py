@@ -34,7 +34,7 @@ NUMBERS = {
     **{"unsigned_char": "u1", "unsigned_short": "u2", "unsigned_int": "u4", "vtkidtype": "i4", "vtktypeint64": "i8"},
 }
 STL_HEAD = 1024  # bytes by which text is told
-STL_REST = 134 / 50  # triangles' worth of bytes, in which no further solid would have room
+STL_REMAINDER = 134 / 50  # triangles' worth of bytes, in which no further solid would have room
 STL_TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 BYTE_ORDER_MARK = "\xef\xbb\xbf"  # of UTF-8, read byte by byte
 LARGEST_INDEX = 2**62
@@ -76,7 +76,7 @@ def read_binary_stl(path: Path) -> tuple[Array, Indices] | None:
         if promised != room:
             if len(head) < 84 or (b"\0" not in head and head.removeprefix(BOM_UTF8)[:5].lower() == b"solid"):
                 return None
-            if not 0 < promised < room < promised + STL_REST:
+            if not 0 < promised < room < promised + STL_REMAINDER:
                 _damaged(f"its header promises {promised} triangles, its size is that of {room:.10g}")
         records = np.fromfile(path, STL_TRIANGLE, promised, offset=84)
     vertices = records["corners"].astype(np.float64).reshape(-1, 3)

@@ -12,7 +12,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from ctrplan.base.arrays import Array, read_only
-from ctrplan.storage.toml_table import TomlTable
+from ctrplan.storage.toml_document import TomlTable
 
 Frame = Literal["RAS", "LPS"]
 FRAMES: tuple[Frame, ...] = get_args(Frame)

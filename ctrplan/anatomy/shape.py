@@ -21,8 +21,7 @@ from ctrplan.base.arrays import MM_PER_M, Array, numbers, read_only
 from ctrplan.base.catalogue import AbstractStruct, Catalogue
 from ctrplan.base.surface import Surface
 from ctrplan.errors import InputError
-from ctrplan.storage.toml_document import Distance
-from ctrplan.storage.toml_table import TomlTable
+from ctrplan.storage.toml_document import Distance, TomlTable
 
 LENGTH = Number(0, 1e3, "m", above=True)
 Role = Literal["avoid", "inside"]

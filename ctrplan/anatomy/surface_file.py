@@ -25,7 +25,7 @@ from ctrplan.anatomy.mesh_repair import (
 from ctrplan.anatomy.patient_frame import Frame, to_scenario
 from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.base.surface import Surface
-from ctrplan.storage.toml_table import TomlTable
+from ctrplan.storage.toml_document import TomlTable
 
 HUGE, ENOUGH = 1_000_000, 200_000  # triangles: what is thinned, and to what
 MOST_ERROR_M = 0.05e-3

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.audit.body import RawAnatomy
-from ctrplan.base.arrays import Array
+from ctrplan.base.arrays import CHI95, Array
 from ctrplan.effects.learned.learned import effect_of
 from ctrplan.errors import CtrplanError
 from ctrplan.pipeline.chain import Chain
@@ -24,7 +24,6 @@ from ctrplan.robot.robot import Robot
 from ctrplan.scenario.scenario import Registration
 from ctrplan.uncertainty.parameters import UncertainParameters, uncertain_parameters
 
-CHI95 = 2.795483  # standard deviations within which 95 % of the lengths of three normal coordinates lie
 MOST_ROBOTS = 400  # that are kept, of a few kB each
 EVEN = 1e-9  # by which correlations and sides of intervals count as nothing
 

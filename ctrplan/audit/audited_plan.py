@@ -17,8 +17,8 @@ from ctrplan.errors import CtrplanError
 from ctrplan.files.plan_file import WrittenPlan
 from ctrplan.mechanics.shapes import Accuracy, Shape, Status
 from ctrplan.robot.robot import Robot
+from ctrplan.scenario.joint_space import MM_PER_RAD
 
-MM_PER_RAD = 20.0  # of the length by which places are counted; it changes no claim
 LATE_MM_PER_S = 1.0  # likewise, of time in which drives may rest
 
 

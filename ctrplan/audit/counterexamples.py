@@ -189,7 +189,7 @@ def descend(
 
 GRID = 64  # places of the way where tips are looked at
 LOOKS = 9  # bodies around the worst place of another equilibrium, on the judge's mesh
-STEP_RAD, STEP_M = 0.05, 0.5e-3  # of a history, for counting its work
+STEPPED = HistoryOptions()  # of a history, for counting its work
 STEP_WORK: dict[Accuracy, int] = {"search": 8, "certificate": 20, "exact": 20}
 SMALL_DEG, LARGE_DEG = (1.0, 30.0), (30.0, 180.0)
 MOST_TURNS = 4
@@ -444,5 +444,7 @@ class HistoryHunt:
         return results
 
     def _count(self, joints: Array, mesh: Accuracy, share: float = 1.0) -> None:
-        steps = np.abs(np.diff(joints, axis=0)) / np.where(self.case.robot.drive.is_rotation, STEP_RAD, STEP_M)
+        steps = np.abs(np.diff(joints, axis=0)) / np.where(
+            self.case.robot.drive.is_rotation, STEPPED.rotation_rad, STEPPED.translation_m
+        )
         self.case.work += int(share * STEP_WORK[mesh] * (np.ceil(steps.max(axis=1, initial=0.0)).sum() + 1))

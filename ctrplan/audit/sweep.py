@@ -17,9 +17,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ctrplan.audit.allowed_robots import CHI95, nearest_base
+from ctrplan.audit.allowed_robots import nearest_base
 from ctrplan.audit.audited_plan import AuditedPlan
-from ctrplan.base.arrays import Array
+from ctrplan.base.arrays import CHI95, Array
 from ctrplan.errors import CtrplanError
 
 FIRST_ROWS, ROWS_OF_A_ROUND = 33, 16  # places of the way to begin with, and between two descents: budgets of the hunt

@@ -68,9 +68,15 @@ def _kind_of(given: NDArray[Any]) -> str:
     return names.get(given.dtype.kind, "objects that a float can't hold")
 
 
-MM_PER_M = 1e3
 MILLIMETRE = 1e-3  # m
+MM_PER_M = 1 / MILLIMETRE
 DEGREE = math.pi / 180  # rad
+HOUR_S = 3600.0
+MM_DIGITS = 6  # of a length in mm that is written to files: a nanometre
+ROUNDING_M = 1e-9  # by which rounding may change a length
+NORM_TOLERANCE = 1e-3  # by which digits of a file may change the norm of a unit quaternion
+CI95 = 1.959964  # standard deviations on both sides that hold 95 % of a normal number
+CHI95 = 2.795483  # standard deviations within which 95 % of the lengths of three normal coordinates lie
 
 Z = np.array([0.0, 0.0, 1.0])
 TINY = 1e-12

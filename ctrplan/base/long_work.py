@@ -20,7 +20,7 @@ from types import FrameType
 from typing import Literal
 
 VARIABLE = "CTRPLAN_THREADS"
-MOST = 1024
+MOST_THREADS = 1024  # or processes; beyond any machine of today
 _lock = threading.Lock()
 _side_by_side = 0  # pieces of work that this process does in that way now
 
@@ -53,7 +53,7 @@ def _limit() -> int:
     if _side_by_side:
         return 1
     text = os.environ.get(VARIABLE, "")
-    return int(text) if text.isdecimal() and 0 < int(text) <= MOST else 0
+    return int(text) if text.isdecimal() and 0 < int(text) <= MOST_THREADS else 0
 
 
 INTERRUPTED = 130  # exit code

@@ -11,7 +11,7 @@ from enum import Enum
 from importlib.util import find_spec
 from typing import Any, TypeVar
 
-from ctrplan.errors import InputError
+from ctrplan.errors import FEW, InputError
 
 __version__ = "0.1.0"
 
@@ -49,7 +49,6 @@ def of_this_process(instead: str) -> Callable[[Any], tuple[Any, ...]]:
 
 
 MOST_LINES, WIDEST = 30, 110  # of what an object shows of itself
-FEW = 6  # entries that are shown one by one
 
 
 def shown(cls: T) -> T:

@@ -8,12 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrplan.base.arrays import Array
+from ctrplan.base.arrays import CI95, Array
 from ctrplan.calibration.least_squares import Fit
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.pipeline.term import SensorPrediction, Term
 
-CI95 = 1.959964  # standard deviations
 DIGITS = 6
 SHOWN_DIGITS = 2  # of half an interval
 

@@ -22,9 +22,10 @@ from ctrplan.measurement.measurements import Measurements
 from ctrplan.pipeline.followed_runs import friction_correction
 from ctrplan.pipeline.parametric_chain import ParametricChain
 from ctrplan.pipeline.term import term
+from ctrplan.robot.named_numbers import MOST_RATIO
 
 CONFLICT = 3.0  # standard deviations of the prior
-PHYSICAL_POISSON = (0.0, 0.5)
+PHYSICAL_POISSON = (0.0, MOST_RATIO)
 CERTAIN = 2.0  # standard errors
 
 

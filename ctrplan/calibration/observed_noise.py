@@ -19,12 +19,12 @@ from ctrplan.base.arrays import Array
 from ctrplan.calibration.residuals import PAPER, Noise
 from ctrplan.measurement.approach import friction_state, last_directions, rest_began
 from ctrplan.measurement.measurements import LONGEST_LAG_S, Measurements
+from ctrplan.robot.observer_histories import SAME_PHI
 
 LEAST_SPARE = 20  # repeats beyond the first of their kind: the noise is then known to about 10 %
 LEAST_WINDOWS = 100  # of differences, which overlap
 STILL_POSES = 5  # of a standstill that count as one kind: what changes more slowly is no noise
 FAR = 4.5  # times the typical distance of a repeat from its mean, beyond which one says nothing about noise
-SAME_STATE = 1e-3
 UNEVEN = 0.1  # of the time between two poses, by which it may differ from the next
 LEAST_M, LEAST_RAD = 1e-9, 1e-8  # smaller ones are a held value
 MEDIAN = 0.6745  # of the size of a Gaussian number
@@ -73,7 +73,7 @@ def _of_one_point(data: Measurements) -> Measurements:
 
 def repeats(data: Measurements) -> NDArray[np.int_]:
     """(K,) number that poses share which have configuration, last directions and friction state in common."""
-    states = np.round(friction_state(data) / SAME_STATE).astype(np.int64)
+    states = np.round(friction_state(data) / SAME_PHI).astype(np.int64)
     marks = np.column_stack([data.configuration, last_directions(data).astype(np.int64), states])
     number: NDArray[np.int_] = np.unique(marks, axis=0, return_inverse=True)[1].ravel()
     return number

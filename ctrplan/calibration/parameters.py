@@ -12,9 +12,8 @@ from ctrplan.effects.effect import CATALOGUE, Effect, Parameter, Values
 from ctrplan.errors import InputError
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.pipeline.term import Term, term
-from ctrplan.robot.named_numbers import value_of
+from ctrplan.robot.named_numbers import MOST_RATIO, value_of
 from ctrplan.robot.robot import Robot
-from ctrplan.robot.tube_keys import MOST_RATIO
 
 CURVATURE_PRIOR, STIFFNESS_PRIOR, POISSON_PRIOR, FRICTION_PRIOR = 0.1, 0.2, 0.15, 0.1
 
@@ -68,7 +67,7 @@ class BaseParameters(Effect):
         return changed
 
 
-RELATIVE_PRIOR, LEAST_PRIOR = 0.2, 0.2  # of a named number whose size is known, and of one that is zero
+RELATIVE_PRIOR = 0.2  # of a named number: share of its size, or of one where it is zero
 
 
 class NamedParameters(Effect):
@@ -94,7 +93,7 @@ class NamedParameters(Effect):
         value = value_of(robot, name)
         low, high = self.bounds.get(name, _usual_bounds(name, value))
         is_ratio = name.endswith("poisson_ratio")
-        usual = _ratio(name, value).prior if is_ratio else RELATIVE_PRIOR * abs(value) or LEAST_PRIOR
+        usual = _ratio(name, value).prior if is_ratio else RELATIVE_PRIOR * (abs(value) or 1.0)
         prior = self.priors.get(name, usual)
         return Parameter(name, prior, neutral=value, lower=low, upper=high)
 

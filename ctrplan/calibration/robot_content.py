@@ -11,8 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from ctrplan.base.arrays import CHI95, CI95
 from ctrplan.base.package import __version__
-from ctrplan.calibration.estimates import CI95, estimates
+from ctrplan.calibration.estimates import estimates
 from ctrplan.calibration.least_squares import Fit, fit
 from ctrplan.effects.effect import Effect, Parameter
 from ctrplan.errors import CtrplanError
@@ -20,12 +21,12 @@ from ctrplan.measurement.measurements import Measurements
 from ctrplan.pipeline.chain import taken_along
 from ctrplan.pipeline.parametric_chain import ParametricChain
 from ctrplan.pipeline.term import Term
-from ctrplan.robot.named_numbers import MAGNITUDE, with_values
+from ctrplan.robot.named_numbers import MAGNITUDE, MOST_RATIO, with_plain_keys, with_values
 from ctrplan.robot.robot import Robot, StatedIntervals, file_key
-from ctrplan.robot.tube_keys import MOST_RATIO, with_plain_keys
 
-INTERVAL_DIGITS = 7
-HELD = 1e-4  # share of what an earlier fit left uncertain, below which a later one merely held the parameter
+CONSTRAINED = (
+    1e-4  # share of what an earlier fit left uncertain, below which a later one merely constrained the parameter
+)
 
 Intervals = dict[str, tuple[float, float]]  # name of a number -> ends, SI
 
@@ -40,7 +41,7 @@ def uncertainty_table(result: Fit, effects: Sequence[Term], before: Fit | None =
     fitted, rows = _of_fit(result, effects, ideal)
     if before is not None:
         earlier, _ = _of_fit(before, effects, ideal)
-        wider = {name for name, ends in earlier.items() if np.ptp(fitted[name]) < HELD * np.ptp(ends)}
+        wider = {name for name, ends in earlier.items() if np.ptp(fitted[name]) < CONSTRAINED * np.ptp(ends)}
         fitted |= {name: earlier[name] for name in wider}
         rows = {name: row for name, row in rows.items() if name not in wider}
     if not fitted:
@@ -96,7 +97,7 @@ def _kept(parent: StatedIntervals, fitted: Intervals) -> dict[str, Any]:
     merged: Mapping[str, tuple[float, float]] = {**old, **fitted}
     if not merged:
         return {}
-    in_file = {name: [_interval_rounded(file_key(name, end)[1]) for end in ends] for name, ends in merged.items()}
+    in_file = {name: [_rounded(file_key(name, end)[1]) for end in ends] for name, ends in merged.items()}
     return {"ci95": {_file_name(name): ends for name, ends in in_file.items()}}
 
 
@@ -104,12 +105,7 @@ def _file_name(name: str) -> str:
     return name if name.startswith("effects.") else file_key(name, 0.0)[0]
 
 
-def _interval_rounded(value: float) -> float:
-    return float(f"{value:.{INTERVAL_DIGITS}g}")
-
-
 DIGITS = 7  # of numbers in the file
-CHI95 = 2.795  # 95 % of distances of three Gaussian coordinates lie within that many standard deviations
 
 
 def within_file(result: Fit) -> Fit:

@@ -35,7 +35,7 @@ from ctrplan.certificate.variants import (
     walk_corners,
     walk_variants,
 )
-from ctrplan.drive.driven_way import driven_ways
+from ctrplan.drive.trajectory import driven_ways
 from ctrplan.mechanics.shapes import Status
 from ctrplan.mechanics.walk import PathDensity, PathSamples
 from ctrplan.motion.checker import released_error

@@ -176,7 +176,7 @@ def run(arguments: argparse.Namespace) -> int:
     from ctrplan.files.robot_file import load_robot
     from ctrplan.mechanics.shapes import Status
     from ctrplan.motion.play import play_shift
-    from ctrplan.pipeline.installed import range_notes
+    from ctrplan.pipeline.chain import range_notes
     from ctrplan.robot.robot import nesting_violation
 
     if arguments.sweep:

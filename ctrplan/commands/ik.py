@@ -59,7 +59,7 @@ def run(arguments: argparse.Namespace) -> int:
     import numpy as np
 
     from ctrplan.files.scenario_file import load_robot_or_scenario
-    from ctrplan.pipeline.installed import plan_range_notes
+    from ctrplan.pipeline.chain import plan_range_notes
     from ctrplan.planning.inverse_kinematics import inverse_kinematics, refuse_wrong_unit
 
     scenario = load_robot_or_scenario(arguments.file, arguments.overrides, allow_outside=arguments.allow_outside)
@@ -77,7 +77,7 @@ def run(arguments: argparse.Namespace) -> int:
         starts=arguments.starts,
         seed=arguments.seed,
     )
-    outcome, branches = result.found, list(result.branches)
+    outcome, branches = result.solutions, list(result.branches)
     warn(plan_range_notes(scenario.robot, np.array([c.joints for c in outcome.configurations or [outcome.nearest]])))
     print(
         json.dumps(_json(scenario, outcome, branches), indent=1)

@@ -18,6 +18,7 @@ from ctrplan.base.arguments import (
     in_plain_digits,
     require,
 )
+from ctrplan.base.long_work import MOST_THREADS
 from ctrplan.commands.terminal import ProgressBar, warn
 from ctrplan.errors import InputError
 from ctrplan.storage.output_folder import DEFAULT
@@ -169,13 +170,10 @@ def solved_motion(plan: WrittenPlan, steps: int, bar: ProgressBar) -> WrittenMot
     return written_motion(plan, steps, lambda share: bar.show("solving", share))
 
 
-MOST_WORKERS = 1024
-
-
 def add_worker_options(parser: argparse.ArgumentParser) -> None:
     """Adds --workers, --scheduler, --scheduler-file and --yes."""
     workers = "processes on this machine (default: one per core)"
-    add_number(parser, "--workers", Whole(1, MOST_WORKERS), metavar="N", help=workers)
+    add_number(parser, "--workers", Whole(1, MOST_THREADS), metavar="N", help=workers)
     parser.add_argument("--scheduler", metavar="ADDRESS", help="of a dask cluster, such as tcp://10.0.0.5:8786")
     parser.add_argument("--scheduler-file", metavar="FILE", help="that a dask scheduler wrote its address into")
     parser.add_argument("--yes", action="store_true", help="also where it takes more than a week")

@@ -84,7 +84,7 @@ def run(arguments: argparse.Namespace) -> int:
         from ctrplan.files.plan_inputs import SUFFIX
         from ctrplan.files.scenario_file import load_scenario
         from ctrplan.files.trajectory_file import left_over, trajectory_formats
-        from ctrplan.pipeline.installed import plan_range_notes
+        from ctrplan.pipeline.chain import plan_range_notes
         from ctrplan.planning import plan
         from ctrplan.reports.plan_page import plan_outputs
         from ctrplan.reports.plan_words import standing

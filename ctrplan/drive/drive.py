@@ -21,7 +21,7 @@ DriveTerm = Callable[[Array, Array], tuple[Array, Array]]
 
 ANGLE_STEP, LENGTH_STEP = 1e-4, 1e-6  # rad, m: of differences, exact to about their square
 
-SAME_TURN = 1e-9  # rad or m by which collars may be off after a whole turn
+JOINT_ROUNDING = 1e-9  # rad or m by which rounding may change a joint value or a collar
 
 # Unit in files and on screens, and its value in SI.
 UNITS: dict[Kind, tuple[str, float]] = {"rotation": ("deg", math.pi / 180), "translation": ("mm", 1e-3)}
@@ -212,7 +212,7 @@ class Drive:
         moved = np.hstack(self.collars(2 * math.pi * np.eye(joints))) - here
         off = np.abs(moved)
         off[:, :collars] = np.abs(moved[:, :collars] - 2 * math.pi * np.round(moved[:, :collars] / (2 * math.pi)))
-        return read_only(self.is_unlimited & np.all(off < SAME_TURN, axis=1))
+        return read_only(self.is_unlimited & np.all(off < JOINT_ROUNDING, axis=1))
 
     @cached_property
     def lower(self) -> Array:

@@ -22,6 +22,7 @@ class Collars:
 
 
 MERGE_TOLERANCE = 1e-9  # a merged leg passes its waypoints within this fraction of its length
+STILL_RAD, STILL_M = 1e-6, 1e-8  # collars of a file or a log that differ by less stand still
 REPEAT_TOLERANCE = 1e-12  # rad or m: a waypoint nearer than this to the one before it is the same waypoint
 
 

@@ -1,4 +1,5 @@
-"""Waypoints of actuated joint values -> jerk-limited joint trajectory. The only module that imports ruckig.
+"""Waypoints of actuated joint values -> jerk-limited joint trajectory, and where the joints are driven on the way. The
+only module that imports ruckig.
 
 Every leg is driven from rest to rest on the straight line q(s) = A + s (B - A), s from 0 to 1. On that line the limits
 of the joints are limits of the one coordinate s: |s'| <= min_j v_j / |B_j - A_j|, and likewise for s'' and s'''.
@@ -11,7 +12,12 @@ ends the leg in that time, by which speed, acceleration and jerk all become less
 Why one path coordinate and not ruckig's Synchronization.Phase: where the limits that bind belong to different joints
 (one is short of velocity, another of jerk), Phase silently falls back to Time synchronisation and leaves the line. The
 profile of s is the shortest of all motions that stay on the line; where Phase does stay on it, the duration is the
-slowest joint's own optimum, below which no motion can go, so that both agree (benchmarks/trajectory_limits.py).
+slowest joint's own optimum, below which no motion can go, so that both agree (`benchmarks/run.py trajectory_limits`).
+
+The joints are driven on the legs, but for a drive that follows late: it follows every joint's own command some time
+after it was given. Where rotations are later than translations, the joints leave the legs, by what they turn in that
+time. The way is then that of the motion in time, as `time_parameterise` makes it of the legs: from rest, and at rest
+where it ends.
 """
 
 from __future__ import annotations
@@ -20,7 +26,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
 import ruckig
@@ -29,21 +34,20 @@ from numpy.typing import ArrayLike, NDArray
 from ctrplan.base.arguments import Flag, Made, Number, checked
 from ctrplan.base.arrays import Array, numbers
 from ctrplan.base.package import shown
+from ctrplan.drive.drive import JOINT_ROUNDING, Drive
 from ctrplan.drive.legs import distance_from_leg, merge_legs, rounding
 from ctrplan.errors import InputError, SolverError
 
-if TYPE_CHECKING:
-    from ctrplan.drive.drive import Drive
-
-
 QUANTITIES = ("velocity", "acceleration", "jerk")
 RATIO_TOLERANCE = 1e-9  # relative excess of a limit that counts as rounding
-RANGE_TOLERANCE = 1e-9  # rad or m by which rounding may carry a waypoint out of its joint's range
 END_TOLERANCE = 1e-10  # of s, by which rounding may leave the end of a leg
 LINE_TOLERANCE = 1e-12  # rad or m by which a sample may leave its leg, rounding apart
 MAX_SAMPLES = 1_000_000
 PERIOD_S = 0.01
 PERIOD = Number(1e-9, 1e9, "s")
+STEP_RAD, STEP_M = np.radians(1.0), 0.25e-3  # of a joint, between rows of a way in time, where it is taken as straight
+PASSED = 1e-9  # rad or m, or share of a leg, by which rounding may carry a sample off its leg
+LegWay = tuple[int, Array]  # leg, and joints (S, m) [rad, m] driven on it, straight in between
 
 
 @shown
@@ -314,7 +318,7 @@ def _limits(drive: Drive) -> Array:
 
 
 def _out_of_range(points: Array, drive: Drive) -> NDArray[np.bool_]:
-    outside: NDArray[np.bool_] = (points < drive.lower - RANGE_TOLERANCE) | (points > drive.upper + RANGE_TOLERANCE)
+    outside: NDArray[np.bool_] = (points < drive.lower - JOINT_ROUNDING) | (points > drive.upper + JOINT_ROUNDING)
     return outside
 
 
@@ -324,3 +328,59 @@ def _range_rule(drive: Drive, j: int) -> str:
 
 def _unit(drive: Drive, j: int, order: int = 0) -> str:
     return ("rad" if drive.is_rotation[j] else "m") + ("", "/s", "/s^2", "/s^3")[order]
+
+
+def driven_ways(drive: Drive, corners: Array, timing: Trajectory | None = None) -> list[LegWay]:
+    """The ways of the legs between waypoints (K, m), one after the other; of one waypoint a way of no length.
+
+    timing: of a motion along the legs; None for the one that `ctrplan.time_parameterise` makes.
+    """
+    if len(corners) == 1:
+        return [(0, np.vstack([corners, corners]))]
+    if not drive.is_late:
+        return [(leg, np.vstack(ends)) for leg, ends in enumerate(pairwise(corners))]
+    return _late_ways(drive, corners, timing)
+
+
+def late_rows(drive: Drive, time_s: Array, position: Array, at_s: Array) -> Array:
+    """(K, m) joints at instants (K,), when a motion through position (T, m) at time_s (T,) is commanded."""
+    columns = zip(drive.joint_late_s, position.T, strict=True)
+    return np.array([np.interp(at_s - late, time_s, column) for late, column in columns]).T
+
+
+def _late_ways(drive: Drive, corners: Array, timing: Trajectory | None) -> list[LegWay]:
+    made = timing or time_parameterise(corners, drive, joinable=True)
+    tail_s = made.duration_s + np.linspace(0, float(drive.joint_late_s.max()), 50)
+    instants = np.unique(np.concatenate([made.time_s, tail_s]))
+    rows = late_rows(drive, made.time_s, made.position, instants)
+    legs = _commanded_legs(corners, made.position)[np.minimum(np.arange(len(instants)), len(made.time_s) - 1)]
+    steps = np.abs(np.diff(rows, axis=0)) / np.where(drive.is_rotation, STEP_RAD, STEP_M)
+    moved = np.floor(np.append(0.0, np.cumsum(steps.max(axis=1))))
+    ways = list[LegWay]()
+    for leg in range(len(corners) - 1):
+        own = np.flatnonzero(legs == leg)
+        if len(own) == 0:  # passed between two samples
+            own = np.flatnonzero(legs <= leg)[-1:]
+        own = np.arange(max(own[0] - 1, 0) if leg else 0, own[-1] + 1)  # from where the leg before ends
+        kept = np.append(np.flatnonzero(np.diff(moved[own], prepend=-1.0) > 0), len(own) - 1)
+        way = rows[own[np.unique(kept)]]
+        ways.append((leg, way if len(way) > 1 else np.vstack([way, way])))
+    return ways
+
+
+def _commanded_legs(corners: Array, position: Array) -> NDArray[np.intp]:
+    """(T,) leg of waypoints (K, m) on which joints (T, m), that follow the legs, are commanded."""
+    legs, leg = np.empty(len(position), dtype=np.intp), 0
+    last = len(corners) - 2
+    for k, q in enumerate(position):
+        while leg < last and _is_passed(corners[leg], corners[leg + 1], q):
+            leg += 1
+        legs[k] = leg
+    return legs
+
+
+def _is_passed(start: Array, end: Array, q: Array) -> bool:
+    """Whether joints q lie beyond the end of a leg, or off it."""
+    chord = end - start
+    along = float((q - start) @ chord) / max(float(chord @ chord), 1e-300)
+    return along > 1 + PASSED or float(np.abs(q - start - min(max(along, 0.0), 1.0) * chord).max()) > PASSED

@@ -14,6 +14,8 @@ from typing import Any, ClassVar, Literal, TypeVar, get_args
 
 import numpy as np
 
+from ctrplan.base.arrays import DEGREE as DEGREE
+from ctrplan.base.arrays import MILLIMETRE as MILLIMETRE
 from ctrplan.base.arrays import Array
 from ctrplan.base.catalogue import Catalogue
 from ctrplan.drive.legs import Collars
@@ -23,8 +25,6 @@ from ctrplan.robot.robot import Robot
 
 Stage = Literal["clock", "drive", "mechanics", "sensor"]
 Values = Mapping[str, float]  # parameter -> value, SI
-
-DEGREE, MILLIMETRE = float(np.radians(1.0)), 1e-3
 
 
 @dataclass(frozen=True)

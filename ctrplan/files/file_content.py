@@ -20,7 +20,7 @@ from msgspec import to_builtins
 
 from ctrplan.anatomy.fixture import Fixture
 from ctrplan.anatomy.parts import AnatomyPart
-from ctrplan.base.arrays import MILLIMETRE, MM_PER_M, Array
+from ctrplan.base.arrays import MILLIMETRE, MM_DIGITS, MM_PER_M, Array
 from ctrplan.drive.drive import Drive, ExecutionTolerance, Joint
 from ctrplan.errors import InputError
 from ctrplan.files.robot_file import robot_from_dict
@@ -352,7 +352,7 @@ def names_files_outside(document: Document, file: Path) -> bool:
 
 
 def _pose(pose: BasePose | BaseFrame) -> dict[str, Any]:
-    from ctrplan.planning.base_pose import DIGITS, MM_DIGITS, BaseFrame  # planning, which reading needs nothing of
+    from ctrplan.planning.base_pose import DIGITS, BaseFrame  # planning, which reading needs nothing of
 
     quaternion = BaseFrame(pose.position_m, pose.R).quaternion_wxyz
     position_mm = np.round(pose.position_m * MM_PER_M, MM_DIGITS) + 0.0  # no -0

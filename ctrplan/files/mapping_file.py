@@ -19,13 +19,21 @@ import msgspec
 import numpy as np
 from msgspec import Meta, Struct
 
-from ctrplan.base.arrays import Array
+from ctrplan.base.arrays import NORM_TOLERANCE, Array
 from ctrplan.errors import InputError
 from ctrplan.files.ros_bag import TIP, BagTable, is_bag
 from ctrplan.robot.robot import Robot
 from ctrplan.storage.csv_table import CsvTable, file_name
-from ctrplan.storage.toml_document import Angle, Coordinate, Document, Name, Point, read_document
-from ctrplan.storage.toml_table import file_inside, path_inside
+from ctrplan.storage.toml_document import (
+    Angle,
+    Coordinate,
+    Document,
+    Name,
+    Point,
+    file_inside,
+    path_inside,
+    read_document,
+)
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
@@ -114,7 +122,6 @@ POSITION, TANGENT = ("x_m", "y_m", "z_m"), ("tx", "ty", "tz")
 SEPARATORS = {",": ",", ";": ";", "tab": "\t", "space": " "}
 SI = {"rad": 1.0, "deg": math.pi / 180, "turns": 2 * math.pi, "m": 1.0, "mm": 1e-3}
 SI |= {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-QUATERNION_TOLERANCE = 1e-3
 
 
 @dataclass(frozen=True)
@@ -287,8 +294,8 @@ class MappedTable(CsvTable):
         from scipy.spatial.transform import Rotation  # slow to import
 
         w, x, y, z = frame.quaternion_wxyz
-        if not abs(math.hypot(w, x, y, z) - 1) <= QUATERNION_TOLERANCE:
-            rule = f"must have norm 1 within {QUATERNION_TOLERANCE}"
+        if not abs(math.hypot(w, x, y, z) - 1) <= NORM_TOLERANCE:
+            rule = f"must have norm 1 within {NORM_TOLERANCE}"
             raise self._document.fault(rule, *self._place, "frame", "quaternion_wxyz")
         return Rotation.from_quat([x, y, z, w])
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
+from ctrplan.drive.legs import STILL_M, STILL_RAD
 from ctrplan.files.joint_path_file import joint_path
 from ctrplan.files.mapping_file import POSITION, TANGENT, Source, sources
 from ctrplan.measurement.joint_path import joined_measurements
@@ -84,7 +85,6 @@ def noise_ratio(robot: Robot, marker: NDArray[np.int_]) -> Array | None:
 
 TANGENT_TOLERANCE = 0.01  # of its length: files are rounded
 FURTHEST = 2.0  # tip from the base, in lengths of the longest tube
-STILL_RAD, STILL_M = 1e-6, 1e-8
 
 
 def load_measurements(path: str | os.PathLike[str], robot: Robot) -> Measurements:

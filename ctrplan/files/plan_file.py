@@ -23,7 +23,7 @@ from ctrplan.files.plan_inputs import changed_files, plan_json_of, scenario_with
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.plans.plan import SCHEMA_VERSION, SI_UNITS, Plan, plan_to_json
 from ctrplan.scenario.scenario import Scenario
-from ctrplan.storage.csv_table import CsvTable, file_bytes, file_name
+from ctrplan.storage.csv_table import LARGEST_FILE_BYTES, CsvTable, file_bytes, file_name
 from ctrplan.storage.toml_document import Document
 
 Numbers = list[float | None]  # None: not finite
@@ -193,7 +193,6 @@ def _apart(row: Array, waypoints: Array) -> float:
     return float(np.abs(row - feet).max(axis=1).min())
 
 
-LARGEST_FILE_BYTES = 200_000_000
 SAME = 1e-9  # of a number of a leg in its two units, and of where legs meet, rad or m
 
 

@@ -23,7 +23,7 @@ from ctrplan.plans.plan import Plan
 from ctrplan.plans.planned_motion import Compensation, Leg, ReorderReport, leg_kind
 from ctrplan.uncertainty.result import Uncertainty
 
-SAME_S, SAME = 1e-6, 1e-6  # of times [s] and joint values [rad, m] that were written with few digits
+SAME = 1e-6  # of times [s] and joint values [rad, m] that were written with few digits
 # Names that the dataclasses know while types are checked.
 TYPES = {"Accuracy": str, "StartFriction": str, "Arrival": Arrival, "HistoryState": object}
 T = TypeVar("T")
@@ -104,7 +104,7 @@ def _trajectory(written: WrittenPlan, file: Path) -> Trajectory:
     period_s = content["trajectory"]["period_s"] or PERIOD_S
     time_s, position = played_samples(file, drive)
     made = remade_trajectory(written.waypoints, drive, period_s, rests, [float(time_s[-1])])
-    is_same = len(time_s) == len(made.time_s) and np.abs(time_s - made.time_s).max() <= SAME_S
+    is_same = len(time_s) == len(made.time_s) and np.abs(time_s - made.time_s).max() <= SAME
     if not is_same or np.abs(position - made.position).max() > SAME:
         raise InputError("is not the trajectory of the plan's legs: write it again", file=str(file))
     return made

@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal
 
 from msgspec import Meta, Struct, to_builtins
 
+from ctrplan.base.arrays import ROUNDING_M
 from ctrplan.files.robot_tables import (
     ExecutionEntry,
     HomeEntry,
@@ -21,9 +22,8 @@ from ctrplan.files.robot_tables import (
 )
 from ctrplan.measurement.measurements import Marker, SensorNoise
 from ctrplan.mechanics.tube import RANGES, SOFTEST_NM2, STIFFEST_NM2, Contact, Tube, TubeSection
-from ctrplan.robot.magnitudes import bend_readings, one_sentence, robot_doubts
-from ctrplan.robot.robot import Robot, diametral_gap_m, never_nests
-from ctrplan.robot.tube_keys import (
+from ctrplan.robot.magnitudes import bend_readings, robot_doubts, summarised
+from ctrplan.robot.named_numbers import (
     BENDING,
     CURVATURES,
     MOST_RATIO,
@@ -38,6 +38,7 @@ from ctrplan.robot.tube_keys import (
     stiffness_fault,
     stiffnesses,
 )
+from ctrplan.robot.robot import Robot, diametral_gap_m, never_nests
 from ctrplan.storage.output_folder import write_atomically
 from ctrplan.storage.toml_document import (
     LARGEST_NUMBER,
@@ -54,7 +55,6 @@ LONGEST_TUBE_MM = 5000.0  # beyond these two a value was most likely given in an
 LARGEST_CURVATURE_PER_M = 1000.0
 LARGEST_FRICTION = 2.0
 LEAST_RATIO, LARGEST_RATIO = -0.999, RANGES["poisson_ratio"].high  # of EI / GJ - 1
-LENGTH_TOLERANCE_M = 1e-9
 TAKEN_NAMES = ("frictionless", "measured")  # of columns beside those of the tip
 
 Curvature = Annotated[float, Meta(ge=-LARGEST_NUMBER, le=LARGEST_NUMBER)]  # narrower below, with a hint
@@ -255,7 +255,7 @@ def _check_fit(outer: Tube, inner: Tube, i: int, document: Document) -> None:
         rule = f"must be smaller than tube.{i}.inner_diameter_mm = {outer.inner_diameter_m * 1e3:g} mm"
         raise document.fault(rule, "tube", i, "outer_diameter_mm")
     needed = outer.length_m + inner.collar_length_m
-    if inner.length_m < needed - LENGTH_TOLERANCE_M and not inner.retractable:
+    if inner.length_m < needed - ROUNDING_M and not inner.retractable:
         rule = (
             f"sections add up to {inner.length_m * 1e3:g} mm, must be at least {needed * 1e3:g} mm: the length of "
             f"tube {i} ({outer.length_m * 1e3:g} mm) and this tube's collar ({inner.collar_length_m * 1e3:g} mm)"
@@ -276,7 +276,7 @@ def _contact(entry: ContactEntry, i: int, document: Document) -> Contact:
 
 LARGEST_CLEARANCE_RATIO = 0.02  # of the smallest radius of curvature (Ha et al. 2019, section I)
 SMALLEST_CLEARANCE_M = 5e-6  # the meshes do not resolve the contact forces of smaller ones (docs/model.md)
-ROUNDING_M = 0.05e-3  # of diameters in drawings and tables
+DRAWN_M = 0.05e-3  # of diameters in drawings and tables
 
 
 def load_robot(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Robot:
@@ -324,13 +324,13 @@ def _build(document: Document) -> Robot:
         raise document.fault(f"no joint values within limits nest the tubes, at home {violation}", "home", "l_mm")
     intervals = build_intervals(entry.uncertainty, robot, document)
     doubts = doubtful_numbers(robot, document)
-    in_doubt = one_sentence(doubts, f"ctrplan check {document.file or 'ROBOT.toml'}")
+    in_doubt = summarised(doubts, f"ctrplan check {document.file or 'ROBOT.toml'}")
     told = [text for text in _clearance_warnings(robot, document) if not _is_doubted(text, doubts)]
     warnings = (*in_doubt, *_ratio_warnings(entry, document), *told)
     robot = replace(robot, intervals=intervals, warnings=warnings)
     if not robot.effects:
         return robot
-    from ctrplan.pipeline.installed import (
+    from ctrplan.pipeline.chain import (
         check_effects,
         installed,  # slow to import; most robots have no effects
     )
@@ -390,7 +390,7 @@ def _is_doubted(warning: str, doubts: Sequence[str]) -> bool:
 def _clearance_warnings(robot: Robot, document: Document) -> Iterator[str]:
     for i, clearance in enumerate(robot.clearance_m.tolist()):
         shown, gap = f"radial clearance {clearance * 1e3:g} mm", diametral_gap_m(robot.tubes, i)
-        if abs(clearance - gap) > ROUNDING_M + 1e-9:
+        if abs(clearance - gap) > DRAWN_M + ROUNDING_M:
             yield str(document.fault(f"{shown} is used, but the diameters leave {gap * 1e3:g} mm", "contact", i))
         if clearance < SMALLEST_CLEARANCE_M:
             rule = f"{shown} is below {SMALLEST_CLEARANCE_M * 1e3:g} mm, bounds may be off by a quarter and more"

@@ -16,13 +16,13 @@ from typing import Any
 import numpy as np
 
 from ctrplan.base.arrays import Array
+from ctrplan.drive.drive import JOINT_ROUNDING
 from ctrplan.errors import InputError
 from ctrplan.storage.csv_table import LARGEST_FILE_BYTES, CsvTable
 
 ENDINGS = (".mcap", ".bag", ".db3")
 TIP = ("x", "y", "z", "tx", "ty", "tz")
 KINDS = ("PoseStamped", "PoseWithCovarianceStamped", "TransformStamped", "PointStamped", "TFMessage", "Odometry")
-UNCHANGED = 1e-9  # rad or m between two messages of a joint that stands still; rounding
 NANOSECONDS = 1e-9
 
 
@@ -53,7 +53,7 @@ class BagTable(CsvTable):
             spans = f"from {stamps[0]:.3f} to {stamps[-1]:.3f} s, joints from {at[0]:.3f} to {at[-1]:.3f} s"
             raise self.fault(f"has poses {spans}: their clocks are not the same", column=poses)
         stamps, tips = stamps[inside], tips[inside]
-        moved = np.abs(np.diff(values, axis=0)).max(axis=1) > UNCHANGED
+        moved = np.abs(np.diff(values, axis=0)).max(axis=1) > JOINT_ROUNDING
         kept = np.r_[True, moved] | np.r_[moved, True]
         at, values = at[kept], values[kept]
         times = np.concatenate([at, stamps])

@@ -11,8 +11,7 @@ import numpy as np
 
 from ctrplan.base.arrays import LONGEST_MM, MM_PER_M
 from ctrplan.scenario.scenario import Goal
-from ctrplan.storage.toml_document import Document
-from ctrplan.storage.toml_table import TomlTable, chosen
+from ctrplan.storage.toml_document import Document, TomlTable, chosen
 
 if TYPE_CHECKING:
     from ctrplan.anatomy.fixture import Fixture
@@ -57,7 +56,7 @@ def _shape(table: TomlTable) -> tuple[PartShape, PartEntry]:
 
 def _phases(table: TomlTable) -> tuple[PartShape, PartEntry]:
     """A structure of which `files` has the phases: each is read as if it were the one `file`."""
-    from ctrplan.anatomy.phases import Phases
+    from ctrplan.anatomy.parts import Phases
 
     content = dict(table.content)
     files, margin = content.pop(FILES), content.pop(MOTION, None)

@@ -15,12 +15,12 @@ from msgspec import Meta, Struct
 
 from ctrplan.anatomy.parts import AnatomyPart
 from ctrplan.anatomy.structure import images_kept
-from ctrplan.base.arrays import MOST_TURNS_DEG, Array, read_only, shortest_rotation, unit
-from ctrplan.drive.drive import Joint
+from ctrplan.base.arrays import MOST_TURNS_DEG, NORM_TOLERANCE, Array, read_only, shortest_rotation, unit
+from ctrplan.drive.drive import JOINT_ROUNDING, Joint
 from ctrplan.errors import InputError
 from ctrplan.files.robot_file import load_robot, robot_from_dict
 from ctrplan.files.scenario_anatomy import anatomy_notes, anatomy_part, fixture, refuse_targets_outside_images
-from ctrplan.robot.magnitudes import one_sentence
+from ctrplan.robot.magnitudes import summarised
 from ctrplan.robot.robot import Robot, nesting_violation
 from ctrplan.scenario.joint_space import bare_scenario
 from ctrplan.scenario.scenario import (
@@ -43,18 +43,19 @@ from ctrplan.storage.toml_document import (
     Point,
     Step,
     Tolerance,
+    TomlTable,
     Vector,
     Weight,
     checked_overrides,
+    chosen,
+    file_inside,
     metres,
     read_document,
 )
-from ctrplan.storage.toml_table import TomlTable, chosen, file_inside
 
 if TYPE_CHECKING:
     pass
 
-LIMIT_TOLERANCE = 1e-9  # rad or m
 
 Share = Annotated[float, Meta(ge=-2, le=2)]  # of a quaternion or a rotation
 Row = tuple[Share, Share, Share]
@@ -145,7 +146,7 @@ def _joint_value(table: dict[str, Any], joint: Joint, document: Document, *path:
         rule = f"must be from {-MOST_TURNS_DEG:g} to {MOST_TURNS_DEG:g} {joint.unit}"
         raise document.fault(rule, *path, joint.name, unit=joint.unit)
     q = float(value) * joint.si_per_unit
-    if not joint.lower - LIMIT_TOLERANCE <= q <= joint.upper + LIMIT_TOLERANCE:
+    if not joint.lower - JOINT_ROUNDING <= q <= joint.upper + JOINT_ROUNDING:
         lower, upper = joint.lower / joint.si_per_unit, joint.upper / joint.si_per_unit
         rule = f"must be within the joint's limits, {lower:.9g} to {upper:.9g} {joint.unit}"
         raise document.fault(rule, *path, joint.name, unit=joint.unit)
@@ -159,7 +160,6 @@ def planner_settings(table: TomlTable) -> PlannerSettings:
     return chosen(table, "name", CATALOGUE, PlannerSettings, DEFAULT)
 
 
-QUATERNION_TOLERANCE = 1e-3
 WAYS = ("quaternion_wxyz", "direction", "look_at", "rotation_matrix")
 
 
@@ -188,8 +188,8 @@ def _turned(wxyz: tuple[float, float, float, float], document: Document) -> Arra
 
     w, x, y, z = wxyz
     norm = math.hypot(w, x, y, z)
-    if not abs(norm - 1) <= QUATERNION_TOLERANCE:
-        rule = f"must have norm 1 within {QUATERNION_TOLERANCE}, has {norm:g}"
+    if not abs(norm - 1) <= NORM_TOLERANCE:
+        rule = f"must have norm 1 within {NORM_TOLERANCE}, has {norm:g}"
         raise document.fault(rule, "base", "quaternion_wxyz")
     return read_only(Rotation.from_quat([x, y, z, w]).as_matrix())
 
@@ -309,7 +309,7 @@ def _refuse_wrong_units(
     for doubt, fault in doubts:
         if doubt.is_sure:
             raise fault
-    return one_sentence([str(fault) for _, fault in doubts], f"ctrplan check {document.file or 'SCENARIO.toml'}")
+    return summarised([str(fault) for _, fault in doubts], f"ctrplan check {document.file or 'SCENARIO.toml'}")
 
 
 def doubtful_sizes(scenario: Scenario) -> list[str]:

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from ctrplan import _model
 from ctrplan.base.arguments import EXECUTOR, PROGRESS, Choice, Flag, Made, Number, Texts, Whole, checked, require
 from ctrplan.base.arrays import Array, numbers
-from ctrplan.base.long_work import Progress, core_threads, part_of
+from ctrplan.base.long_work import MOST_THREADS, Progress, core_threads, part_of
 from ctrplan.base.package import shown
 from ctrplan.errors import InputError
 from ctrplan.mechanics.core_arrays import (
@@ -59,7 +59,6 @@ if TYPE_CHECKING:
     from ctrplan.mechanics.shapes import HistoryOptions
     from ctrplan.mechanics.tube import Tube
 
-MOST_THREADS = 1024
 TIPS_AT_ONCE = 1 << 16  # whose copies in the core take little memory, and no time to give up
 MOST_TUBES_OF_ALL_CORNERS = 8  # 128 corners, a second or so; beyond, the extreme ones unless all are asked for
 ACCURACY, FIRST_ORDER = Choice(*get_args(Accuracy)), Choice("search", "certificate")

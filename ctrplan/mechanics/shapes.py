@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from ctrplan import _model
 from ctrplan.base.arguments import Number, checked
-from ctrplan.base.arrays import Array
+from ctrplan.base.arrays import ROUNDING_M, Array
 from ctrplan.base.package import shown
 from ctrplan.errors import InputError, SolverError
 from ctrplan.mechanics.tube import Tube
@@ -340,7 +340,6 @@ class FrictionBodies:
     stability: Array  # (S,) eigenvalue of the Newton matrix nearest to zero over GJ / L^2, friction included
 
 
-ROUNDING_M = 1e-9  # beyond the ends of a tube
 SMALL_RAD = 1e-4  # rotations below which series take the place of quotients
 
 

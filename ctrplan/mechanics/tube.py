@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arguments import Number, rows_of
-from ctrplan.base.arrays import Array
+from ctrplan.base.arrays import ROUNDING_M, Array
 from ctrplan.base.package import shown
 from ctrplan.errors import InputError
 
@@ -150,7 +150,6 @@ class Loads:
                 raise InputError("must be three finite numbers", key=entry.name, value=vector)
 
 
-TOLERANCE_M = 1e-9
 # Of the base inside a tube with a compliant shaft, whose collar's angle is an unknown of its own: a node has to fit in
 # between. The core asks for 0.02 mm; a little more stays above it whatever is rounded or differenced.
 SHAFT_ROOM_M = 2.001e-5
@@ -179,7 +178,7 @@ def nesting_inequalities(tubes: Sequence[Tube], *, tips_in_order: bool = False) 
 def reach_inequalities(tubes: Sequence[Tube]) -> tuple[Array, Array]:
     """The inequalities (2n, n), (2n,) [m] of nesting, and below them that of an outermost tip in front of the plate."""
     G, h = nesting_inequalities(tubes, tips_in_order=True)
-    return np.vstack([G, -G[:1]]), np.append(h, tubes[0].length_m - 3 * TOLERANCE_M)
+    return np.vstack([G, -G[:1]]), np.append(h, tubes[0].length_m - 3 * ROUNDING_M)
 
 
 def nests(tubes: Sequence[Tube], l_b: Array) -> NDArray[np.bool_]:
@@ -188,8 +187,8 @@ def nests(tubes: Sequence[Tube], l_b: Array) -> NDArray[np.bool_]:
     The core allows for twice the rounding, and has the last word.
     """
     G, h = nesting_inequalities(tubes)
-    nested: NDArray[np.bool_] = np.all(l_b @ G.T <= h + TOLERANCE_M / 2, axis=1)
-    return nested & (l_b[:, 0] + tubes[0].length_m > TOLERANCE_M)
+    nested: NDArray[np.bool_] = np.all(l_b @ G.T <= h + ROUNDING_M / 2, axis=1)
+    return nested & (l_b[:, 0] + tubes[0].length_m > ROUNDING_M)
 
 
 def moved_to_nest(tubes: Sequence[Tube], l_b: Array) -> Array:

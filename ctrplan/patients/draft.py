@@ -19,7 +19,7 @@ from ctrplan.anatomy.mesh_repair import MeshDefectError
 from ctrplan.anatomy.parts import AnatomyPart, combined_clearance, exact_clearance, surface_distance
 from ctrplan.anatomy.patient_frame import TURNED, Frame
 from ctrplan.anatomy.shape import PartShape, Role
-from ctrplan.base.arrays import MM_PER_M, Array, unit
+from ctrplan.base.arrays import MM_DIGITS, MM_PER_M, Array, unit
 from ctrplan.drive.drive import Drive
 from ctrplan.errors import InputError
 from ctrplan.files.scenario_anatomy import MOTION, anatomy_notes, anatomy_part
@@ -31,8 +31,7 @@ from ctrplan.patients.structures import CaseContent, Structure, between_phases_m
 from ctrplan.patients.work import SCENARIO, Work
 from ctrplan.planning.room import blocked
 from ctrplan.scenario.scenario import Scenario
-from ctrplan.storage.toml_document import Document
-from ctrplan.storage.toml_table import TomlTable
+from ctrplan.storage.toml_document import Document, TomlTable
 
 BEHIND_MM, LONGEST_MM, STEP_MM = 10.0, 150.0, 0.5
 
@@ -190,9 +189,6 @@ def middle_m(shape: PartShape) -> Array:
     return np.asarray(tried[int(np.argmin(shape.distance(tried)))])
 
 
-DIGITS = 6  # of a mm
-
-
 def draft(
     request: Request,
     output: Path,
@@ -225,7 +221,7 @@ def base_at(entry: Named, targets: Sequence[Named]) -> dict[str, Any]:
 
 def start_values(drive: Drive, joints: Array) -> dict[str, float]:
     """Joint values (m,) [rad or m] by name, in deg or mm."""
-    return {name: round(value, DIGITS) + 0.0 for name, value in drive.named(joints).items()}
+    return {name: round(value, MM_DIGITS) + 0.0 for name, value in drive.named(joints).items()}
 
 
 def _goal(target: Named, request: Request) -> dict[str, Any]:
@@ -277,7 +273,7 @@ def from_folder(folder: Path, file: Path) -> str:
 
 
 def _rounded(point_mm: Array) -> list[float]:
-    rounded = np.round(point_mm, DIGITS) + 0.0  # no minus zero
+    rounded = np.round(point_mm, MM_DIGITS) + 0.0  # no minus zero
     return [float(x) for x in rounded]
 
 

@@ -17,8 +17,7 @@ from ctrplan.anatomy.image import Image, ImageRefusal, UnfitImageRefusal
 from ctrplan.anatomy.image_file import is_image
 from ctrplan.anatomy.mesh_file import SUFFIXES as MESHES
 from ctrplan.anatomy.mesh_file import usual_unit
-from ctrplan.anatomy.parts import AnatomyPart
-from ctrplan.anatomy.phases import Phases
+from ctrplan.anatomy.parts import AnatomyPart, Phases
 from ctrplan.anatomy.shape import Role
 from ctrplan.anatomy.structure import image_of
 from ctrplan.base.arrays import MM_PER_M

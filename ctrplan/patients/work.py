@@ -17,12 +17,12 @@ from typing import Any, ClassVar
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ctrplan.base.arrays import LONGEST_MM, MM_PER_M
+from ctrplan.base.arrays import LONGEST_MM, MM_DIGITS, MM_PER_M, NORM_TOLERANCE
 from ctrplan.base.long_work import StageProgress
 from ctrplan.errors import InputError
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.patients.request import RADIUS_MM, Request, request_of
-from ctrplan.planning.base_pose import DIGITS, MM_DIGITS, BaseFrame, BasePose, as_written
+from ctrplan.planning.base_pose import DIGITS, BaseFrame, BasePose, as_written
 from ctrplan.plans.plan import Plan
 from ctrplan.scenario.scenario import Scenario
 from ctrplan.storage.csv_table import CsvTable, file_bytes
@@ -181,7 +181,6 @@ def raw_files(scenario: Scenario) -> list[object]:
 
 POSITION, TURN = ("x_mm", "y_mm", "z_mm"), ("qw", "qx", "qy", "qz")
 TOLD = ("targets_reached", "worst_error_mm", "clearance_mm", "note")
-NORM_TOLERANCE = 1e-3
 
 
 @dataclass(frozen=True, eq=False)

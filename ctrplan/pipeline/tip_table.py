@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array, read_only
 from ctrplan.base.long_work import cores
-from ctrplan.drive.legs import Collars
+from ctrplan.drive.legs import REPEAT_TOLERANCE, Collars
 from ctrplan.errors import InputError
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.mechanics.shapes import Accuracy, Shape, Status, points_on_tubes
@@ -38,7 +38,6 @@ if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
 
 NESTED_M = 1e-8  # collars and tips out of order by less do not matter
-SAME = 1e-12  # configurations that differ by less are solved once
 MOST_REMEMBERED = 12  # tables: fits ask again where the one before them ended, a quarter of all a diagnosis asks
 
 
@@ -70,7 +69,8 @@ def tip_table(
 
 def distinct(rows: Array) -> tuple[NDArray[np.int_], NDArray[np.int_]]:
     """The numbers (D,) of rows (K, c) that differ, and which of them each is (K,)."""
-    _, first, back = np.unique(np.round(rows / SAME) * SAME, axis=0, return_index=True, return_inverse=True)
+    rounded = np.round(rows / REPEAT_TOLERANCE) * REPEAT_TOLERANCE
+    _, first, back = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
     return first, back.ravel()
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ctrplan.base.arrays import MM_PER_M, Array, shortest_rotation, unit
+from ctrplan.base.arrays import MM_DIGITS, MM_PER_M, Array, shortest_rotation, unit
 from ctrplan.base.package import shown
 from ctrplan.motion.checker import MotionChecker
 from ctrplan.planning.reach import Configuration, reach
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from ctrplan.plans.plan import Plan
     from ctrplan.scenario.scenario import Goal, Scenario
 
-DIGITS, MM_DIGITS = 12, 6  # of a quaternion and of mm in files
+DIGITS = 12  # of a quaternion in files
 # A Kronecker sequence: numbers whose multiples, modulo 1, fill the cube of six dimensions evenly. They are powers of
 # the inverse of the root of x^7 = x + 1, the golden ratio's like in six dimensions.
 STEPS = 1.1127756842787055 ** -np.arange(1.0, 7.0)
@@ -118,7 +118,7 @@ class ReachedTarget:
     """A target seen from a base pose."""
 
     goal: Goal
-    found: int  # configurations that reach it
+    solutions: int  # configurations that reach it
     valid: int  # of them within all limits and margins
     best: Configuration | None  # of the valid ones, the least error at worst
     reason: str  # why there is none; empty if there is one

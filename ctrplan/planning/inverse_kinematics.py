@@ -53,12 +53,12 @@ class InverseKinematics:
     """Ways to a point; positions in the robot's frame, as those of `Configuration` are."""
 
     scenario: Scenario  # of a robot alone, in free space
-    found: Reach
+    solutions: Reach
 
     @property
     def configurations(self) -> tuple[Configuration, ...]:
         """All that reach the point within the tolerances, lowest bound first; `reason` says why one is not valid."""
-        return self.found.configurations
+        return self.solutions.configurations
 
     @property
     def valid(self) -> tuple[Configuration, ...]:
@@ -68,12 +68,12 @@ class InverseKinematics:
     @property
     def nearest(self) -> Configuration:
         """The frictionless tip that came closest, whatever else it does."""
-        return self.found.nearest
+        return self.solutions.nearest
 
     @cached_property
     def branches(self) -> tuple[int, ...]:
         """Number of each configuration's branch, from 0: those of one branch lead to each other at the point."""
-        return tuple(self.found.branches().tolist())
+        return tuple(self.solutions.branches().tolist())
 
     @property
     def sentence(self) -> str:
@@ -89,9 +89,9 @@ class InverseKinematics:
     @property
     def _unreached(self) -> str:
         nearest = self.nearest
-        if nearest.tip_error_m <= self.found.tolerance_m:
+        if nearest.tip_error_m <= self.solutions.tolerance_m:
             turned = math.degrees(nearest.turned_rad)
-            allowed = math.degrees(self.found.direction_tolerance_rad)
+            allowed = math.degrees(self.solutions.direction_tolerance_rad)
             return (
                 f"The point is reached, but at best {turned:.1f} deg from the direction, {allowed:g} deg are allowed."
             )

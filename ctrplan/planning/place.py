@@ -20,8 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
-from ctrplan.anatomy.anatomy_field import anatomy_field, shared_spacing_m
-from ctrplan.anatomy.clearance_grid import SignedDistanceField, field_bounds
+from ctrplan.anatomy.clearance_grid import SignedDistanceField, anatomy_field, field_bounds, shared_spacing_m
 from ctrplan.anatomy.parts import exact_clearance
 from ctrplan.base.arguments import EVENT, PROGRESS, SEED, Made, Number, Whole, checked, require
 from ctrplan.base.arrays import LONGEST_MM, Array, numbers
@@ -73,7 +72,7 @@ def grid_from(grid: SignedDistanceField, pose: BaseFrame) -> Field:
 SAMPLES = 20_000  # configurations of the robot
 NEAR = 32  # of them, the nearest to a target, whose room is looked at
 SOLVED = 6  # of those, the ones with most room, which are led to the target
-NEAR_M = 15e-3  # a target with no sample within this is out of reach
+OUT_OF_REACH_M = 15e-3  # a target with no sample within this is out of reach
 STEPS = 8  # of each that is led to its target
 GAP_M = 1e-3  # about what clearance moves a tip
 TURN_RAD = 0.2  # likewise of its tangent, with friction
@@ -133,7 +132,7 @@ class Screen:
         if exact_clearance(self.scenario.anatomy, pose.position_m[None])[0] < robot.tubes[-1].outer_diameter_m / 2:
             return False
         away, _ = self.tips.query(self._reduced(pose.into_robot(self.wanted_m)))
-        return bool(np.any(away < NEAR_M)) and self._may_start(pose)
+        return bool(np.any(away < OUT_OF_REACH_M)) and self._may_start(pose)
 
     def _may_start(self, pose: BaseFrame) -> bool:
         """Whether the start keeps all limits there, in every corner."""

@@ -29,8 +29,7 @@ from ctrplan.errors import NoAnswerError
 from ctrplan.motion.checker import MotionChecker
 from ctrplan.planning.compensate import compensate, shifted_start
 from ctrplan.planning.endings import Settled, erase, settle
-from ctrplan.planning.goal_states import goal_states, is_at_goal, nearest_turn, turn_notes
-from ctrplan.planning.line import follow_line, line_beginnings
+from ctrplan.planning.goal_states import follow_line, goal_states, is_at_goal, line_beginnings, nearest_turn, turn_notes
 from ctrplan.planning.reordering import Reordered, as_given, assemble
 from ctrplan.planning.room import refuse_blocked_fixtures, refuse_impossible_margins, start_room, start_trouble
 from ctrplan.planning.search.stage_search import Candidate, Progress, Report, StageSearch

@@ -14,7 +14,7 @@ from ctrplan.drive.legs import merge_legs
 from ctrplan.drive.trajectory import time_parameterise
 from ctrplan.errors import InputError
 from ctrplan.motion.checker import Motion, MotionChecker
-from ctrplan.pipeline.installed import plan_range_notes
+from ctrplan.pipeline.chain import plan_range_notes
 from ctrplan.plans.plan import Plan
 from ctrplan.plans.planned_motion import ComparedWay, Compensation, Leg, ReorderReport, follow_the_leader_m, leg_kind
 from ctrplan.scenario.joint_space import MotionStyle
@@ -24,7 +24,7 @@ from ctrplan.scenario.scenario import path_cost_mm
 if TYPE_CHECKING:
     from ctrplan.scenario.scenario import Scenario
 
-HELD_BACK_M = (2e-3, 5e-3, 10e-3)  # of a translation, driven after the last rotation
+DEFERRED_M = (2e-3, 5e-3, 10e-3)  # of a translation, driven after the last rotation
 RELEASED_M = 10e-3  # of translation after which nothing more is gained (Section V-B)
 
 
@@ -42,7 +42,7 @@ def with_translation_last(checker: MotionChecker, corners: Array) -> list[Array]
     last = int(rotations[-1])
     ways = []
     for joint in np.flatnonzero(~is_rotation):
-        for length in HELD_BACK_M:
+        for length in DEFERRED_M:
             for offset in (length, -length):
                 shift = np.where(np.arange(len(is_rotation)) == joint, offset, 0.0)
                 rest = corners[last + 2 :] if last + 2 < len(corners) else corners[-1:]

@@ -19,8 +19,8 @@ from ctrplan.base.arrays import Array, content_sha256
 from ctrplan.base.package import __version__, shown
 from ctrplan.certificate.certificate import Closest, Difference, Recheck, path_differences
 from ctrplan.drive.drive import Drive
-from ctrplan.drive.driven_way import late_rows
 from ctrplan.drive.legs import distance_from_polyline
+from ctrplan.drive.trajectory import late_rows
 from ctrplan.plans.planned_motion import PlannedMotion, place_time_s, settling_duration_s
 from ctrplan.storage.output_folder import write_atomically
 

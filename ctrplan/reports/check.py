@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ctrplan.base.arrays import MM_PER_M, Array
+from ctrplan.base.arrays import HOUR_S, MM_PER_M, Array
 from ctrplan.certificate.certificate import FIGURES
 from ctrplan.diagnosis.reading import how_taken, read_again
 from ctrplan.drive.legs import Collars
@@ -40,7 +40,6 @@ if TYPE_CHECKING:
 
 SAMPLES = 64  # configurations whose bounds are looked at, a second or so of three tubes
 SHOWN = {"m": (1e3, " mm"), "rad": (180 / math.pi, " deg"), "mm": (1.0, " mm"), "number": (1.0, "")}
-HOUR_S = 3600.0
 MORE = "in doubt: ctrplan check"  # in the line that stands for several flags
 FAR_TURNED_DEG = 60.0  # a median error of tangents that no effect explains, where positions agree
 FAR_OFF = 0.1  # of the robot's length: a median error that no effect explains, where no other reading does

@@ -123,7 +123,7 @@ LONGEST_HEAD = 16_384  # bytes of a request
 HEAD_S, SEND_S = 5.0, 30.0  # that a client may take to ask, and to take the answer
 ENDING_S = 0.1  # until a shutdown is noticed
 MOST_CONNECTIONS = 800  # at once, all of them answered; fewer than the files a program may have open
-ASKED_TOO_SLOWLY = (asyncio.TimeoutError, asyncio.IncompleteReadError, asyncio.LimitOverrunError)
+SLOW_REQUEST = (asyncio.TimeoutError, asyncio.IncompleteReadError, asyncio.LimitOverrunError)
 HEADERS = {
     "Connection": "close",
     "Content-Security-Policy": POLICY,
@@ -195,7 +195,7 @@ class LiveServer:
         """One request and its answer; a client that leaves or is too slow is let go without a word."""
         self.connections += 1
         try:
-            with contextlib.suppress(OSError, *ASKED_TOO_SLOWLY):
+            with contextlib.suppress(OSError, *SLOW_REQUEST):
                 head = await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), HEAD_S)
                 writer.write(await self._answer(head))
                 await asyncio.wait_for(writer.drain(), SEND_S)

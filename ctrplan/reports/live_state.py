@@ -16,10 +16,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ctrplan.base.arrays import MM_PER_M, Array
+from ctrplan.base.arrays import LONGEST_MM, MM_PER_M, MOST_DEGREES, Array
 from ctrplan.base.surface import Surface
 from ctrplan.certificate.anatomy_distance import AnatomyDistance
 from ctrplan.certificate.friction_states import POINT_SPACING_M, UNEVEN_FRICTION_M, mesh_allowance_m
+from ctrplan.drive.drive import Kind
 from ctrplan.errors import InputError
 from ctrplan.mechanics.equilibria import other_shapes
 from ctrplan.mechanics.shapes import Status
@@ -37,11 +38,10 @@ if TYPE_CHECKING:
     from ctrplan.scenario.scenario import Scenario
 
 UNLIMITED = (-180.0, 180.0)  # deg of the slider of a rotation without limits
-MOST = 1e5  # deg or mm: turns beyond have too few digits for an angle
+MOST: dict[Kind, float] = {"rotation": MOST_DEGREES, "translation": LONGEST_MM}  # deg, mm
 REACH_SAMPLES = 300
 STEPS = 200  # of a motion that is played
 AROUND_M = 5e-3  # shown beside lumens
-FARTHEST = 1e4  # mm or deg of a move of the base
 REMEMBERED = 4  # places of the base
 NEAR_M = 0.2e-3  # of the frictionless tip from what was picked
 STARTS = 60  # of the search for its joint values
@@ -163,8 +163,9 @@ class LiveState:
         """
         if move is None or not any(move):
             return self.placement
-        if len(move) != 6 or not all(math.isfinite(value) and abs(value) <= FARTHEST for value in move):
-            raise InputError(f"must be six numbers up to {FARTHEST:g}, mm and deg", key="base", value=move)
+        if len(move) != 6 or not (np.abs(move) <= np.repeat([LONGEST_MM, MOST_DEGREES], 3)).all():
+            rule = f"must be six numbers, up to {LONGEST_MM:g} mm and {MOST_DEGREES:g} deg"
+            raise InputError(rule, key="base", value=move)
         with self._lock:
             if tuple(move) not in self._moved:
                 while len(self._moved) >= REMEMBERED:
@@ -215,8 +216,9 @@ class LiveState:
         if len(values) != len(joints) or not all(map(math.isfinite, values)):
             raise InputError(f"must be {len(joints)} finite numbers, one per joint", key="q", value=values)
         for joint, value in zip(joints, values, strict=True):
-            if abs(value) > MOST:
-                raise InputError(f"must be at most {MOST:g} {joint.unit} either way", key=joint.name, value=value)
+            if abs(value) > MOST[joint.kind]:
+                rule = f"must be at most {MOST[joint.kind]:g} {joint.unit} either way"
+                raise InputError(rule, key=joint.name, value=value)
         return np.array([value * joint.si_per_unit for value, joint in zip(values, joints, strict=True)])
 
     def _shown(self, q: Array) -> list[float]:

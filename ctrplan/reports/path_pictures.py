@@ -97,7 +97,7 @@ def _draw_followed_friction(ax: Axes, row: Array, result: Following) -> None:
     label_friction(ax)
 
 
-MOST_WAYPOINTS = 60  # that are marked
+MOST_MARKERS = 60  # more points of a curve are not marked
 
 
 def simulation_figure(result: Simulation) -> Figure:
@@ -124,7 +124,7 @@ def _draw_deviation(ax: Axes, result: Simulation) -> None:
         ax.fill_between(row[rows], bound, color=looks.BOUND, alpha=0.15, linewidth=0, label=names[0])
         ax.plot(row[rows], deviation_mm[rows], color=looks.BOUND, linewidth=2, label=names[1])
     at = result.waypoints
-    if len(at) <= MOST_WAYPOINTS:
+    if len(at) <= MOST_MARKERS:
         ax.plot(row[at], deviation_mm[at], "o", color=looks.BOUND, markersize=4)
     snapped = np.flatnonzero(result.snaps)
     if len(snapped):
@@ -145,7 +145,6 @@ def _draw_friction(ax: Axes, result: Simulation) -> None:
 
 SWEEP_SIZE_IN = (10.0, 7.0)
 BOUND_LABEL = "worst-case friction error of the tip (mm)"
-MOST_MARKERS = 60
 WIDEST_CAPTION, WIDEST_NAME = (
     110,
     70,

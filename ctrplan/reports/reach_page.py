@@ -17,13 +17,12 @@ from ctrplan.planning.reach import Configuration, Reach
 from ctrplan.reports import looks
 from ctrplan.reports.html_page import plot, rendered, script
 from ctrplan.reports.looks import view_box
-from ctrplan.reports.plan_scene import anatomy_traces, lay_out, mesh_trace, xyz
+from ctrplan.reports.plan_scene import SIDES, anatomy_traces, lay_out, mesh_trace, xyz
 from ctrplan.reports.robot_surface import RobotPose, anatomy_surface, pose, stand
 from ctrplan.reports.words import digits, millimetres, term
 from ctrplan.scenario.scenario import Scenario
 
 MOST_DRAWN = len(looks.SERIES)  # branches, which have a colour each
-SIDES = 10
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,7 +16,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from ctrplan.anatomy.patient_frame import Frame
-from ctrplan.base.arrays import Array
+from ctrplan.base.arrays import MM_DIGITS, Array
 from ctrplan.base.surface import Surface
 from ctrplan.files.slicer_markups import SCENE, SPACE, lps_mm, to_lps
 from ctrplan.reports import looks
@@ -50,7 +50,6 @@ SCHEMA = (
     "markups-schema-v1.0.3.json#"
 )
 MarkupType = Literal["Curve", "Line", "Fiducial"]
-DIGITS = 6  # of a mm
 
 
 def markups_text(
@@ -67,7 +66,7 @@ def markups_text(
     `labels` name the points, and are shown where there are any.
     """
     names = labels or [""] * len(points_m)
-    rows = zip(np.round(lps_mm(points_m, frame), DIGITS).tolist(), names, strict=True)
+    rows = zip(np.round(lps_mm(points_m, frame), MM_DIGITS).tolist(), names, strict=True)
     markup = {
         "type": kind,
         "coordinateSystem": SPACE,

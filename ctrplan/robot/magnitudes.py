@@ -99,36 +99,38 @@ def robot_doubts(robot: Robot) -> Iterator[Doubt]:
         sigma = robot.measurement.position_sigma_m
         if not NOISE_M[0] <= sigma <= NOISE_M[1]:
             units = _likely_units(sigma, "mm", 2e-5, 5e-3)
-            yield Doubt(("measurement", "position_sigma_mm"), f"is no noise of a tracker{_asked(units)}")
+            yield Doubt(("measurement", "position_sigma_mm"), f"is no noise of a tracker{_unit_question(units)}")
         if (turned := robot.measurement.tangent_sigma_rad) is not None:
             yield from _small("tangent_sigma_deg", "measurement", math.degrees(turned), TANGENT_NOISE, ANGLES)
     for k, marker in enumerate(robot.markers):
         if 0 < marker.distance_m < OUTER_M[0] and (
             units := _likely_units(marker.distance_m, "mm", 1e-3, reach_m(robot))
         ):
-            rule = f"is less than the thinnest tube is wide{_asked(units[:1])}"
+            rule = f"is less than the thinnest tube is wide{_unit_question(units[:1])}"
             yield Doubt(("marker", k, f"from_{marker.end}_mm"), rule)
     if robot.model_error_m > 0.1 * reach_m(robot):
         rule = f"is more than a tenth of the robot's {reach_m(robot) * 1e3:.3g} mm"
-        yield Doubt(("model_error_mm",), rule + _asked(_likely_units(robot.model_error_m, "mm", 0, 0.01)))
+        yield Doubt(("model_error_mm",), rule + _unit_question(_likely_units(robot.model_error_m, "mm", 0, 0.01)))
 
 
 def _tube_doubts(tube: Tube, i: int) -> Iterator[Doubt]:
     outer = tube.outer_diameter_m
     if not OUTER_M[0] <= outer <= OUTER_M[1]:
-        yield Doubt(("tube", i, "outer_diameter_mm"), f"is no tube{_asked(_likely_units(outer, 'mm', 3e-4, 0.02))}")
+        yield Doubt(
+            ("tube", i, "outer_diameter_mm"), f"is no tube{_unit_question(_likely_units(outer, 'mm', 3e-4, 0.02))}"
+        )
         return
     if tube.length_m < SLENDER * outer:
         rule = f"is {tube.length_m * 1e3:.3g} mm long, {tube.length_m / outer:.2g} times its diameter"
         units = _likely_units(tube.length_m, "mm", 20e-3, 1.0)
-        yield Doubt(("tube", i), rule + _asked(units, "are its lengths in"))
+        yield Doubt(("tube", i), rule + _unit_question(units, "are its lengths in"))
     yield from _stiffness_doubts(tube, i)
     if 0 < tube.collar_length_m < outer and (units := _likely_units(tube.collar_length_m, "mm", 1e-3, 0.1)):
-        yield Doubt(("tube", i, "collar_length_mm"), f"is shorter than the tube is wide{_asked(units)}")
+        yield Doubt(("tube", i, "collar_length_mm"), f"is shorter than the tube is wide{_unit_question(units)}")
     straight = _aside_m(tube) < outer
     for k, section in enumerate(tube.sections):
         if section.length_m < outer / 4 and (units := _likely_units(section.length_m, "mm", 5e-3, 1.0)):
-            rule = f"is shorter than a quarter of the tube's diameter{_asked(units)}"
+            rule = f"is shorter than a quarter of the tube's diameter{_unit_question(units)}"
             yield Doubt(("tube", i, "section", k, "length_mm"), rule)
         elif doubt := _bend_doubt(tube, section, straight=straight):
             yield Doubt(("tube", i, "section", k), *doubt)
@@ -191,7 +193,7 @@ def _contact_doubts(robot: Robot, i: int, are_diameters: bool) -> Iterator[Doubt
         hint = "is it the difference of diameters, or are the diameters radii?"
         yield Doubt(key, f"is twice {left}: {hint}")
     elif stated is not None and (units := _likely_units(stated, "mm", 0.9 * gap, 1.1 * gap)):
-        yield Doubt(key, f"is not {left}{_asked(units[:1])}")
+        yield Doubt(key, f"is not {left}{_unit_question(units[:1])}")
     if (most := robot.contacts[i].friction_coefficient[1]) > MOST_FRICTION:
         rule = f"rubs more than dry metal on metal, {MOST_FRICTION:g} at most"
         yield Doubt(("contact", i, "friction_coefficient"), f"{rule}: is it in %?" if most <= 100 else rule)
@@ -271,7 +273,7 @@ def _drive_doubts(robot: Robot) -> Iterator[Doubt]:
             units = _likely_units(travel, "mm", 0.05 * longest, 1.5 * longest)
             if units:
                 rule = f"travels {travel * 1e3:.3g} mm"
-                yield Doubt(("joint", k), rule + _asked(units, "are its limits in"))
+                yield Doubt(("joint", k), rule + _unit_question(units, "are its limits in"))
         if joint.kind == "translation" and travel > MOST_TRAVEL * longest:
             rule = f"moves a tube by {travel:.3g} m within its limits, the robot is {longest * 1e3:.3g} mm long"
             yield Doubt(("joint", k, "moves"), f"{rule}: are these m per m?")
@@ -353,11 +355,11 @@ def _small(key: str, table: str, value: float, limits: Sequence[float], factors:
         yield Doubt((table, key), f"{rule}: is it in {_or(units)}?")
 
 
-def _asked(units: Sequence[str], question: str = "is it in") -> str:
+def _unit_question(units: Sequence[str], question: str = "is it in") -> str:
     return f": {question} {' or '.join(IN_WORDS[unit] for unit in units)}?" if units else ""
 
 
-def one_sentence(sentences: Sequence[str], check: str) -> tuple[str, ...]:
+def summarised(sentences: Sequence[str], check: str) -> tuple[str, ...]:
     """The first of the sentences, with how many more there are and what tells them; nothing where there is none."""
     if len(sentences) < 2:
         return tuple(sentences)

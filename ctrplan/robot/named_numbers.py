@@ -1,11 +1,20 @@
-"""Named numbers of a robot, such as tube.2.poisson_ratio: read them and change them."""
+"""Numbers of a robot by their names: keys of a robot file as people have their numbers, the plain ones that they stand
+for, and addresses such as tube.2.poisson_ratio, to read and to change.
+
+Young's modulus with the diameters is the bending stiffness; the shear modulus with the diameters, or the torsional
+stiffness itself, stands for Poisson's ratio, which is then EI / GJ - 1 of the two and need not be one of a material; a
+radius is the precurvature of an arc that bends towards +x at theta = 0. With order = "inner first" tubes and all lists
+by tube begin with the innermost.
+"""
 
 from __future__ import annotations
 
+import copy
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from functools import cache
-from typing import Any, Literal, Protocol, TypeVar
+from typing import Any, Literal, NamedTuple, Protocol, TypeVar
 
 from ctrplan.base.arrays import Array
 from ctrplan.errors import InputError
@@ -131,3 +140,101 @@ def _is_place(text: str) -> bool:
 
 def _unknown(name: str) -> InputError:
     return InputError("no such parameter of the robot", key=name)
+
+
+BENDING, YOUNG = "bending_stiffness_Nm2", "youngs_modulus_GPa"
+POISSON, SHEAR, TORSIONAL = "poisson_ratio", "shear_modulus_GPa", "torsional_stiffness_Nm2"
+CURVATURES, RADIUS = ("curvature_x_per_m", "curvature_y_per_m"), "radius_mm"
+MOST_RATIO = 0.5  # Poisson's, of a material
+PASCAL, DIGITS = 1e9, 12
+BY_TUBE = ("effects", "uncertainty", "marker")  # tables that number tubes
+
+
+class KeyFault(NamedTuple):
+    """The rule that a key of a tube or section breaks."""
+
+    rule: str
+    key: str
+
+
+def second_moment_m4(outer_diameter_mm: float, inner_diameter_mm: float) -> float:
+    """pi/64 (D^4 - d^4), of a ring's cross section about a diameter."""
+    return math.pi / 64 * ((outer_diameter_mm * 1e-3) ** 4 - (inner_diameter_mm * 1e-3) ** 4)
+
+
+def stiffness_fault(tube: Mapping[str, Any]) -> KeyFault | None:
+    """What is wrong with the choice of keys for the two stiffnesses of a tube; None if nothing is."""
+    for keys, what in (((BENDING, YOUNG), "the bending stiffness"), ((POISSON, SHEAR, TORSIONAL), "the torsion")):
+        given = [key for key in keys if tube.get(key) is not None]
+        if len(given) > 1:
+            return KeyFault(f"and {given[0]} exclude each other: both say {what}", given[1])
+        if not given:
+            others = " or ".join(keys[1:])
+            return KeyFault(f"is missing: {what} is said by it, or in its place by {others}", keys[0])
+    return None
+
+
+def section_fault(section: Mapping[str, Any]) -> KeyFault | None:
+    """What is wrong with the choice of keys for the precurvature of a section; None if nothing is."""
+    given = [key for key in CURVATURES if section.get(key) is not None]
+    if section.get(RADIUS) is not None:
+        return KeyFault(f"and {given[0]} exclude each other: both say how it is bent", RADIUS) if given else None
+    if len(given) != 1:
+        return None
+    missing = next(key for key in CURVATURES if key not in given)
+    return KeyFault(f"is missing: say both curvatures, {RADIUS} in their place, or none of a straight section", missing)
+
+
+def stiffnesses(tube: Mapping[str, Any]) -> tuple[float, float]:
+    """Bending stiffness [N m^2] and EI / GJ - 1 of a tube whose keys are in order."""
+    moment = second_moment_m4(tube["outer_diameter_mm"], tube["inner_diameter_mm"])
+    EI = tube[BENDING] if tube.get(BENDING) is not None else tube[YOUNG] * PASCAL * moment
+    if tube.get(POISSON) is not None:
+        return EI, tube[POISSON]
+    GJ = tube[TORSIONAL] if tube.get(TORSIONAL) is not None else tube[SHEAR] * PASCAL * 2 * moment
+    return EI, EI / GJ - 1
+
+
+def curvatures_per_m(section: Mapping[str, Any]) -> tuple[float, float]:
+    """Precurvature about x and y [1/m] of a section whose keys are in order; none of one that says none."""
+    if section.get(RADIUS) is not None:
+        return 0.0, 1e3 / section[RADIUS]
+    x, y = (section.get(key) or 0.0 for key in CURVATURES)
+    return x, y
+
+
+def with_plain_keys(content: Mapping[str, Any]) -> dict[str, Any]:
+    """A copy of a robot file's content whose tubes have bending stiffness, Poisson's ratio and curvatures."""
+    plain: dict[str, Any] = copy.deepcopy(dict(content))
+    for tube in plain["tube"]:
+        EI, ratio = stiffnesses(tube)
+        for key in (YOUNG, SHEAR, TORSIONAL):
+            tube.pop(key, None)
+        tube[BENDING], tube[POISSON] = _rounded(EI), _rounded(ratio)
+        for section in tube["section"]:
+            section |= dict(zip(CURVATURES, map(_rounded, curvatures_per_m(section)), strict=True))
+            section.pop(RADIUS, None)
+    return plain
+
+
+def outermost_first(content: Mapping[str, Any]) -> tuple[dict[str, Any], KeyFault | None]:
+    """The content with the outermost tube first, and what is in the way of that."""
+    turned: dict[str, Any] = copy.deepcopy(dict(content))
+    if turned.pop("order", "outer first") != "inner first":
+        return turned, None
+    if numbered := [key for key in BY_TUBE if turned.get(key)]:
+        rule = f"does not go with {numbered[0]}, which numbers tubes from the outermost: list that one first"
+        return turned, KeyFault(rule, "order")
+    lists = [(turned, "tube"), (turned, "contact")]
+    lists += [(turned["home"], key) for key in ("theta_deg", "l_mm")] if isinstance(turned.get("home"), dict) else []
+    for joint in turned.get("joint") or ():
+        moves = joint.get("moves") if isinstance(joint, dict) else None
+        lists += [(moves, key) for key in ("theta", "l")] if isinstance(moves, dict) else []
+    for table, key in lists:
+        if isinstance(table.get(key), list):
+            table[key].reverse()
+    return turned, None
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.{DIGITS}g}")

@@ -18,8 +18,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ctrplan.base.arguments import SEED, Choice, Made, Whole, checked
-from ctrplan.base.arrays import Array, numbers
+from ctrplan.base.arrays import CI95, Array, numbers
 from ctrplan.base.package import of_this_process
+from ctrplan.drive.legs import STILL_M, STILL_RAD
 from ctrplan.errors import InputError, SolverError
 from ctrplan.measurement.measurements import SensorNoise
 from ctrplan.mechanics.core_arrays import joint_row, joint_rows
@@ -33,7 +34,6 @@ if TYPE_CHECKING:
     from ctrplan.mechanics.shapes import Accuracy, HistoryOptions
 
 CARRIED = 0.95  # of the probability, by the histories between whose tips an interval extends
-NORMAL_95 = 1.96  # standard deviations on both sides that hold 95 %
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +76,7 @@ def estimate(position_m: Array, tangent: Array, weight: Array, variance: Array) 
     order = np.argsort(-weight, kind="stable")
     ordered = weight[order]
     carried = order[np.cumsum(ordered) - ordered < CARRIED]
-    likely, beyond = position_m[carried], NORMAL_95 * np.sqrt(variance[carried])
+    likely, beyond = position_m[carried], CI95 * np.sqrt(variance[carried])
     mean_tangent = _mean(weight, tangent)
     return TipEstimate(
         position_m=_mean(weight, position_m),
@@ -90,9 +90,6 @@ def _mean(weight: Array, vectors: Array) -> Array:
     """The mean of H vectors (H, 3) or of H rows of K of them (H, K, 3)."""
     mean: Array = (weight @ vectors.reshape(len(weight), -1)).reshape(vectors.shape[1:])
     return mean
-
-
-SAME_RAD, SAME_M = 1e-6, 1e-8  # joints that differ by less are the same
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,7 +134,7 @@ class ObserverState:
             self.histories[0].history(mechanics, self.histories[0].accuracy)
         except InputError:
             raise InputError("is of another robot", key="start_state") from None
-        off = np.concatenate([np.abs(theta_b - self.theta_b) / SAME_RAD, np.abs(l_b - self.l_b) / SAME_M])
+        off = np.concatenate([np.abs(theta_b - self.theta_b) / STILL_RAD, np.abs(l_b - self.l_b) / STILL_M])
         if off.max() > 1:
             raise InputError("stands at other joints than the scenario's start", key="start_state")
 

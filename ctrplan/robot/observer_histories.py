@@ -99,7 +99,7 @@ def tidied(members: list[Member]) -> list[Member]:
         member = members[k]
         if share[k] < LEAST_WEIGHT:
             continue
-        alike = next((other for other in kept if _are_one(member, other)), None)
+        alike = next((other for other in kept if _coincide(member, other)), None)
         if alike is None:
             kept.append(member)
         else:
@@ -107,7 +107,7 @@ def tidied(members: list[Member]) -> list[Member]:
     return kept
 
 
-def _are_one(a: Member, b: Member) -> bool:
+def _coincide(a: Member, b: Member) -> bool:
     return bool(
         np.all(np.abs(a.position_m - b.position_m) < SAME_M)
         and np.all(np.abs(a.tangent - b.tangent) < SAME_RAD)
@@ -253,10 +253,10 @@ class Histories:
         values = self._slow.simulated(slow)
         mechanics = self._with(values)
 
-        def one(phi: Array) -> Member | None:
+        def begun_in(phi: Array) -> Member | None:
             return begun(self._history(mechanics, phi), values, theta_b, l_b, slow, score)
 
-        return [member for member in self.threads.each(one, states) if member is not None]
+        return [member for member in self.threads.each(begun_in, states) if member is not None]
 
     def join_waiting(self) -> None:
         """With the first tip steps become fine, and states between the corners join."""

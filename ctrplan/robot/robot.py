@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ctrplan.base.arguments import rows_of
-from ctrplan.base.arrays import Array, are_degrees, content_sha256, numbers, read_only
+from ctrplan.base.arrays import ROUNDING_M, Array, are_degrees, content_sha256, numbers, read_only
 from ctrplan.base.package import shown
 from ctrplan.drive.drive import Drive
 from ctrplan.errors import InputError
 from ctrplan.measurement.measurements import Marker, SensorNoise
-from ctrplan.mechanics.tube import TOLERANCE_M, Contact, Loads, Tube, least_distance_m, nesting_inequalities
+from ctrplan.mechanics.tube import Contact, Loads, Tube, least_distance_m, nesting_inequalities
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
@@ -75,7 +75,7 @@ def nesting_violation(robot: Robot, theta_b: ArrayLike, l_b: ArrayLike) -> str |
         if shape != (robot.n,):
             raise InputError(f"must have one value per tube, shape ({robot.n},), not {shape}", key=key)
     G, h = nesting_inequalities(robot.tubes)
-    broken = np.flatnonzero(~(G @ l <= h + TOLERANCE_M))
+    broken = np.flatnonzero(~(G @ l <= h + ROUNDING_M))
     return _sentence(robot, int(broken[0]), l) if broken.size else None
 
 
@@ -86,7 +86,7 @@ def never_nests(robot: Robot) -> str | None:
     slope = (G @ drive.matrix_l)[:, moved]
     at_lower, at_upper = slope * drive.lower[moved], slope * drive.upper[moved]
     least = G @ drive.home_l_m + np.minimum(at_lower, at_upper).sum(axis=1)
-    broken = np.flatnonzero(least > h + TOLERANCE_M)
+    broken = np.flatnonzero(least > h + ROUNDING_M)
     return _sentence(robot, int(broken[0]), drive.home_l_m) if broken.size else None
 
 

@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ctrplan.base.arguments import Made, checked
-from ctrplan.base.arrays import MM_PER_M, Array, numbers, read_only
+from ctrplan.base.arrays import MM_PER_M, ROUNDING_M, Array, numbers, read_only
 from ctrplan.drive.drive import Drive
 from ctrplan.errors import InputError
-from ctrplan.mechanics.tube import TOLERANCE_M, reach_inequalities
+from ctrplan.mechanics.tube import reach_inequalities
 from ctrplan.robot.robot import Robot
 from ctrplan.scenario.scenario import CATALOGUE, DEFAULT, Goal, Margins, Scenario
 
@@ -92,7 +92,7 @@ class JointSpace:
         """(K,) whether limits and nesting hold at each row of q (K, m)."""
         within = np.all((q >= self.drive.lower - 1e-9) & (q <= self.drive.upper + 1e-9), axis=1)
         _, l_b = self.drive.collars(q)
-        rows: NDArray[np.bool_] = within & np.all(l_b @ self.nesting_G.T <= self.nesting_h + TOLERANCE_M, axis=1)
+        rows: NDArray[np.bool_] = within & np.all(l_b @ self.nesting_G.T <= self.nesting_h + ROUNDING_M, axis=1)
         return rows
 
     def violation(self, q: Array) -> str:
@@ -111,7 +111,7 @@ class JointSpace:
         norms = np.sum(slope**2, axis=1)
         for _ in range(PROJECTIONS):
             moves = np.clip(moves, self.drive.lower, self.drive.upper)
-            if np.all(moves @ slope.T <= room + TOLERANCE_M):
+            if np.all(moves @ slope.T <= room + ROUNDING_M):
                 break
             for row, limit, norm in zip(slope, room, norms, strict=True):
                 moves -= np.maximum(moves @ row - limit, 0.0)[:, None] * row / norm
@@ -150,7 +150,7 @@ class JointSpace:
         for _ in range(20):
             q = rng.uniform(low, high, (count, low.size))
             _, l_b = self.drive.collars(q)
-            results.extend(q[np.all(l_b @ self.nesting_G.T <= self.nesting_h + TOLERANCE_M, axis=1)])
+            results.extend(q[np.all(l_b @ self.nesting_G.T <= self.nesting_h + ROUNDING_M, axis=1)])
             if len(results) >= count:
                 break
         return np.array(results[:count]).reshape(-1, low.size)

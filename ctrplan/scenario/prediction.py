@@ -20,6 +20,7 @@ from ctrplan.mechanics.history import OSCILLATION_DEG, History, HistoryState, St
 from ctrplan.mechanics.shapes import HistoryOptions, Status
 from ctrplan.robot.friction_calibration import friction_law
 from ctrplan.robot.observer import ObservedHistory
+from ctrplan.robot.observer_histories import SAME_M, SAME_PHI
 
 if TYPE_CHECKING:
     from ctrplan.mechanics.shapes import Accuracy, Shape
@@ -31,7 +32,7 @@ BLOCK = 20  # configurations after which histories are compared
 LOOK_EVERY = 5  # configurations after which a body is looked at
 # Differences of tips, tangents and friction below which histories have become one: a fiftieth of what they are
 # simulated to, so that what grows in passing stays below that.
-SAME_M, SAME_RAD, SAME_FRICTION = 1e-6, 1e-5, 1e-3
+SAME_RAD = 1e-5  # of tangents; tips and friction as where an observer joins histories
 TIP_TOLERANCE_M = 0.05e-3  # of simulated tips (benchmarks/history.py)
 _STEPS = HistoryOptions()
 QUARTER_STEPS = replace(
@@ -306,7 +307,7 @@ def are_same(a: Array, others: Array) -> NDArray[np.bool_]:
     """(O,) whether histories are one with another from there on: tips, tangents and friction of pairs, (6 + P,) and
     (O, 6 + P), are alike.
     """
-    most = np.concatenate([[SAME_M] * 3, [SAME_RAD] * 3, np.full(len(a) - 6, SAME_FRICTION)])
+    most = np.concatenate([[SAME_M] * 3, [SAME_RAD] * 3, np.full(len(a) - 6, SAME_PHI)])
     same: NDArray[np.bool_] = np.all(np.abs(others - a) < most, axis=1)
     return same
 

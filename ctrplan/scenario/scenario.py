@@ -19,8 +19,7 @@ import numpy as np
 from msgspec import Meta, Struct, to_builtins
 from numpy.typing import ArrayLike
 
-from ctrplan.anatomy.anatomy_field import anatomy_field, shared_spacing_m
-from ctrplan.anatomy.clearance_grid import SignedDistanceField, field_bounds
+from ctrplan.anatomy.clearance_grid import SignedDistanceField, anatomy_field, field_bounds, shared_spacing_m
 from ctrplan.base.arguments import LONGEST_MM, PROGRESS, Limited, Text, checked, require, rows_of
 from ctrplan.base.arrays import MILLIMETRE, MM_PER_M, Array, content_sha256, numbers, read_only, unit, vector
 from ctrplan.base.catalogue import AbstractStruct, Catalogue

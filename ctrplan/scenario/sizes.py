@@ -45,14 +45,14 @@ def place_doubt(
     """
     length, away = reach_m(robot), float(np.linalg.norm(tip_m - base_m))
     lumens = [part for part in parts if part.role == "inside"]
-    outside = bool(lumens) and away < PLAUSIBLE[0] * length and not _in_one(lumens, tip_m)
+    outside = bool(lumens) and away < PLAUSIBLE[0] * length and not _inside_any(lumens, tip_m)
     if NEAR * length <= away <= length * PLAUSIBLE[1] and not outside:
         return None
     for unit in _others(read_in):
         moved = tip_m * UNITS_M[unit] / UNITS_M[read_in]
         if not PLAUSIBLE[0] * length <= float(np.linalg.norm(moved - base_m)) <= PLAUSIBLE[1] * length:
             continue
-        if lumens and not _in_one(lumens, moved):
+        if lumens and not _inside_any(lumens, moved):
             continue
         sure = outside or unit in ("m", "mm", "um")
         where = " and outside all lumens" if outside else ""
@@ -95,7 +95,7 @@ def part_doubts(robot: Robot, parts: Sequence[AnatomyPart], tips_m: Sequence[Arr
     """Parts, by number from 0, that are out of all proportion to the robot, or lumens that hold none of the goals."""
     length, thinnest = reach_m(robot), robot.tubes[-1].outer_diameter_m
     lumens = [part for part in parts if part.role == "inside"]
-    lost = bool(lumens) and not any(_in_one(lumens, tip) for tip in tips_m)
+    lost = bool(lumens) and not any(_inside_any(lumens, tip) for tip in tips_m)
     for k, part in enumerate(parts):
         if (
             part.role == "avoid"
@@ -156,7 +156,7 @@ def _factors() -> Iterator[tuple[str, float]]:
         yield f"{name} times too large ({reverse})", 1 / factor
 
 
-def _in_one(lumens: Sequence[AnatomyPart], tip_m: Array) -> bool:
+def _inside_any(lumens: Sequence[AnatomyPart], tip_m: Array) -> bool:
     """Whether a place (3,) [m] is in any of the lumens."""
     return any(_holds(part, tip_m, 1.0) for part in lumens)
 

@@ -26,9 +26,8 @@ from ctrplan.measurement.joint_path import JointPath
 from ctrplan.measurement.measurements import Measurements, Poses, frames_along
 from ctrplan.mechanics.history import History, Start
 from ctrplan.mechanics.shapes import Accuracy, Bounds, Status
-from ctrplan.pipeline.chain import Chain, at_instants
+from ctrplan.pipeline.chain import Chain, at_instants, range_notes
 from ctrplan.pipeline.followed_runs import walked
-from ctrplan.pipeline.installed import range_notes
 from ctrplan.robot.robot import Robot, nesting_violation
 
 SAMPLE_RAD, SAMPLE_M = np.radians(10.0), 3e-3  # between two looks at the tip on a leg

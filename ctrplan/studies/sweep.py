@@ -36,11 +36,11 @@ from ctrplan.errors import CtrplanError, InputError, NoAnswerError
 from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.mechanics.shapes import Status
 from ctrplan.mechanics.walk import TASK, chunks, columns_of, join, run
-from ctrplan.pipeline.installed import range_notes
+from ctrplan.pipeline.chain import range_notes
 from ctrplan.planning.planner import plan
 from ctrplan.plans.plan import Plan
 from ctrplan.robot.robot import Robot, nesting_violation
-from ctrplan.storage.toml_document import override_names
+from ctrplan.storage.toml_document import LARGEST_NUMBER, override_names
 from ctrplan.storage.toml_faults import unit_of
 from ctrplan.studies.child_process import ChildExecutor
 
@@ -50,7 +50,6 @@ if TYPE_CHECKING:
     from ctrplan.scenario.scenario import Scenario
 
 MOST_POINTS = 1_000_000
-FURTHEST = 1e12  # of any unit; keys of the robot file have ranges of their own
 FORM = "has the form KEY=FROM:TO:COUNT, such as theta_3=0:180:91 or contact.1.friction_coefficient=0:0.5:26"
 _COLLAR = re.compile(r"(theta|l)_([0-9]+)")
 _KINDS: dict[str, Kind] = {"theta": "rotation", "l": "translation"}
@@ -107,8 +106,9 @@ def _values(parts: list[str], text: str) -> Array:
     first, last, count = in_plain_digits(parts[0]), in_plain_digits(parts[1]), in_plain_digits(parts[2], whole=True)
     if first is None or last is None or count is None:
         raise InputError(f"{FORM}: two numbers and a whole one", key="--sweep", value=text)
-    if not (abs(first) <= FURTHEST and abs(last) <= FURTHEST):
-        raise InputError(f"FROM and TO must be from {-FURTHEST:g} to {FURTHEST:g}", key="--sweep", value=text)
+    if not (abs(first) <= LARGEST_NUMBER and abs(last) <= LARGEST_NUMBER):
+        rule = f"FROM and TO must be from {-LARGEST_NUMBER:g} to {LARGEST_NUMBER:g}"
+        raise InputError(rule, key="--sweep", value=text)
     if count < 2:
         raise InputError("COUNT must be at least 2", key="--sweep", value=text)
     if count > MOST_POINTS:

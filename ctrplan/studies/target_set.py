@@ -23,6 +23,7 @@ from ctrplan.mechanics.shapes import Status
 from ctrplan.mechanics.walk import PathDensity
 from ctrplan.motion.checker import MotionChecker, path_limits
 from ctrplan.planning.goal_states import RANK, descended
+from ctrplan.planning.place import OUT_OF_REACH_M
 from ctrplan.planning.reach import Configuration, configuration, reach, refined
 from ctrplan.robot.named_numbers import value_of, with_values
 from ctrplan.robot.robot import Robot
@@ -98,7 +99,6 @@ def least_stability(checker: MotionChecker, joints: Array) -> float:
 SAMPLES = 2000  # configurations whose zero-clearance tips say what is within reach at all
 POLISHED = 3  # ways of each target
 FINE_M = 5e-5  # of a tip that is led onto its target
-NEAR_M = 15e-3  # a target with no such tip within this is out of reach
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,7 +178,7 @@ def reachable(scenario: Scenario, goals: Sequence[Goal], seed: int) -> list[bool
     if solver.common_rotation is not None:  # turning all tubes together brings the tip around
         tips, own = (np.column_stack([np.hypot(p[:, 0], p[:, 1]), p[:, 2]]) for p in (tips, own))
     tips = tips[~np.isnan(tips).any(axis=1)]
-    return [bool(len(tips)) and bool(np.linalg.norm(tips - goal, axis=1).min() < NEAR_M) for goal in own]
+    return [bool(len(tips)) and bool(np.linalg.norm(tips - goal, axis=1).min() < OUT_OF_REACH_M) for goal in own]
 
 
 def with_target(scenario: Scenario, goal: Goal) -> Scenario:

@@ -44,7 +44,7 @@ class BeyondFirstOrder:
     """What R solves differ by from first order."""
 
     weight: Array  # (F, ...) of the quadratic's terms
-    rest: Array  # (R, ...) NaN where there was no equilibrium
+    remainder: Array  # (R, ...) NaN where there was no equilibrium
 
     @classmethod
     def of(cls, deviations: Array, result: Array) -> BeyondFirstOrder:
@@ -60,8 +60,8 @@ class BeyondFirstOrder:
 
     def at(self, deviations: Array, place: int) -> Array:
         """(M, ...) of draws (M, P), the first R those solved, at one place of the first axis after the draws."""
-        quadratic = np.tensordot(_terms(deviations, len(self.rest)), self.weight[:, place], axes=1)
-        result: Array = quadratic + repeated(self.rest[:, place], len(deviations))
+        quadratic = np.tensordot(_terms(deviations, len(self.remainder)), self.weight[:, place], axes=1)
+        result: Array = quadratic + repeated(self.remainder[:, place], len(deviations))
         return result
 
 
@@ -234,7 +234,7 @@ class DrawnPoses:
 
     def _solved(self, w: int) -> Array:
         """(R, S, 6) the same, of the draws that were solved."""
-        return self._displaced(w, self.draws.offset[: len(self.beyond.rest)])
+        return self._displaced(w, self.draws.offset[: len(self.beyond.remainder)])
 
     def _displaced(self, w: int, offset: Array) -> Array:
         linear: Array = np.einsum("scp,mp->msc", self.slopes.pose_by[w], offset)

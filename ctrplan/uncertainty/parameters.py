@@ -14,15 +14,13 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrplan.base.arrays import Array
+from ctrplan.base.arrays import CI95, Array
 from ctrplan.effects.learned.learned import effect_of, is_learned
 from ctrplan.mechanics.tube import SOFTEST_NM2
-from ctrplan.pipeline.chain import Acting, Chain
-from ctrplan.pipeline.installed import with_chain
+from ctrplan.pipeline.chain import Acting, Chain, with_chain
 from ctrplan.robot.named_numbers import value_of, with_values
 from ctrplan.robot.robot import KEYS, Robot, file_key
 
-CI95 = 1.959964  # standard deviations
 SMALLEST_M = 1e-6  # of a clearance or length that is drawn
 PHYSICAL = {  # what a number of the file can be, SI
     "bending_stiffness_Nm2": (SOFTEST_NM2, np.inf),

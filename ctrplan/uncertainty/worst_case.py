@@ -17,13 +17,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrplan.base.arrays import MM_PER_M, Array
-from ctrplan.uncertainty.parameters import CI95, UncertainParameters
+from ctrplan.base.arrays import CHI95, CI95, MM_PER_M, Array
+from ctrplan.uncertainty.parameters import UncertainParameters
 
 if TYPE_CHECKING:
     from ctrplan.scenario.scenario import Registration
 
-CHI95 = 2.795483  # 95 % of distances of three Gaussian coordinates lie within that many standard deviations
 STARTS, STEPS = 40, 30
 COVER = 400  # directions of a half sphere that cover it
 

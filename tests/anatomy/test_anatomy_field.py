@@ -9,9 +9,15 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from ctrplan.anatomy import anatomy_field as module
-from ctrplan.anatomy.anatomy_field import BRICK, Lattice, anatomy_field, shared_spacing_m
-from ctrplan.anatomy.clearance_grid import SignedDistanceField, field_bounds
+from ctrplan.anatomy import clearance_grid as module
+from ctrplan.anatomy.clearance_grid import (
+    BRICK,
+    Lattice,
+    SignedDistanceField,
+    anatomy_field,
+    field_bounds,
+    shared_spacing_m,
+)
 from ctrplan.anatomy.parts import AnatomyPart, exact_clearance
 from ctrplan.anatomy.shapes.capsule import Capsule
 from ctrplan.anatomy.shapes.mesh import Mesh

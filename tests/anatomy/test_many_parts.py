@@ -7,7 +7,7 @@ import time
 import numpy as np
 import pytest
 
-from ctrplan.anatomy.anatomy_field import anatomy_field
+from ctrplan.anatomy.clearance_grid import anatomy_field
 from ctrplan.anatomy.parts import AnatomyPart, exact_clearance, exact_clearance_of_many, nearby
 from ctrplan.anatomy.shapes.sphere import Sphere
 

@@ -13,7 +13,7 @@ from ctrplan.effects.learned.inputs import InputRange, Situation, Target
 from ctrplan.effects.learned.learned import LearnedSensor, effect_of, learned, named
 from ctrplan.errors import InputError
 from ctrplan.measurement.measurements import Poses
-from ctrplan.pipeline.installed import range_notes
+from ctrplan.pipeline.chain import range_notes
 from ctrplan.robot.robot import Robot
 
 RIPPLE = {"sin_3_theta_2_deg": 4.0, "range": {"theta_2": [-180.0, 180.0]}}

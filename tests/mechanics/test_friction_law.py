@@ -74,7 +74,7 @@ def test_deviations_are_exact_at_corners_and_without_friction() -> None:
 
 
 def test_calibrated_law_predicts_histories_it_has_not_seen() -> None:
-    """Errors on other histories, as docs/log/planning.md has for every robot."""
+    """Errors on other histories."""
     robot = ctrplan.load_robot(ROBOTS / "table_5_pair.toml")
     law = fit(robot, simulated_paths(robot, HISTORIES, np.random.default_rng(0)))
     unseen = simulated_paths(robot, 5, np.random.default_rng(9))

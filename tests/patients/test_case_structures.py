@@ -14,7 +14,7 @@ import trimesh
 
 import ctrplan
 from ctrplan.anatomy import image_file
-from ctrplan.anatomy.phases import Phases
+from ctrplan.anatomy.parts import Phases
 from ctrplan.anatomy.shapes.mesh import Mesh
 from ctrplan.anatomy.shapes.volume import Volume
 from ctrplan.errors import InputError

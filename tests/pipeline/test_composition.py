@@ -17,8 +17,7 @@ from ctrplan.effects.effect import CATALOGUE, Stage
 from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.measurement.joint_path import JointPath
 from ctrplan.measurement.measurements import Poses, frames_along
-from ctrplan.pipeline.chain import Acting, Chain
-from ctrplan.pipeline.installed import with_chain
+from ctrplan.pipeline.chain import Acting, Chain, with_chain
 from ctrplan.robot.robot import Robot
 from ctrplan.studies.simulate import simulate
 

@@ -297,7 +297,7 @@ def test_a_target_that_is_walled_off_says_where_it_is_tightest(folder: Path) -> 
     content = {"robot": "robot.toml", "start": START, "goal": goal, "anatomy": [wall]}
     (folder / "walled.toml").write_text(tomli_w.dumps(content), encoding="utf-8")
     (target,) = base_pose(ctrplan.load_scenario(folder / "walled.toml"), 0).targets
-    assert target.found and not target.valid
+    assert target.solutions and not target.valid
     (said,) = re.findall(r"too close to the anatomy, tightest to anatomy.1 \(sphere\) at \[(.*)\] mm", target.reason)
     place = np.array([float(x) for x in said.split(",")])
     assert np.linalg.norm(place - wall["center_mm"]) < 6.0

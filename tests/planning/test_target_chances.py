@@ -212,7 +212,7 @@ def test_what_solves_leave_is_a_quadratic_that_other_robots_confirm() -> None:
     others = parameters.drawn(np.random.default_rng(4), 100)
     linear = drawn.slopes.pose[0] + np.einsum("scp,mp->msc", drawn.slopes.pose_by[0], others)
     left = np.array([poses_at(parameters, offset, theta, l)[0] for offset in others]) - linear
-    still = left - replace(drawn.beyond, rest=0 * drawn.beyond.rest).at(others / parameters.sigma, 0)
+    still = left - replace(drawn.beyond, remainder=0 * drawn.beyond.remainder).at(others / parameters.sigma, 0)
     assert np.sqrt(np.mean(left[..., :3] ** 2)) > 0.1e-3
     assert np.sqrt(np.mean(still[..., :3] ** 2)) < 0.3 * np.sqrt(np.mean(left[..., :3] ** 2))
 

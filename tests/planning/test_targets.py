@@ -22,8 +22,7 @@ from ctrplan.errors import InputError, NoAnswerError
 from ctrplan.files.scenario_file import load_robot_or_scenario, scenario_from_dict
 from ctrplan.motion.checker import MotionChecker
 from ctrplan.planning.endings import settle
-from ctrplan.planning.goal_states import goal_states
-from ctrplan.planning.line import follow_line
+from ctrplan.planning.goal_states import follow_line, goal_states
 from ctrplan.planning.search.ompl_set_up import SearchProblem
 from ctrplan.planning.search.stage_search import Candidate, Progress, StageSearch
 from ctrplan.scenario.scenario import Goal, Scenario

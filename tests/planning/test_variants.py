@@ -18,8 +18,7 @@ from ctrplan.base.arrays import Array, alike, shares_of_length
 from ctrplan.certificate.certificate import Certificate
 from ctrplan.certificate.certify import certify
 from ctrplan.certificate.variants import Variants
-from ctrplan.drive.driven_way import driven_ways
-from ctrplan.drive.trajectory import time_parameterise
+from ctrplan.drive.trajectory import driven_ways, time_parameterise
 from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.robot.robot import Robot
 from ctrplan.scenario.joint_space import bare_scenario

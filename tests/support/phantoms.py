@@ -13,8 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from ctrplan.anatomy.parts import AnatomyPart
 from ctrplan.files.scenario_anatomy import anatomy_part
-from ctrplan.storage.toml_document import Document
-from ctrplan.storage.toml_table import TomlTable
+from ctrplan.storage.toml_document import Document, TomlTable
 
 Array = NDArray[np.float64]
 Body = Callable[[Array], Array]  # points (K, 3) in LPS, mm -> distances (K,) in mm, negative within

@@ -12,8 +12,7 @@ from ctrplan.base.arrays import Array, lengths
 from ctrplan.base.package import shown
 from ctrplan.base.surface import Surface
 from ctrplan.errors import InputError
-from ctrplan.storage.toml_document import Point, metres
-from ctrplan.storage.toml_table import TomlTable
+from ctrplan.storage.toml_document import Point, TomlTable, metres
 
 CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
 SIDES = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))  # turned outward

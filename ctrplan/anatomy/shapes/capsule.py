@@ -11,8 +11,7 @@ from ctrplan.anatomy.shape import PartEntry, PartShape, in_mm, length, point, re
 from ctrplan.base.arrays import Array, lengths
 from ctrplan.base.package import shown
 from ctrplan.base.surface import Surface, capsule
-from ctrplan.storage.toml_document import Length, Point, metres
-from ctrplan.storage.toml_table import TomlTable
+from ctrplan.storage.toml_document import Length, Point, TomlTable, metres
 
 
 @shown

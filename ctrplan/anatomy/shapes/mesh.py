@@ -18,7 +18,7 @@ from ctrplan.base.arrays import Array, lengths, numbers, read_only
 from ctrplan.base.package import shown
 from ctrplan.base.surface import Surface
 from ctrplan.errors import InputError
-from ctrplan.storage.toml_table import TomlTable
+from ctrplan.storage.toml_document import TomlTable
 
 SURELY = 1 + 1e-6  # beyond rounding
 Indices = NDArray[np.int64]

@@ -12,7 +12,7 @@ from ctrplan.anatomy.shape import PartEntry, register
 from ctrplan.anatomy.shapes.mesh import Mesh
 from ctrplan.base.arrays import Array
 from ctrplan.base.package import shown
-from ctrplan.storage.toml_table import TomlTable
+from ctrplan.storage.toml_document import TomlTable
 
 
 @shown

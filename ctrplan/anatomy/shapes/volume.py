@@ -16,8 +16,7 @@ from ctrplan.anatomy.shapes.mesh import Mesh
 from ctrplan.anatomy.structure import ImageStructure, StructureChoice, has_thin_parts, image_of, structure
 from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.base.package import shown
-from ctrplan.storage.toml_document import Component, Distance
-from ctrplan.storage.toml_table import TomlTable
+from ctrplan.storage.toml_document import Component, Distance, TomlTable
 
 Label = Annotated[int, Meta(ge=1, le=2**31 - 1)]
 

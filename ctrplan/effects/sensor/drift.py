@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ctrplan.base.arrays import HOUR_S
 from ctrplan.effects.effect import DEGREE, MILLIMETRE, Effect, Parameter, Values, length_of, register, two_digits
 from ctrplan.measurement.measurements import Measurements, Poses, moved_rigidly
 from ctrplan.robot.robot import Robot
 
-HOUR_S = 3600.0
 MM_PER_H, DEG_PER_H = MILLIMETRE / HOUR_S, DEGREE / HOUR_S
 MOST = 1e4  # mm or deg an hour: what jumps is no drift
 

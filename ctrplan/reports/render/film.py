@@ -59,7 +59,7 @@ def rgb(colour: str) -> Array:
 
 
 TRIANGLES = 60_000  # of a part of the anatomy
-SIDES, ENVELOPE_SIDES = 24, 24
+SIDES = 24  # of tubes and their envelope
 GLASS = {"avoid": (0.30, 0.85), "inside": (0.06, 0.75)}  # opacity seen squarely and along the surface
 PATH_M, MARK_M = 0.0022, 0.009  # thickness of the tip's path and size of targets, shares of the robot's length
 LINE_M, APART_M, BEAD_M = 0.8e-3, 5e-3, 0.7e-3  # along the path as a line and as beads, and their size
@@ -203,7 +203,7 @@ def _moving_bodies(pose: RobotPose, motion: WrittenMotion, inside: bool) -> list
         for tube, rod in enumerate(pose.tubes)
         if rod.radius_m.any()
     ]
-    return [*tubes, Body(pose.envelope.surface(ENVELOPE_SIDES), rgb(looks.ENVELOPE_LOOK.colour), 0.14, 0.6)]
+    return [*tubes, Body(pose.envelope.surface(SIDES), rgb(looks.ENVELOPE_LOOK.colour), 0.14, 0.6)]
 
 
 def _anatomy(motion: WrittenMotion, inside: bool) -> Iterator[Body]:

@@ -22,8 +22,7 @@ import numpy as np
 from ctrplan.base.long_work import one_core
 from ctrplan.base.package import __version__
 from ctrplan.errors import CtrplanError, InputError, NoAnswerError
-from ctrplan.storage.toml_document import Document
-from ctrplan.storage.toml_table import TomlTable
+from ctrplan.storage.toml_document import Document, TomlTable
 from ctrplan.studies.child_process import ChildEnded, ChildExecutor, in_child
 from ctrplan.studies.study.store import Lines
 from ctrplan.studies.study.task import CATALOGUE, Job, Status, Task, TaskKind, TaskNumbers, TaskRow
@@ -89,7 +88,7 @@ def kind_of(job: Job) -> TaskKind:
 
 
 def _read_kind(document: Document) -> TaskKind:
-    from ctrplan.storage.toml_table import chosen
+    from ctrplan.storage.toml_document import chosen
 
     return chosen(TomlTable(document, ("task",)), "kind", CATALOGUE, TaskKind)
 

@@ -15,11 +15,10 @@ from pathlib import Path
 from typing import Any
 
 from ctrplan.errors import InputError
-from ctrplan.storage.csv_table import file_bytes
+from ctrplan.storage.csv_table import LARGEST_FILE_BYTES, file_bytes
 from ctrplan.storage.output_folder import temporary
 from ctrplan.storage.toml_document import Document, read_document
 
-LARGEST_FILE_BYTES = 200_000_000
 ROBOT_PREFIX = "robot."  # of keys that a scenario hands on
 VARIED = "0"  # stands for what a study varies, where content is hashed
 

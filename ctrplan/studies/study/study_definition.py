@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING
 from ctrplan.base.package import __version__
 from ctrplan.errors import InputError
 from ctrplan.files.study_file import StudyEntry, VaryEntry
-from ctrplan.storage.toml_document import Document
-from ctrplan.storage.toml_table import TomlTable
+from ctrplan.storage.toml_document import Document, TomlTable
 from ctrplan.studies.study.axes import CONFIGURATION, TASK_PREFIX, Axis, axes_of, files_varied
 from ctrplan.studies.study.sources import Sources
 from ctrplan.studies.study.task import CATALOGUE, Job, Loaded, TaskKind, TaskList, check_settings
@@ -76,7 +75,7 @@ class StudyDefinition:
 
 def defined(entry: StudyEntry, document: Document, allow_outside: bool) -> StudyDefinition:
     """The study of a file's entries. Raises InputError."""
-    from ctrplan.storage.toml_table import chosen
+    from ctrplan.storage.toml_document import chosen
 
     folder = Path(document.file or ".").parent
     kind = chosen(TomlTable(document, ("task",)), "kind", CATALOGUE, TaskKind)

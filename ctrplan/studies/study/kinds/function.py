@@ -48,7 +48,7 @@ class FunctionTask(TaskKind, frozen=True, kw_only=True):
         return (f"{self.function.partition(':')[0].replace('.', '/')}.py",)
 
     def numbers(self, task: Task, loaded: Loaded) -> Mapping[str, Any]:
-        function = self._found(loaded)
+        function = self._imported(loaded)
         try:
             result = function(loaded.scenario, dict(task.inputs), task.settings["seed"], **self.options)
         except CtrplanError:
@@ -57,7 +57,7 @@ class FunctionTask(TaskKind, frozen=True, kw_only=True):
             raise UserFunctionError(f"{self.function}: {_in_words(error)}.") from error
         return _checked(result, self.function)
 
-    def _found(self, loaded: Loaded) -> Callable[..., Any]:
+    def _imported(self, loaded: Loaded) -> Callable[..., Any]:
         module, _, name = self.function.partition(":")
         beside = loaded.job.sources.here / loaded.job.study_folder / self.files()[0]
         try:
