@@ -20,8 +20,8 @@ from ctrplan.certificate.certificate import Certificate, CertificateSamples
 from ctrplan.certificate.certify import certify, frictionless_arrives
 from ctrplan.motion.checker import MotionChecker
 from ctrplan.planning.endings import settled_again
+from ctrplan.planning.reach import tips_by_joints
 from ctrplan.plans.planned_motion import Compensation
-from ctrplan.robot.robot import Robot
 from ctrplan.scenario.prediction import (
     TIP_TOLERANCE_M,
     FrictionStart,
@@ -381,8 +381,8 @@ def _newton_step(
     tip's tangent (3,) to the goal's direction, where there is one.
     """
     space, goal, free = checker.space, checker.scenario.goal, movable.copy()
-    slopes = tip_jacobian(checker.scenario.robot, joints)
-    position, direction = (by_joints / space.weights_mm * MM_PER_M for by_joints in slopes)
+    slopes = tips_by_joints(checker, joints[None], np.zeros((1, checker.mechanics.n - 1)))
+    position, direction = (by[0] / space.weights_mm * MM_PER_M for by in (slopes.position_by, slopes.tangent_by))
     for _ in range(len(joints)):
         J = np.where(free, position, 0.0)
         inverse = J.T @ np.linalg.inv(J @ J.T + DAMPING * np.eye(3))
@@ -399,16 +399,3 @@ def _newton_step(
             break
         free &= ~stopped
     return clipped
-
-
-def tip_jacobian(robot: Robot, joints: Array) -> tuple[Array, Array]:
-    """(3, m), (3, m) derivatives of the frictionless tip and its tangent by actuated joints (m,), per rad and per m."""
-    names = [f"{key}.{i + 1}" for key in ("theta_b", "l_b") for i in range(robot.n)]
-    collars, moves = robot.drive.collars(joints[None]), robot.drive.collars_by_joints(joints[None])[0]
-    moved = np.flatnonzero(moves.any(axis=1))
-    tips = robot.mechanics.tips_with_friction(
-        *collars, np.zeros((1, robot.n - 1)), parameters=[names[k] for k in moved.tolist()]
-    )
-    # NaN where a collar or tip would pass another one.
-    position, tangent = (np.nan_to_num(by[0]) @ moves[moved] for by in (tips.position_by, tips.tangent_by))
-    return position, tangent

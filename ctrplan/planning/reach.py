@@ -17,6 +17,7 @@ from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.base.long_work import cores
 from ctrplan.base.package import shown
 from ctrplan.mechanics.friction import corner_signs
+from ctrplan.mechanics.gradients import collar_names
 from ctrplan.mechanics.shapes import Status, Tips
 from ctrplan.mechanics.walk import PathSamples
 from ctrplan.motion.checker import MotionChecker
@@ -39,10 +40,11 @@ def tips_by_joints(checker: MotionChecker, q: Array, phi: Array) -> Tips:
 
     A joint at a limit of the tubes' nesting has no derivative and counts as fixed.
     """
-    drive, n = checker.space.drive, checker.mechanics.n
-    names = [f"theta_b.{i + 1}" for i in range(n)] + [f"l_b.{i + 1}" for i in range(n)]
-    tips = checker.mechanics.tips_with_friction(*drive.collars(q), phi, parameters=names)
+    drive, names = checker.space.drive, collar_names(checker.mechanics.n)
     moves = drive.collars_by_joints(q)
+    moved = np.flatnonzero(moves.any(axis=(0, 2))).tolist()
+    parameters, moves = [names[k] for k in moved], moves[:, moved]
+    tips = checker.mechanics.tips_with_friction(*drive.collars(q), phi, parameters=parameters)
     by_joints = (np.nan_to_num(slope) @ moves for slope in (tips.position_by, tips.tangent_by))
     return replace(tips, position_by=next(by_joints), tangent_by=next(by_joints))
 

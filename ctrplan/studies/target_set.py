@@ -19,6 +19,7 @@ import numpy as np
 
 from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.errors import NoAnswerError
+from ctrplan.mechanics.gradients import collar_names
 from ctrplan.mechanics.shapes import Status
 from ctrplan.mechanics.walk import PathDensity
 from ctrplan.motion.checker import MotionChecker, path_limits
@@ -207,7 +208,7 @@ def bound_by(checker: MotionChecker, joints: Array, pairs: Sequence[RobotPair]) 
     robot = checker.scenario.robot
     names, numbers_by = _numbers(robot, pairs)
     moved_by = _collars(checker, joints, pairs)
-    collars = [f"{kind}.{i + 1}" for kind in ("theta_b", "l_b") for i in range(robot.n)]
+    collars = collar_names(robot.n)
     states = friction_states(robot)
     rows = np.repeat(joints[None], len(states), axis=0)
     result = checker.mechanics.tips_with_friction(
