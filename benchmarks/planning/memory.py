@@ -1,16 +1,19 @@
-"""Does memory stay flat over a long life of one process, and what does a plan take?
+"""Does memory stay flat over a long life of one process, what does a plan take, and how does that grow?
 
     python benchmarks/run.py memory runs [--plans 1000] [--bounds 100000]
     python benchmarks/run.py memory plan [SCENARIO ...] [--triangles 200000]
+    python benchmarks/run.py memory growth [triangles] [tubes] [targets] [legs]
 
 runs: plans a tiny scenario again and again, each time from the file with another seed, and asks for bounds at random
 configurations, one at a time and in batches. Resident memory after the first WARM_UP plans (a twentieth of the bounds)
 is compared with that at the end. Exits with 1 where it grew by GROWTH or more. plan: peak memory and CPU time of
 `ctrplan plan` of each scenario, as a process of its own with empty caches; with --triangles its meshes are divided into
 smaller triangles, whose corners are moved by hundredths of a millimetre so that nothing can be taken together again.
+growth: seconds of a processor by triangles of an anatomy, tubes, targets of a tour in free space, legs of a path.
 """
 
 import contextlib
+import copy
 import gc
 import os
 import subprocess
@@ -18,16 +21,21 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import common
 import numpy as np
 import trimesh
+from arrival import robots
 from common import ROBOTS, SCENARIOS, table
 
 import ctrplan
-from ctrplan.scenario.joint_space import JointSpace
+from ctrplan.certificate.certify import certify
+from ctrplan.files.robot_file import robot_from_dict
+from ctrplan.scenario.joint_space import JointSpace, bare_scenario
+from ctrplan.scenario.scenario import Goal
 
 NEAR = "goal.joints={'rotate outer' = 6, 'rotate inner' = 10, 'translate inner' = -27}"  # of pair_free.toml
 SEARCH_S = 0.1
@@ -36,6 +44,7 @@ BATCH = 100  # bounds
 GROWTH = 0.05
 ROUGHNESS_MM = 0.01  # of meshes that are divided
 LOOKS = 10  # at the memory, over a run
+SHORT = 0.15  # of the way between random configurations, which is certified
 
 
 @dataclass(frozen=True)
@@ -153,9 +162,88 @@ def prepare(folder: Path, scenario: str, at_least: int) -> int:
     return total
 
 
+def with_innermost(content: dict[str, Any], number: int) -> dict[str, Any]:
+    """A robot file of four tubes with a fifth one in them."""
+    innermost = copy.deepcopy(content["tube"][-1])
+    innermost |= {"outer_diameter_mm": 1.1, "inner_diameter_mm": 0.8, "bending_stiffness_Nm2": 0.003}
+    innermost["section"][0]["length_mm"] += innermost["collar_length_mm"]
+    joints = [{**joint, "moves": {k: [*v, 0] for k, v in joint["moves"].items()}} for joint in content["joint"]]
+    joints += [{"name": f"rotate tube {number}", "moves": {"theta": [0] * (number - 1) + [1]}}]
+    home = [*content["home"]["l_mm"], content["home"]["l_mm"][-1] - innermost["collar_length_mm"]]
+    tubes, contacts = [*content["tube"], innermost], [*content["contact"], content["contact"][-1]]
+    return {**content, "tube": tubes, "contact": contacts, "joint": joints, "home": {"l_mm": home}}
+
+
+def by_tubes() -> None:
+    """Of random configurations the bound, and of short motions in free space the certificate, histories included."""
+    files, rows = robots(), []
+    files["five tubes"] = with_innermost(files["four tubes"], 5)
+    for name in ("pair", "three tubes", "four tubes", "five tubes"):
+        robot, rng = robot_from_dict(files[name]), np.random.default_rng(1)
+        space, samples = JointSpace.of_robot(robot), list[float]()
+        configurations = robot.drive.collars(space.sample(rng, 20))
+        began = time.process_time()
+        for theta_b, l_b in zip(*configurations, strict=True):
+            robot.bound(theta_b, l_b)
+        bound_s = (time.process_time() - began) / len(configurations[0])
+        while len(samples) < 4:
+            start, end = space.sample(rng, 2)
+            case = replace(bare_scenario(robot), start=start, start_friction="released", start_turns="absolute")
+            began = time.process_time()
+            certificate = certify(case, np.array([start, start + SHORT * (end - start)]), restart=False)
+            if certificate.valid:
+                samples.append((time.process_time() - began) / len(certificate.samples.leg))
+        rows.append((name, f"{1e3 * bound_s:.2f} ms", f"{1e3 * np.median(samples):.1f} ms"))
+        print(*rows[-1], sep=", ", file=sys.stderr, flush=True)
+    table("growth with tubes", ("robot", "bound", "certificate, a sample"), rows)
+
+
+def by_targets() -> None:
+    """Of tours in free space whose targets are tips of random configurations, all found by the seed given."""
+    rows = []
+    for count in (1, 2, 5, 10, 20):
+        case, rng = ctrplan.load_scenario(SCENARIOS / "pair_free.toml"), np.random.default_rng(0)
+        tips = [
+            case.robot.solve(*case.robot.drive.collars(q)).tip_m
+            for q in JointSpace.of_robot(case.robot).sample(rng, count)
+        ]
+        names = [f"target {k + 1}" for k in range(count)]
+        goals = [replace(case.goal, joints=None, tip_m=tip, name=name) for tip, name in zip(tips, names, strict=True)]
+        case, began = replace(case, via=tuple(goals[:-1]), goal=goals[-1]), time.process_time()
+        try:
+            outcome = f"{ctrplan.plan(case).certificate.length_mm:.0f} mm"
+        except ctrplan.NoAnswerError as error:
+            outcome = str(error).rsplit(": ", 1)[-1]
+        rows.append((count, outcome, f"{time.process_time() - began:.1f} s"))
+        print(*rows[-1], sep=", ", file=sys.stderr, flush=True)
+    table("growth with targets", ("targets", "joint length", "CPU time"), rows)
+
+
+def by_legs() -> None:
+    """Of a path that goes on between two configurations of a scenario."""
+    plan, rows = ctrplan.plan(ctrplan.load_scenario(SCENARIOS / "vessel.toml"), time_s=1.0), []
+    there = plan.waypoints
+    for count in (1, 2, 4, 8):
+        way = np.vstack([there[:1], *([there[1:], there[-2::-1]] * count)[:count]])
+        case, began = replace(plan.scenario, goal=Goal(way[-1], None, 1e-3)), time.process_time()
+        certificate = certify(case, way)
+        rows.append((len(way) - 1, len(certificate.samples.leg), f"{time.process_time() - began:.1f} s"))
+        print(*rows[-1], sep=", ", file=sys.stderr, flush=True)
+    table("growth with legs", ("legs", "samples", "CPU time of the certificate"), rows)
+
+
+def by_triangles() -> None:
+    """Of the vessel's mesh, divided."""
+    rows = [plan_apart("vessel", count)[1:] for count in (1_000, 10_000, 100_000, 1_000_000)]
+    table("growth with triangles", ("triangles", "outcome", "peak memory", "CPU time", "by the clock"), rows)
+
+
+BY = {"triangles": by_triangles, "tubes": by_tubes, "targets": by_targets, "legs": by_legs}
+
+
 def main() -> int:
     parser = common.parser(__doc__)
-    parser.add_argument("section", choices=["runs", "plan"])
+    parser.add_argument("section", choices=["runs", "plan", "growth"])
     parser.add_argument("scenarios", nargs="*")
     parser.add_argument("--plans", type=int, default=1000)
     parser.add_argument("--bounds", type=int, default=100_000)
@@ -163,4 +251,8 @@ def main() -> int:
     given = parser.parse_args()
     if given.section == "runs":
         return runs(given.plans, given.bounds)
+    if given.section == "growth":
+        for name in given.scenarios or BY:
+            BY[name]()
+        return 0
     return plans_apart(given.scenarios, given.triangles)
