@@ -167,7 +167,10 @@ def with_innermost(content: dict[str, Any], number: int) -> dict[str, Any]:
     innermost = copy.deepcopy(content["tube"][-1])
     innermost |= {"outer_diameter_mm": 1.1, "inner_diameter_mm": 0.8, "bending_stiffness_Nm2": 0.003}
     innermost["section"][0]["length_mm"] += innermost["collar_length_mm"]
-    joints = [{**joint, "moves": {k: [*v, 0] for k, v in joint["moves"].items()}} for joint in content["joint"]]
+    joints = [  # it slides with the tube around it
+        {**joint, "moves": {kind: [*by, by[-1] if kind == "l" else 0] for kind, by in joint["moves"].items()}}
+        for joint in content["joint"]
+    ]
     joints += [{"name": f"rotate tube {number}", "moves": {"theta": [0] * (number - 1) + [1]}}]
     home = [*content["home"]["l_mm"], content["home"]["l_mm"][-1] - innermost["collar_length_mm"]]
     tubes, contacts = [*content["tube"], innermost], [*content["contact"], content["contact"][-1]]
