@@ -151,6 +151,11 @@ class Workbench:
         self._tried: dict[frozenset[str], list[Fit | None]] = {}  # where fits of a set began
         self._sized: dict[tuple[Scored, Noise], Scored] = {}  # with wide priors
 
+    @property
+    def visited(self) -> tuple[Scored, ...]:
+        """Sets that were fitted, as far as they still count."""
+        return tuple(self._done.values())
+
     @cached_property
     def whitening_group(self) -> NDArray[np.int_]:
         """(K,) poses that share the model's own numerical error."""

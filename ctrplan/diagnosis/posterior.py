@@ -1,0 +1,285 @@
+"""How probable it is that each effect acts, that something acts which the catalogue lacks, and that a verdict is true.
+
+A hypothesis is a set of effects, with or without an unknown error besides. Its likelihood is the density of all poses
+that choose, with every parameter integrated out over its prior around the set's own fit (Laplace). An unknown error
+belongs to the configuration, goes along with the joints, or with the time; its kind and its sizes, alike in their
+logarithm, are integrated out as well. An effect acts with a probability that is stated once, shared among its variants;
+so does an unknown error. Posterior probabilities sum to one over what the search compared: nothing, every effect alone,
+every set that was fitted, and each of these with one effect more or less than the chosen one.
+
+Priors of parameters say where to look. How wide they have to be is itself uncertain: a width w times the stated one has
+the density 1 / w^2 for w > 1, of which the best is taken.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.special import logsumexp
+
+from ctrplan.base.arrays import Array
+from ctrplan.calibration.discrepancy import Linearised, of_configurations
+from ctrplan.calibration.least_squares import Fit
+from ctrplan.calibration.residuals import Noise, compared
+from ctrplan.diagnosis import remainder
+from ctrplan.diagnosis.partial_search import is_built
+from ctrplan.diagnosis.remainder import SmoothError
+from ctrplan.diagnosis.verdict import Verdict
+from ctrplan.diagnosis.workbench import Candidates, Scored, Workbench
+from ctrplan.measurement.measurements import Measurements
+from ctrplan.pipeline.term import Term
+
+ACTS = 0.03  # prior probability that an effect of the catalogue acts: of some 20, one in every other robot
+UNKNOWN_ACTS = 0.1  # the same of something that the catalogue lacks
+WINDOW = 12.0  # logarithm: sets that are less probable than the best by more are not asked beside unknown errors
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """A set of effects, whether something unknown acts besides, and the logarithm of prior times likelihood."""
+
+    names: frozenset[str]
+    has_unknown: bool
+    weight: float
+
+
+@dataclass(frozen=True, eq=False)
+class Posterior:
+    """Probabilities of hypotheses that exclude each other."""
+
+    hypotheses: tuple[Hypothesis, ...]
+
+    @cached_property
+    def probabilities(self) -> Array:
+        """(H,) of the hypotheses; they sum to one."""
+        weights = np.array([one.weight for one in self.hypotheses])
+        probabilities: Array = np.exp(weights - logsumexp(weights))
+        return probabilities
+
+    def of_effect(self, *names: str) -> float:
+        """That at least one of these effects acts."""
+        return self._of(bool(one.names & set(names)) for one in self.hypotheses)
+
+    @property
+    def of_unknown(self) -> float:
+        """That something acts which the catalogue lacks."""
+        return self._of(one.has_unknown for one in self.hypotheses)
+
+    def of_verdict(self, verdict: Verdict, listed: Sequence[Collection[str]]) -> float:
+        """That a verdict is true; listed: names of each finding, the effect and what may stand for it.
+
+        "Named" and "ambiguous" say that one of each finding acts and nothing else does, "partial" that one of each
+        acts, "unexplained" that something unknown does besides.
+        """
+
+        def holds(one: Hypothesis) -> bool:
+            acts = all(one.names & set(names) for names in listed)
+            if verdict == "partial":
+                return acts
+            if verdict == "unexplained":
+                return acts and one.has_unknown
+            return acts and len(one.names) == len(listed) and not one.has_unknown
+
+        return self._of(holds(one) for one in self.hypotheses)
+
+    def _of(self, hits: Iterable[bool]) -> float:
+        return float(min(1.0, self.probabilities[np.fromiter(hits, bool, len(self.hypotheses))].sum()))
+
+
+def normalised(evidence: Mapping[frozenset[str], tuple[float, float]]) -> Posterior:
+    """The posterior from log evidences of sets, without and with an unknown error; -inf where that was not asked."""
+    results = []
+    for names, values in evidence.items():
+        for has_unknown, value in enumerate(values):
+            prior = len(names) * _log_odds(ACTS) + has_unknown * _log_odds(UNKNOWN_ACTS)
+            results.append(Hypothesis(names, bool(has_unknown), prior + value))
+    return Posterior(tuple(results))
+
+
+def _log_odds(probability: float) -> float:
+    return float(np.log(probability / (1 - probability)))
+
+
+def posterior(bench: Workbench, chosen: Scored, known: Candidates, more: Sequence[Scored] = ()) -> Posterior:
+    """The posterior over the sets that a search on a bench has compared; more: sets that it no longer has.
+
+    Built terms are no effects: what they do is done by something unknown. What is free in every fit of the bench acts
+    in none of its sets, unless it is among the effects of one.
+    """
+    base = bench.scored([])
+    among = [one for one in (base, *bench.visited, *more, chosen) if _is_alike(one.fit, chosen.fit)]
+    sets = {frozenset(t.key for t in one.terms): one for one in among}
+    asking = _Asking(bench, known, base, chosen)
+    results = asking.evidences([asking.whole(one) for one in sets.values()])
+    for here in (base, chosen) if chosen.terms else (base,):
+        results += asking.one_more(here)
+    evidence: dict[frozenset[str], tuple[float, float]] = {}
+    fitted = {names for names, _ in results[: len(sets)]}
+    for k, (names, values) in enumerate(results):
+        if k < len(sets) or names not in fitted:  # a fit says more than a first step
+            before = evidence.get(names, (-np.inf, -np.inf))
+            evidence[names] = (float(np.logaddexp(before[0], values[0])), float(np.logaddexp(before[1], values[1])))
+    return normalised(evidence)
+
+
+def _is_alike(fit: Fit, other: Fit) -> bool:
+    """Whether two fits are of the same poses over the same noise, so that their evidences compare."""
+    return fit.chain.data is other.chain.data and fit.noise.position_m == other.noise.position_m
+
+
+@dataclass(frozen=True, eq=False)
+class _Set:
+    """A set, linearised at its own fit over the noise alone."""
+
+    names: frozenset[str]
+    fit: Linearised
+    cost: float  # logarithm, of widened priors and of the choice among variants
+    has_built: bool
+
+    @cached_property
+    def alone(self) -> float:
+        """Logarithm of the evidence beside noise alone, up to what is the same for every set of these poses."""
+        return -np.inf if self.has_built else _beside_noise(self.fit) - self.cost
+
+    def at(self, peak: _Peak) -> float:
+        """The same beside an error of one kind and size."""
+        return peak.evidence(self.fit) - self.cost
+
+    def beside_unknown(self, errors: Sequence[SmoothError]) -> tuple[float, _Peak]:
+        """The same beside an error whose kind and sizes are unknown, and the most probable ones."""
+        averaged = [_over_sizes(error, self.fit) for error in errors]
+        values = np.array([value for value, _ in averaged])
+        return float(logsumexp(values) - np.log(len(values))) - self.cost, averaged[int(values.argmax())][1]
+
+
+@dataclass(frozen=True, eq=False)
+class _Peak:
+    """An error with its most probable sizes over the noise."""
+
+    error: SmoothError
+    position: float
+    tangent: float
+
+    def evidence(self, fit: Linearised) -> float:
+        """Logarithm of the evidence beside it."""
+        return float(self.error.at(fit, self.position, self.tangent).evidences(slice(0, 1), 0)[0]) / 2
+
+
+def _over_sizes(error: SmoothError, fit: Linearised) -> tuple[float, _Peak]:
+    """Logarithm of the evidence averaged over sizes, as if those of position and tangent were apart; and its peak."""
+    spectrum = error.spectrum(fit)
+    highest, position, tangent = spectrum.highest()
+    p = int(np.abs(spectrum.position.size - position).argmin())
+    t = int(np.abs(spectrum.tangent.size - tangent).argmin())
+    lines = spectrum.evidences(slice(None), t), np.atleast_1d(spectrum.evidences(p, slice(None)))
+    spread = sum(float(logsumexp((line - highest) / 2)) - np.log(len(line)) for line in lines)
+    return highest / 2 + spread, _Peak(error, position, tangent)
+
+
+def _beside_noise(fit: Linearised) -> float:
+    """Logarithm of the evidence beside noise alone."""
+    r, J, scale = fit.r.ravel(), fit.J.reshape(fit.r.size, -1), 1 / np.sqrt(fit.precision)
+    factor = np.linalg.cholesky((J.T @ J) * np.outer(scale, scale) + np.eye(len(scale)))
+    z = np.linalg.solve(factor, scale * (J.T @ r))
+    return float(z @ z - r @ r) / 2 - float(np.log(np.diag(factor)).sum())
+
+
+Evidences = tuple[frozenset[str], tuple[float, float]]  # of a set: beside noise alone, and beside an unknown error
+
+
+class _Asking:
+    """What is the same for all sets of a search: poses, how much each counts, errors, and variants of effects."""
+
+    def __init__(self, bench: Workbench, known: Candidates, base: Scored, chosen: Scored) -> None:
+        self.bench, self.known = bench, known
+        self.variants = Counter(t.name for t in known.terms)
+        self.root = np.sqrt(np.where(base.failed | chosen.failed, 0.0, chosen.fit.residuals.weight))[:, None]
+        tangent = chosen.fit.chain.predict(chosen.fit.p, derivatives=False).tangent
+        axes = np.cross(tangent[:, None], compared(tangent, bench.data.tangent)[1])
+        ends = {scored: self.whole(scored) for scored in (base, chosen)}
+        self.errors = _errors(bench.data, axes, [one.fit for one in ends.values()])
+        self.beside = {scored: (one, *one.beside_unknown(self.errors)) for scored, one in ends.items()}
+
+    def whole(self, scored: Scored) -> _Set:
+        """A set as it is fitted."""
+        fit, named = scored.fit, [t for t in scored.terms if not is_built(t)]
+        widths = _widths(scored)
+        linear = self._linear(fit.residuals.r, fit.residuals.J, fit.p - fit.chain.neutral, fit.noise)
+        per_column = [widths.get(t.name, 1.0) for t in fit.chain.terms for _ in t.parameters]
+        left = Linearised(linear[0], linear[1], fit.precision / np.square(per_column))
+        names = frozenset(t.name for t in named)
+        cost = sum(np.log(list(widths.values()))) + self._choice(names)
+        return _Set(names, left, float(cost), len(named) < len(scored.terms))
+
+    def evidences(self, sets: Sequence[_Set]) -> list[Evidences]:
+        """Of whole sets; beside unknown errors only those that may be as probable as the best."""
+        peaks = [peak for _, _, peak in self.beside.values()]
+        first = [max(one.alone, *(one.at(peak) for peak in peaks)) for one in sets]
+        least = max(first) - WINDOW
+        return [
+            (one.names, (one.alone, one.beside_unknown(self.errors)[0] if value > least else -np.inf))
+            for one, value in zip(sets, first, strict=True)
+        ]
+
+    def one_more(self, here: Scored) -> list[Evidences]:
+        """Of a set with any effect that acts in proportion added to it, to first order."""
+        beside, unknown, peak = self.beside[here]
+        names, variants = {t.name for t in here.terms}, self.known.beside(here.terms)
+        others = [t for t in variants if t.name not in names and t.effect.is_linear and t.effect.needs in ("", *names)]
+        if not others:
+            return []
+        panel = self.bench.panel(here, others)
+        r, J = self._linear(panel.whole.r, panel.whole.J, panel.whole.offset, self.bench.noise)
+        widths = _widths(here)
+        precision = panel.whole.precision / np.square([widths.get(name, 1.0) for name, _ in panel.keys])
+
+        def part(*more: Term) -> Linearised:
+            wanted = {(t.name, q.name) for t in self._all([*here.terms, *more]) for q in t.parameters}
+            columns = [k for k, key in enumerate(panel.keys) if key in wanted]
+            return Linearised(r, J[:, :, columns], precision[columns])
+
+        own = part()
+        plain = _beside_noise(own), peak.evidence(own)
+        results = []
+        for other in others:
+            wider, choice = part(other), self._choice([other.name])
+            gains = _beside_noise(wider) - plain[0] - choice, peak.evidence(wider) - plain[1] - choice
+            results.append((beside.names | {other.name}, (beside.alone + gains[0], unknown + gains[1])))
+        return results
+
+    def _all(self, terms: Sequence[Term]) -> list[Term]:
+        return [*self.bench.basis(terms), *terms]
+
+    def _linear(self, r: Array, J: Array, offset: Array, noise: Noise) -> tuple[Array, Array]:
+        """Residuals (K, 5) at the priors' centres and derivatives (K, 5, P) over the noise alone, as poses count."""
+        if noise.discrepancy is not None:
+            r, J = noise.discrepancy.coloured(r), noise.discrepancy.coloured(J)
+        return self.root * (r + J @ offset), self.root[:, :, None] * J
+
+    def _choice(self, names: Iterable[str]) -> float:
+        """Logarithm of what the choice of one variant of each effect costs."""
+        return float(sum(np.log(max(self.variants[name], 1)) for name in names))
+
+
+def _widths(scored: Scored) -> dict[str, float]:
+    """By effect of a set, how much wider than stated its prior is most probably."""
+    fit = scored.fit
+    over = np.abs(fit.p - fit.chain.neutral) / fit.chain.prior
+    places = zip(fit.chain.terms, fit.chain.slices(), strict=True)
+    return {t.name: float(max(1.0, over[place].max())) for t, place in places if t.name in scored.names}
+
+
+def _errors(data: Measurements, axes: Array, ends: Sequence[Linearised]) -> list[SmoothError]:
+    """That may act besides: of poses at rest with as much in common of a configuration's approaches as either set says.
+
+    axes (K, 2, 3) are those about which rotations are the two numbers of a tangent.
+    """
+    if data.is_stream:
+        return remainder.of_motion(data, axes)
+    shares = sorted({of_configurations(fit, data.configuration).memory for fit in ends})
+    first, *others = (remainder.at_rest(data, share, axes) for share in shares)
+    return first + [error for more in others for error in more if error.along != "time"]
