@@ -22,20 +22,18 @@ import numpy as np
 from scipy.special import logsumexp
 
 from ctrplan.base.arrays import Array
-from ctrplan.calibration.discrepancy import Linearised, of_configurations
+from ctrplan.calibration.discrepancy import Linearised
 from ctrplan.calibration.least_squares import Fit
-from ctrplan.calibration.residuals import Noise, compared
-from ctrplan.diagnosis import remainder
+from ctrplan.calibration.residuals import Noise
 from ctrplan.diagnosis.partial_search import is_built
-from ctrplan.diagnosis.remainder import SmoothError
+from ctrplan.diagnosis.term_dictionary import pieces
+from ctrplan.diagnosis.unknown_errors import Peak, UnknownErrors, without_error
 from ctrplan.diagnosis.verdict import Verdict
 from ctrplan.diagnosis.workbench import Candidates, Scored, Workbench
-from ctrplan.measurement.measurements import Measurements
 from ctrplan.pipeline.term import Term
 
 ACTS = 0.03  # prior probability that an effect of the catalogue acts: of some 20, one in every other robot
 UNKNOWN_ACTS = 0.1  # the same of something that the catalogue lacks
-WINDOW = 12.0  # logarithm: sets that are less probable than the best by more are not asked beside unknown errors
 
 
 @dataclass(frozen=True)
@@ -107,20 +105,22 @@ def _log_odds(probability: float) -> float:
 def posterior(bench: Workbench, chosen: Scored, known: Candidates, more: Sequence[Scored] = ()) -> Posterior:
     """The posterior over the sets that a search on a bench has compared; more: sets that it no longer has.
 
-    Built terms are no effects: what they do is done by something unknown. What is free in every fit of the bench acts
-    in none of its sets, unless it is among the effects of one.
+    Built terms are no effects: what they do is done by something unknown.
     """
     base = bench.scored([])
-    among = [one for one in (base, *bench.visited, *more, chosen) if _is_alike(one.fit, chosen.fit)]
-    sets = {frozenset(t.key for t in one.terms): one for one in among}
+    less = [bench.scored([t for t in chosen.terms if t is not gone], chosen.fit) for gone in chosen.terms]
+    among = [one for one in (base, *bench.visited, *more, *less, chosen) if _is_alike(one.fit, chosen.fit)]
     asking = _Asking(bench, known, base, chosen)
-    results = asking.evidences([asking.whole(one) for one in sets.values()])
+    fitted = {frozenset(t.key for t in one.terms): one for one in among}.values()
+    sets = [asking.whole(one) for one in fitted]
+    sets += [asking.whole(one, without=name) for one in fitted for name in asking.free(one)]
+    results = asking.evidences(sets)
     for here in (base, chosen) if chosen.terms else (base,):
         results += asking.one_more(here)
     evidence: dict[frozenset[str], tuple[float, float]] = {}
-    fitted = {names for names, _ in results[: len(sets)]}
+    refitted = {names for names, _ in results[: len(sets)]}
     for k, (names, values) in enumerate(results):
-        if k < len(sets) or names not in fitted:  # a fit says more than a first step
+        if k < len(sets) or names not in refitted:  # a fit says more than a first step
             before = evidence.get(names, (-np.inf, -np.inf))
             evidence[names] = (float(np.logaddexp(before[0], values[0])), float(np.logaddexp(before[1], values[1])))
     return normalised(evidence)
@@ -143,49 +143,12 @@ class _Set:
     @cached_property
     def alone(self) -> float:
         """Logarithm of the evidence beside noise alone, up to what is the same for every set of these poses."""
-        return -np.inf if self.has_built else _beside_noise(self.fit) - self.cost
+        return -np.inf if self.has_built else without_error(self.fit) - self.cost
 
-    def at(self, peak: _Peak) -> float:
-        """The same beside an error of one kind and size."""
-        return peak.evidence(self.fit) - self.cost
-
-    def beside_unknown(self, errors: Sequence[SmoothError]) -> tuple[float, _Peak]:
-        """The same beside an error whose kind and sizes are unknown, and the most probable ones."""
-        averaged = [_over_sizes(error, self.fit) for error in errors]
-        values = np.array([value for value, _ in averaged])
-        return float(logsumexp(values) - np.log(len(values))) - self.cost, averaged[int(values.argmax())][1]
-
-
-@dataclass(frozen=True, eq=False)
-class _Peak:
-    """An error with its most probable sizes over the noise."""
-
-    error: SmoothError
-    position: float
-    tangent: float
-
-    def evidence(self, fit: Linearised) -> float:
-        """Logarithm of the evidence beside it."""
-        return float(self.error.at(fit, self.position, self.tangent).evidences(slice(0, 1), 0)[0]) / 2
-
-
-def _over_sizes(error: SmoothError, fit: Linearised) -> tuple[float, _Peak]:
-    """Logarithm of the evidence averaged over sizes, as if those of position and tangent were apart; and its peak."""
-    spectrum = error.spectrum(fit)
-    highest, position, tangent = spectrum.highest()
-    p = int(np.abs(spectrum.position.size - position).argmin())
-    t = int(np.abs(spectrum.tangent.size - tangent).argmin())
-    lines = spectrum.evidences(slice(None), t), np.atleast_1d(spectrum.evidences(p, slice(None)))
-    spread = sum(float(logsumexp((line - highest) / 2)) - np.log(len(line)) for line in lines)
-    return highest / 2 + spread, _Peak(error, position, tangent)
-
-
-def _beside_noise(fit: Linearised) -> float:
-    """Logarithm of the evidence beside noise alone."""
-    r, J, scale = fit.r.ravel(), fit.J.reshape(fit.r.size, -1), 1 / np.sqrt(fit.precision)
-    factor = np.linalg.cholesky((J.T @ J) * np.outer(scale, scale) + np.eye(len(scale)))
-    z = np.linalg.solve(factor, scale * (J.T @ r))
-    return float(z @ z - r @ r) / 2 - float(np.log(np.diag(factor)).sum())
+    def beside(self, errors: UnknownErrors) -> tuple[float, Peak]:
+        """The same beside something unknown, and the most probable smooth error."""
+        value, peak = errors.evidence(self.fit)
+        return value - self.cost, peak
 
 
 Evidences = tuple[frozenset[str], tuple[float, float]]  # of a set: beside noise alone, and beside an unknown error
@@ -197,44 +160,51 @@ class _Asking:
     def __init__(self, bench: Workbench, known: Candidates, base: Scored, chosen: Scored) -> None:
         self.bench, self.known = bench, known
         self.variants = Counter(t.name for t in known.terms)
+        self.of_piece = float(np.log(len(pieces(bench.robot, bench.data, known.terms))))  # of which a term is built
         self.root = np.sqrt(np.where(base.failed | chosen.failed, 0.0, chosen.fit.residuals.weight))[:, None]
-        tangent = chosen.fit.chain.predict(chosen.fit.p, derivatives=False).tangent
-        axes = np.cross(tangent[:, None], compared(tangent, bench.data.tangent)[1])
         ends = {scored: self.whole(scored) for scored in (base, chosen)}
-        self.errors = _errors(bench.data, axes, [one.fit for one in ends.values()])
-        self.beside = {scored: (one, *one.beside_unknown(self.errors)) for scored, one in ends.items()}
+        self.errors = UnknownErrors(bench, base, chosen, [one.fit for one in ends.values()], self.root[:, 0])
+        self.beside = {scored: (one, *one.beside(self.errors)) for scored, one in ends.items()}
 
-    def whole(self, scored: Scored) -> _Set:
-        """A set as it is fitted."""
-        fit, named = scored.fit, [t for t in scored.terms if not is_built(t)]
-        widths = _widths(scored)
-        linear = self._linear(fit.residuals.r, fit.residuals.J, fit.p - fit.chain.neutral, fit.noise)
-        per_column = [widths.get(t.name, 1.0) for t in fit.chain.terms for _ in t.parameters]
-        left = Linearised(linear[0], linear[1], fit.precision / np.square(per_column))
-        names = frozenset(t.name for t in named)
-        cost = sum(np.log(list(widths.values()))) + self._choice(names)
-        return _Set(names, left, float(cost), len(named) < len(scored.terms))
+    def free(self, scored: Scored) -> list[str]:
+        """Effects that are in a fit although they are not in its set: frames of a bench where these are always free."""
+        return [t.name for t in scored.fit.chain.terms if t.name in self.variants and t.name not in scored.names]
+
+    def whole(self, scored: Scored, without: str = "") -> _Set:
+        """A set as it is fitted; to first order without an effect of the fit."""
+        fit, own, widths = scored.fit, self._named(scored) - {without}, self._widths(scored)
+        owners = [t.name for t in fit.chain.terms for _ in t.parameters]
+        kept = [k for k, name in enumerate(owners) if name != without]
+        r, J = self._linear(fit.residuals.r, fit.residuals.J, fit.p - fit.chain.neutral, fit.noise)
+        precision = fit.precision / np.square([widths.get(name, 1.0) for name in owners])
+        cost = sum(np.log(widths[name]) for name in widths if name != without) + self._choice(own)
+        built = sum(len(t.parameters) for t in scored.terms if is_built(t))
+        return _Set(own, Linearised(r, J[:, :, kept], precision[kept]), float(cost + built * self.of_piece), built > 0)
+
+    def _named(self, scored: Scored) -> frozenset[str]:
+        return frozenset({t.name for t in scored.fit.chain.terms} & set(self.variants))
+
+    def _widths(self, scored: Scored) -> dict[str, float]:
+        """By effect of a fit, how much wider than stated its prior is most probably."""
+        chain, named = scored.fit.chain, {*self._named(scored), *scored.names}
+        over = np.abs(scored.fit.p - chain.neutral) / chain.prior
+        places = zip(chain.terms, chain.slices(), strict=True)
+        return {t.name: float(max(1.0, over[place].max())) for t, place in places if t.name in named}
 
     def evidences(self, sets: Sequence[_Set]) -> list[Evidences]:
-        """Of whole sets; beside unknown errors only those that may be as probable as the best."""
-        peaks = [peak for _, _, peak in self.beside.values()]
-        first = [max(one.alone, *(one.at(peak) for peak in peaks)) for one in sets]
-        least = max(first) - WINDOW
-        return [
-            (one.names, (one.alone, one.beside_unknown(self.errors)[0] if value > least else -np.inf))
-            for one, value in zip(sets, first, strict=True)
-        ]
+        """Of whole sets."""
+        return [(one.names, (one.alone, one.beside(self.errors)[0])) for one in sets]
 
     def one_more(self, here: Scored) -> list[Evidences]:
         """Of a set with any effect that acts in proportion added to it, to first order."""
         beside, unknown, peak = self.beside[here]
-        names, variants = {t.name for t in here.terms}, self.known.beside(here.terms)
+        names, variants = {*self._named(here), *here.names}, self.known.beside(here.terms)
         others = [t for t in variants if t.name not in names and t.effect.is_linear and t.effect.needs in ("", *names)]
         if not others:
             return []
         panel = self.bench.panel(here, others)
         r, J = self._linear(panel.whole.r, panel.whole.J, panel.whole.offset, self.bench.noise)
-        widths = _widths(here)
+        widths = self._widths(here)
         precision = panel.whole.precision / np.square([widths.get(name, 1.0) for name, _ in panel.keys])
 
         def part(*more: Term) -> Linearised:
@@ -243,11 +213,11 @@ class _Asking:
             return Linearised(r, J[:, :, columns], precision[columns])
 
         own = part()
-        plain = _beside_noise(own), peak.evidence(own)
+        plain = without_error(own), peak.evidence(own)
         results = []
         for other in others:
             wider, choice = part(other), self._choice([other.name])
-            gains = _beside_noise(wider) - plain[0] - choice, peak.evidence(wider) - plain[1] - choice
+            gains = without_error(wider) - plain[0] - choice, peak.evidence(wider) - plain[1] - choice
             results.append((beside.names | {other.name}, (beside.alone + gains[0], unknown + gains[1])))
         return results
 
@@ -263,23 +233,3 @@ class _Asking:
     def _choice(self, names: Iterable[str]) -> float:
         """Logarithm of what the choice of one variant of each effect costs."""
         return float(sum(np.log(max(self.variants[name], 1)) for name in names))
-
-
-def _widths(scored: Scored) -> dict[str, float]:
-    """By effect of a set, how much wider than stated its prior is most probably."""
-    fit = scored.fit
-    over = np.abs(fit.p - fit.chain.neutral) / fit.chain.prior
-    places = zip(fit.chain.terms, fit.chain.slices(), strict=True)
-    return {t.name: float(max(1.0, over[place].max())) for t, place in places if t.name in scored.names}
-
-
-def _errors(data: Measurements, axes: Array, ends: Sequence[Linearised]) -> list[SmoothError]:
-    """That may act besides: of poses at rest with as much in common of a configuration's approaches as either set says.
-
-    axes (K, 2, 3) are those about which rotations are the two numbers of a tangent.
-    """
-    if data.is_stream:
-        return remainder.of_motion(data, axes)
-    shares = sorted({of_configurations(fit, data.configuration).memory for fit in ends})
-    first, *others = (remainder.at_rest(data, share, axes) for share in shares)
-    return first + [error for more in others for error in more if error.along != "time"]
