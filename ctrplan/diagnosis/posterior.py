@@ -17,6 +17,7 @@ from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from scipy.special import logsumexp
@@ -34,6 +35,7 @@ from ctrplan.pipeline.term import Term
 
 ACTS = 0.03  # prior probability that an effect of the catalogue acts: of some 20, one in every other robot
 UNKNOWN_ACTS = 0.1  # the same of something that the catalogue lacks
+LEAST_TOLD = 0.001  # probability of an effect in diagnosis.json
 
 
 @dataclass(frozen=True)
@@ -84,8 +86,26 @@ class Posterior:
 
         return self._of(holds(one) for one in self.hypotheses)
 
+    def to_json(self) -> dict[str, Any]:
+        """For diagnosis.json: that nothing acts, that something unknown does, and each effect above a thousandth."""
+        names = sorted({name for one in self.hypotheses for name in one.names})
+        effects = {name: round(self.of_effect(name), 4) for name in names}
+        return {
+            "nothing": round(self.of_verdict("no_missing_effect", ()), 4),
+            "unknown": round(self.of_unknown, 4),
+            "effects": {name: p for name, p in effects.items() if p >= LEAST_TOLD},
+            "sets_compared": len(self.hypotheses),
+        }
+
     def _of(self, hits: Iterable[bool]) -> float:
         return float(min(1.0, self.probabilities[np.fromiter(hits, bool, len(self.hypotheses))].sum()))
+
+
+def shown(probability: float) -> str:
+    """In words: two digits, never certain."""
+    if probability > 0.995:
+        return "probability above 0.99"
+    return f"probability {probability:.2f}" if probability >= 0.005 else "probability below 0.01"
 
 
 def normalised(evidence: Mapping[frozenset[str], tuple[float, float]]) -> Posterior:

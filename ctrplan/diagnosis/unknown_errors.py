@@ -88,13 +88,13 @@ class UnknownErrors:
         averaged = [_over_sizes(error, fit) for error in self.smooth]
         values = np.array([value for value, _ in averaged])
         peak = averaged[int(values.argmax())][1]
-        alone = without_error(fit) + self._gain(fit.r.ravel(), fit.J.reshape(fit.r.size, -1), fit.precision)
+        alone = without_error(fit) + self.gain(fit.r.ravel(), fit.J.reshape(fit.r.size, -1), fit.precision)
         r, J = peak.whitened(fit.r.ravel()), peak.whitened(fit.J.reshape(fit.r.size, -1))
         smooth = float(logsumexp(values) - np.log(len(values)))
-        both = smooth + self._gain(r, J, fit.precision, peak)
+        both = smooth + self.gain(r, J, fit.precision, peak)
         return float(logsumexp([smooth, alone, both]) - np.log(3)), peak
 
-    def _gain(self, r: Array, J: Array, precision: Array, peak: Peak | None = None) -> float:
+    def gain(self, r: Array, J: Array, precision: Array, peak: Peak | None = None) -> float:
         """Logarithm of what a process of unknown stage and size multiplies the evidence by."""
         if not self.processes:
             return -np.inf
