@@ -35,7 +35,6 @@ from ctrplan.pipeline.term import Term
 
 ACTS = 0.03  # prior probability that an effect of the catalogue acts: of some 20, one in every other robot
 UNKNOWN_ACTS = 0.1  # the same of something that the catalogue lacks
-LEAST_TOLD = 0.001  # probability of an effect in diagnosis.json
 
 
 @dataclass(frozen=True)
@@ -87,13 +86,13 @@ class Posterior:
         return self._of(holds(one) for one in self.hypotheses)
 
     def to_json(self) -> dict[str, Any]:
-        """For diagnosis.json: that nothing acts, that something unknown does, and each effect above a thousandth."""
+        """For diagnosis.json: that nothing acts, that something unknown does, and each effect that may."""
         names = sorted({name for one in self.hypotheses for name in one.names})
-        effects = {name: round(self.of_effect(name), 4) for name in names}
+        effects = {name: round(self.of_effect(name), 3) for name in names}
         return {
             "nothing": round(self.of_verdict("no_missing_effect", ()), 4),
             "unknown": round(self.of_unknown, 4),
-            "effects": {name: p for name, p in effects.items() if p >= LEAST_TOLD},
+            "effects": {name: p for name, p in effects.items() if p > 0},
             "sets_compared": len(self.hypotheses),
         }
 

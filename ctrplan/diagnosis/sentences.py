@@ -16,7 +16,6 @@ from ctrplan.effects.drive.homing_shift import HomingShift
 from ctrplan.measurement.measurements import MOST_ROWS
 from ctrplan.pipeline.term import Term
 
-MORE_LIKELY = 0.5  # probability of a verdict below which another one is told with it
 WORTH_TELLING = 0.9  # of the error without them, which frames have to undercut
 
 
@@ -28,12 +27,12 @@ def verdict_sentence(diagnosis: Diagnosis) -> str:
 
 
 def _how_probable(diagnosis: Diagnosis) -> str:
-    """The probability of the verdict, and what is more probable where it is below one half."""
+    """The probability of the verdict, and that of something unknown where it is higher."""
     if diagnosis.posterior is None or diagnosis.verdict_probability is None:
         return ""
     told, unknown = shown(diagnosis.verdict_probability), diagnosis.posterior.of_unknown
     against = f"; that something acts which the catalogue lacks has {shown(unknown)}"
-    is_against = diagnosis.verdict_probability < MORE_LIKELY and diagnosis.verdict != "unexplained"
+    is_against = diagnosis.verdict_probability < unknown and diagnosis.verdict not in ("partial", "unexplained")
     return f" {told[0].upper()}{told[1:]}{against if is_against else ''}."
 
 

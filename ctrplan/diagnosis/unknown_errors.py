@@ -34,7 +34,6 @@ from ctrplan.diagnosis.workbench import Scored, Workbench
 from ctrplan.measurement.approach import clock, friction_state, last_directions
 from ctrplan.measurement.measurements import Measurements
 
-LENGTH = 1.0  # [rad] of joints, or what counts as much, over which a process of a stage changes
 LEAST_MODE = 0.02  # of the largest: modes of a process that are smaller are left out
 
 
@@ -160,7 +159,7 @@ def _processes(bench: Workbench, base: Scored, counts: Array) -> Iterator[Array]
 
 
 def _distances(data: Measurements) -> Iterator[tuple[str, Array]]:
-    """Squares (K, K) of distances of poses in the inputs of a process, over its length."""
+    """Squares (K, K) of distances of poses in the inputs of a process, in radians or what counts as much."""
     joints, time = square_distances(data, range(data.count)), clock(data)
     yield "joints", joints
     history = np.hstack([friction_state(data), last_directions(data)])
@@ -173,8 +172,8 @@ def _distances(data: Measurements) -> Iterator[tuple[str, Array]]:
 
 
 def _modes(square: Array) -> Array:
-    """(K, m) of a smooth process."""
-    values, vectors = np.linalg.eigh(np.exp(-square / (2 * LENGTH**2)))
+    """(K, m) of a process that changes over a radian, or what counts as much."""
+    values, vectors = np.linalg.eigh(np.exp(-square / 2))
     kept = values > LEAST_MODE * values[-1]
     modes: Array = vectors[:, kept] * np.sqrt(values[kept])
     return modes
