@@ -67,6 +67,9 @@ def candidates(robot: Robot, data: Measurements, catalogue: Mapping[str, Effect]
     return Candidates(tuple(terms), reasons)
 
 
+CERTAIN = 2.0  # standard errors over groups or blocks by which a gain exceeds zero that is taken for one
+SURE = 3.0  # of the same, where much was asked or something remains
+OVERWHELMING = 30.0  # log-likelihood, of an effect that is told although something remains that may look like it
 MOST_WIDENINGS = 3
 WIDENED_FROM = 1.1  # standard deviations of a prior
 WORTH_ANOTHER = 2.0  # of the loss, to fit a set again from another place
