@@ -258,9 +258,8 @@ def at_rest(data: Measurements, share: float, axes: Array) -> list[SmoothError]:
     number, first, which = np.unique(data.configuration, return_index=True, return_inverse=True)
     square, own = square_distances(data, first.tolist()), np.eye(len(number))
     results = [own]
-    results += [
-        (1 - q) * own + q * np.exp(-square / (2 * length**2)) for q, length in product(SMOOTH, JOINT_LENGTHS[1:])
-    ]
+    kernels = [np.exp(-square / (2 * length**2)) for length in JOINT_LENGTHS[1:]]
+    results += [(1 - q) * own + q * kernel for q, kernel in product(SMOOTH, kernels)]
     of_poses = [one[np.ix_(which.ravel(), which.ravel())] for one in results]
     of_poses = [share * one + (1 - share) * np.eye(data.count) for one in of_poses]
     one_by_one = _error("configuration", data, of_poses[0], axes)

@@ -22,8 +22,7 @@ from ctrplan.calibration.robot_content import within_file
 from ctrplan.diagnosis.adequacy import Adequacy, ignored, left_out_probability, noise_floor, remains
 from ctrplan.diagnosis.built_term import LEAST_SHARE_ASIDE, MOST_WORSE, Built, worse_in
 from ctrplan.diagnosis.conclusion import HELD_OUT_SHARE, Conclusion, Teller, conclude
-from ctrplan.diagnosis.gap import Gap, contradiction, open_test_set
-from ctrplan.diagnosis.localise import Place, localise
+from ctrplan.diagnosis.gap import Gap, Place, contradiction, localise, open_test_set
 from ctrplan.diagnosis.next_experiment import decision, next_experiment
 from ctrplan.diagnosis.partial_diagnosis import PartialDiagnosis, concluded, left_by_names
 from ctrplan.diagnosis.partial_search import PartialSelector, is_built

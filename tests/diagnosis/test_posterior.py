@@ -12,8 +12,15 @@ from scipy.stats import multivariate_normal
 from ctrplan.calibration.discrepancy import Linearised
 from ctrplan.calibration.residuals import Noise
 from ctrplan.diagnosis import CATALOGUE
-from ctrplan.diagnosis.posterior import Hypothesis, Posterior, normalised, posterior, shown
-from ctrplan.diagnosis.unknown_errors import UnknownErrors, without_error
+from ctrplan.diagnosis.posterior import (
+    Hypothesis,
+    Posterior,
+    UnknownErrors,
+    normalised,
+    posterior,
+    shown,
+    without_error,
+)
 from ctrplan.diagnosis.workbench import Workbench, candidates
 from ctrplan.measurement.measurements import Measurements
 
