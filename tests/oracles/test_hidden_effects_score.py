@@ -85,6 +85,7 @@ def test_rows_count_their_own_trials() -> None:
         (0, 2),
         (2, 2),
         (0, 0),
+        (0, 0),
         (1, 2),
         (0, 0),
         (2, 4),

@@ -50,6 +50,10 @@ class Trial:
         return [set(e.split("|")) for e in self.truth["effects"] if e != "unknown"]
 
     @property
+    def has_unknown(self) -> bool:
+        return "unknown" in self.truth["effects"]
+
+    @property
     def extra(self) -> Names:
         """Named and not true."""
         return [n for n in self.named if not any(n & k for k in self.known)]
@@ -58,7 +62,7 @@ class Trial:
     def is_right(self) -> bool:
         if self.found is None:
             return False
-        if "unknown" in self.truth["effects"]:
+        if self.has_unknown:
             verdicts = {"unexplained", "partial"}
         else:
             verdicts = {"named", "ambiguous"} if self.known else {"no_missing_effect"}
@@ -77,9 +81,11 @@ class Trial:
     def acting(self) -> set[str]:
         """Effects of the catalogue that act, each by the name that it was made by."""
         case = self.truth["case"]
-        hidden = [name for name, _ in case["hidden"] if name not in UNKNOWN and name != case.get("left_out")]
+        hidden = [name for name, _ in case["hidden"]]
         of_release = {"friction"} if "translation_release" in hidden else set()
-        return {"homing_offset" if name.startswith("homing") else name for name in hidden} | of_release
+        names = {"homing_offset" if name.startswith("homing") else name for name in hidden if name not in UNKNOWN}
+        of_slip = {"homing_shift"} if "collar_slip" in hidden else set()
+        return (names | of_release | of_slip) - {case.get("left_out")}
 
     @property
     def probabilities(self) -> list[tuple[float, bool]]:
@@ -102,7 +108,7 @@ class Trial:
     def unknown_probability(self) -> list[tuple[float, bool]]:
         """That something acts which the catalogue lacks, and whether it does."""
         posterior = (self.found or {}).get("posterior")
-        return [(posterior["unknown"], "unknown" in self.truth["effects"])] if posterior else []
+        return [(posterior["unknown"], self.has_unknown)] if posterior else []
 
     @property
     def leftover(self) -> float:
@@ -156,8 +162,9 @@ def goals(trials: list[Trial]) -> list[Goal]:
     singles = [t for t in trials if t.row == "single" and t.leftover >= SEPARABLE_FROM]
     heavy = [t for t in trials if t.row == "single, heavy tails" and t.leftover >= SEPARABLE_FROM]
     pairs = [t for t in trials if t.row == "pair"]
-    foreign = [t for t in trials if t.row in ("not in the catalogue", "taken out of the catalogue")]
-    mixed = [t for t in trials if t.row == "known and unknown"]
+    foreign = [t for t in trials if t.row in ("not in the catalogue", "taken out of the catalogue") and t.has_unknown]
+    mixed = [t for t in trials if t.row == "known and unknown" and t.has_unknown]
+    slips = [t for t in trials if {"homing_shift"} in t.known]
     look_alikes = [t for t in trials if t.row == "look-alike" and t.leftover >= SEPARABLE_FROM]
     right = [t for t in trials if t.is_right and t.known]
     covered = [inside for t in right for inside in intervals(t)]
@@ -173,6 +180,7 @@ def goals(trials: list[Trial]) -> list[Goal]:
         _goal("the same, with a probability above 0.99", "", foreign, lambda t: any(p > 0.99 for p in _wrong(t))),
         _goal("gap halved, of unknown effects that leave >= 1x noise", ">= 70 %", _large(foreign), _halves_gap),
         _goal("known part listed, where an unknown effect acts besides", ">= 80 %", mixed, _lists_known),
+        _goal("slips named", ">= 90 %", slips, lambda t: any("homing_shift" in n for n in t.named)),
         _goal("look-alikes reported as A or B, truth inside", ">= 90 %", look_alikes, _says_either),
         Goal("95 % intervals that contain the true value", "90-98 %", sum(covered), len(covered)),
         _goal("gap after adding <= 1.1x noise floor, right ones", "all", right, _closes_gap),
