@@ -12,21 +12,16 @@ import numpy as np
 from ctrplan.base.arrays import Array
 from ctrplan.diagnosis.correlated_bench import FRAMES, CorrelatedBench
 from ctrplan.diagnosis.cross_validation import Linear, left_out_residuals
-from ctrplan.diagnosis.workbench import Linearisation, Scored, Workbench, certainty, linear
+from ctrplan.diagnosis.workbench import CERTAIN, OVERWHELMING, SURE, Linearisation, Scored, Workbench, certainty, linear
 from ctrplan.pipeline.term import Term
 
 LEAST_Z = 4.0  # standard errors over blocks that the gain of an effect must exceed zero by
 TIMES_CHANCE = 3.0  # the gain that surrogates of the residual exceed in 2 % of draws
 LEAST_WINNING = 0.9  # of the blocks that say something
 SAYS_SOMETHING = 0.5  # log-likelihood of a block that tells whether an effect acts
-MOST_SHIFT = 3.0  # standard errors by which a competitor may move an effect's parameters, of each on average
-LEAST_Z_BESIDE = 2.0  # of the gain that is left beside a competitor
 LEAST_ODDS = 7.0  # logarithm of the evidence beside a smooth error: 1,100 to 1, for some hundred variants are asked
-LEAST_ODDS_OF_MOTION = 30.0  # of the same, of what acts by the motion; true ones had 83 and more, nulls 3
 LEAST_ODDS_AT_REST = 12.0  # of the same, of poses at rest; nulls had up to 5
 LIKELY = 10.0  # of the same, of what is taken for the time being: what else is found may make it probable, or idle
-LEAST_Z_BESIDE_ODDS = 2.0  # standard errors over blocks, of what has these odds on a continuous motion
-LEAST_Z_AT_REST = 3.0  # of the same, of poses at rest; what stood for unknown effects had 2.4 and odds of 26
 SAME_GAIN = 0.9  # of an effect's own: a competitor that brings as much in its place is told as another name for it
 
 
@@ -39,8 +34,8 @@ class Telling:
     z: float
 
 
-OF_MOTION = Telling(LEAST_ODDS_OF_MOTION, LEAST_ODDS_OF_MOTION, LEAST_Z_BESIDE_ODDS)
-AT_REST = Telling(LIKELY, LEAST_ODDS_AT_REST, LEAST_Z_AT_REST)
+OF_MOTION = Telling(OVERWHELMING, OVERWHELMING, CERTAIN)
+AT_REST = Telling(LIKELY, LEAST_ODDS_AT_REST, SURE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +72,7 @@ class Evidence:
             results.append(f"only {100 * self.winning:.0f} % of the blocks speak for it")
         if self.imitators:
             results.append(f"beside {self.weakest} little of its gain is left")
-        if self.shift > MOST_SHIFT:
+        if self.shift > SURE:
             results.append(f"beside {self.shifted_by} its parameters leave their intervals")
         return results
 
@@ -150,7 +145,7 @@ def evidence(bench: Workbench, sides: Sides, t: Term, chance: float) -> Evidence
         both = panel.of([*among, other])
         kept, moved = beside.get(other.name, (np.inf, 0.0))
         z = certainty(_gains(bench, both, alone))
-        if z < min(kept, LEAST_Z_BESIDE):
+        if z < min(kept, CERTAIN):
             imitators[other.name] = other
         beside[other.name] = (min(kept, z), max(moved, _shift(panel, among, t, other)))
     weakest = min(beside, key=lambda name: beside[name][0], default="")

@@ -37,7 +37,7 @@ LEAST_Z = 5.0  # standard errors over blocks
 TIMES_CHANCE = 4.0  # the gain that the first piece reaches in 2 % of smooth surrogates, of all pieces together
 LEAST_EVIDENCE = 20.0  # logarithm, beside a smooth error: what four choices among 150 pieces may gain, 4 log 150
 LEAST_WINNING = 0.85  # of the blocks that say something
-LEAST_SHARE = 0.6  # of the squares that remain beyond noise, closed on blocks left out
+LEAST_SHARE = 0.6  # of the squares that remain beyond noise, closed on blocks left out; to first order before any fit
 LEAST_SHARE_ASIDE = 0.4  # of the same, closed on the poses kept aside
 MOST_WORSE = 1.05  # of the rms error of any region, with the term over without
 LEAST_POSES = 8  # of a region that is asked
@@ -172,10 +172,8 @@ def _term_json(t: Term, scored: Scored) -> dict[str, Any]:
     return {"name": t.name, **stated, "coefficients": coefficients}
 
 
-WITHIN_REACH = 0.6  # of the squares that remain, to first order before anything is fitted; else no search is begun
 MOST_TIMES = 2  # that a term is built anew beside other names
 LIKE_SMOOTH = ("sensor_offset",)  # names that a smooth error is partly
-LEAST_LIKE_SMOOTH = 20.0  # logarithm of evidence, if they move positions no further than a frame has to; wrong had 12
 WORTH = 0.5  # of the noise: what remains has to be larger for a term to be sought
 
 
@@ -245,7 +243,7 @@ def _without_faint(partial: PartialDiagnosis, built: Built, tell: Callable[[str]
     """
     bench, listed = partial.bench, [finding.term.name for finding in built.partly.judgement.findings]
     gains = {one.effect: one.gain for one in built.partly.path if one.action == "add" and one.taken}
-    faint = {name for name in LIKE_SMOOTH if name in listed and gains.get(name, np.inf) < LEAST_LIKE_SMOOTH}
+    faint = {name for name in LIKE_SMOOTH if name in listed and gains.get(name, np.inf) < LEAST_EVIDENCE}
     if faint:
         evidence = SmoothEvidence(bench, bench.corrected(built.scored))
         faint = {name for name in faint if evidence.moved(name) < FRAME_MOVES}
@@ -325,7 +323,7 @@ def _tried_beside(
         return searched.chosen
 
     known = pieces(bench.robot, bench.data, partial.known.terms)
-    scored, rounds = grown(bench, named, known, tell, with_names, WITHIN_REACH, smooth_counts)
+    scored, rounds = grown(bench, named, known, tell, with_names, LEAST_SHARE, smooth_counts)
     if scored is named:
         return None
     selector = _selector(partial, scored, tell)

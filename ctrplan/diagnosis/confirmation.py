@@ -26,14 +26,13 @@ from ctrplan.diagnosis.correlated_bench import FRAMES, fixed, frames
 from ctrplan.diagnosis.cross_validation import steps_without
 from ctrplan.diagnosis.result import Diagnosis
 from ctrplan.diagnosis.usable_poses import blocks, usable_poses
-from ctrplan.diagnosis.workbench import certainty, linear, values_by_name
+from ctrplan.diagnosis.workbench import CERTAIN, SURE, certainty, linear, values_by_name
 from ctrplan.errors import InputError
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.pipeline.followed_runs import friction_correction
 from ctrplan.pipeline.parametric_chain import ParametricChain
 from ctrplan.pipeline.term import Term
 
-CONFIRMED, CONTRADICTED = 3.0, -2.0  # standard errors over blocks
 LEAST_BLOCKS = 5
 MOST_POSES = 400  # of a continuous motion that are compared
 
@@ -151,7 +150,7 @@ def _confirmed(t: Term, whole: _Predicted, rest: _Predicted, block: NDArray[np.i
     number = np.unique(block[counted], return_inverse=True)[1].ravel()
     gains: Array = np.asarray(np.bincount(number, weights=(rest.loss - whole.loss)[counted] / 2), dtype=np.float64)
     z = certainty(gains) if gains.sum() > 0 else -certainty(-gains)
-    verdict = "confirmed" if z > CONFIRMED else "contradicted" if z < CONTRADICTED else "not confirmed"
+    verdict = "confirmed" if z > SURE else "contradicted" if z < -CERTAIN else "not confirmed"
     return ConfirmedEffect(t.name, *summed(gains), z, summary(rest.distance_m[counted], block[counted]), verdict)
 
 

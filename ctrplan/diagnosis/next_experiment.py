@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from ctrplan.base.arrays import Array
 from ctrplan.calibration.least_squares import Fit
 from ctrplan.calibration.residuals import Noise, Residuals, residuals
+from ctrplan.diagnosis.adequacy import REJECTED
 from ctrplan.diagnosis.verdict import Alternative, Finding, Judgement
 from ctrplan.diagnosis.workbench import Scored
 from ctrplan.measurement.measurements import Measurements
@@ -31,7 +32,6 @@ PROPOSALS = 3
 SEPARATING_LOG_ODDS = 1.0  # expected log-odds of a pose below which it separates nothing
 CERTAIN_LOG_ODDS = 100.0
 DECIDED = 0.99  # probability of an explanation, of those that were as good before
-MISFIT = 1e-3  # probability of the new poses under the better explanation, below which it does not explain them either
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,7 +170,7 @@ def decision(chosen: Scored, finding: Finding, data: Measurements, noise: Noise)
     order = sorted(fits, key=lambda name: -evidence[name][0])
     logs = np.array([evidence[name][0] for name in order])
     probability = np.exp(logs - logs[0]) / np.exp(logs - logs[0]).sum()
-    return Decision(tuple(order), tuple(probability.tolist()), data.count, evidence[order[0]][1] > MISFIT)
+    return Decision(tuple(order), tuple(probability.tolist()), data.count, evidence[order[0]][1] > REJECTED)
 
 
 def _predictive(fit: Fit, data: Measurements, noise: Noise) -> tuple[float, float]:

@@ -25,7 +25,7 @@ from ctrplan.diagnosis import remainder
 from ctrplan.diagnosis.adequacy import Adequacy, remains
 from ctrplan.diagnosis.block_evidence import LEAST_ODDS, LIKELY, Evidence, Part, mean_square, part_of
 from ctrplan.diagnosis.correlated_bench import FRAME, FRAME_MOVES, FRAMES, CorrelatedBench, frames_beside
-from ctrplan.diagnosis.localise import localise
+from ctrplan.diagnosis.gap import localise
 from ctrplan.diagnosis.partial_search import (
     MOST_PARTS,
     NamedSet,

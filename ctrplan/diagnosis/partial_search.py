@@ -21,17 +21,25 @@ from ctrplan.diagnosis.block_evidence import (
 )
 from ctrplan.diagnosis.correlated_bench import FRAME_MOVES, FRAMES, CorrelatedBench, SmoothBench
 from ctrplan.diagnosis.cross_validation import Linear, null_threshold, null_thresholds
-from ctrplan.diagnosis.selection import Report, Selection, SelectionStep, Selector, step
+from ctrplan.diagnosis.selection import LEAST_SHARE_OF_GAIN, Report, Selection, SelectionStep, Selector, step
 from ctrplan.diagnosis.smooth_evidence import SmoothEvidence, best_of_each, rivals_of
 from ctrplan.diagnosis.verdict import CLOSE, CLOSE_ERRORS, MOST_RIVALS, Alternative, Finding, is_close
-from ctrplan.diagnosis.workbench import Candidates, Linearisation, Scored, Screened, certainty, linear
+from ctrplan.diagnosis.workbench import (
+    CERTAIN,
+    OVERWHELMING,
+    SURE,
+    Candidates,
+    Linearisation,
+    Scored,
+    Screened,
+    certainty,
+    linear,
+)
 from ctrplan.effects.learned.learned import Learned, learned, named
 from ctrplan.pipeline.term import Term
 
 MOST_PARTS = 5  # effects named beside a rest that nothing explains
 SMOOTH_COUNTS = 2 / 3  # of chance on surrogates as smooth as the residual: twice that has to be gained
-CERTAIN_AT_FIRST = 3.0  # standard errors over blocks, while what is still missing is part of the discrepancy
-WORTH_A_FIT = 0.5  # of the gain and of the certainty that are needed, to first order: a fit would not make up for less
 
 
 class PartialSelector(Selector):
@@ -86,7 +94,7 @@ class PartialSelector(Selector):
             return False
         beside = [one.linear for one in screened]
         selection.threshold = TIMES_CHANCE * self._most(here, linear(here.fit), beside)
-        worth = [one for one in screened if self._passes(here, one, WORTH_A_FIT)]
+        worth = [one for one in screened if self._passes(here, one, LEAST_SHARE_OF_GAIN)]
         if not worth:
             first = screened[0]
             selection.path.append(step("add", first.term, first.score - here.score, 0.0, selection.threshold, False))
@@ -137,7 +145,7 @@ class PartialSelector(Selector):
     def _passes(self, here: Scored, candidate: Scored | Screened, share: float = 1.0) -> bool:
         """Whether a candidate beside a set has a share of the gain and of the certainty over blocks that are needed."""
         gains = self.bench.by_group((here.held_out - candidate.held_out) / 2)
-        return float(gains.sum()) > share * self.found.threshold and certainty(gains) > share * CERTAIN_AT_FIRST
+        return float(gains.sum()) > share * self.found.threshold and certainty(gains) > share * SURE
 
 
 def is_built(t: Term) -> bool:
@@ -151,10 +159,7 @@ def testable_beside(known: Candidates, bench: CorrelatedBench) -> Candidates:
     return Candidates(tuple(t for t in known.terms if t.name not in always), known.not_testable)
 
 
-CLEARLY = 2.0  # standard errors by which a rival has to do better than a frame to take its place
-LEAST_ODDS_OF_FRAME = 30.0  # logarithm, with which it need not move far; without any it is no name
 STANDS_OUT = 4.0  # times chance that a frame gains beside an error as smooth as the rest; 3.2 were seen in a null
-TRIED = 3  # effects that are fitted in the place of one that holds
 
 
 @dataclass(frozen=True, eq=False)
@@ -271,7 +276,7 @@ def finding(selector: PartialSelector, supported: SupportedSet, e: Evidence) -> 
     imitators = {other.name for other in e.imitators}
     ranked = [] if e.is_told_by_odds else [one[0] for one in in_its_place(bench, supported.sides[t.name], t)]
     ranked = [other for other in ranked if other.name not in imitators]
-    for other in [*e.imitators[: MOST_RIVALS + 1], *ranked[:TRIED]]:
+    for other in [*e.imitators[: MOST_RIVALS + 1], *ranked[:MOST_RIVALS]]:
         scored = bench.scored([*others, other], chosen.fit)
         tried.append(Alternative(other, scored, *bench.difference(chosen, scored)))
     return Finding(t, tuple(a for a in tried if a.term.name in imitators or is_close(a, chosen))), tried
@@ -318,7 +323,7 @@ def _is_name(selector: PartialSelector, chosen: Scored, sides: Sides, e: Evidenc
     rivals = _rivals(selector, sides, e)
     if not rivals:
         return True
-    better = any(behind < -max(CLOSE, CLEARLY * error) for _, behind, error in rivals)
+    better = any(behind < -max(CLOSE, CERTAIN * error) for _, behind, error in rivals)
     return not better and len(rivals) <= MOST_RIVALS and _stands_out(selector, chosen, e.term)
 
 
@@ -329,7 +334,7 @@ def _moves_far(bench: CorrelatedBench, chosen: Scored, t: Term) -> bool:
     if bench.data.is_stream:
         return far
     (odds,) = asked.odds([t.name])
-    return odds >= LEAST_ODDS_OF_FRAME or (far and odds > 0)
+    return odds >= OVERWHELMING or (far and odds > 0)
 
 
 def _rivals(selector: PartialSelector, sides: Sides, e: Evidence) -> list[tuple[Term, float, float]]:

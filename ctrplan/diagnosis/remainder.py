@@ -225,9 +225,7 @@ def _evidence(means: Linearised, covariances: Sequence[Array]) -> float:
     return fits + float(z @ z - 2 * np.log(np.diag(factor)).sum())
 
 
-LENGTHS = (0.6, 1.0, 1.5, 2.5)  # [rad] of joints
 SMOOTH = (0.7, 1.0)  # share of what configurations differ by that goes along with the joints
-LENGTHS_OF_MOTION = (0.3, *LENGTHS)
 MEMORIES = 5  # forgotten ones from a step of the poses to half of the motion, smooth ones from four to twice of it
 MEMORIES_AT_REST = 6  # smooth ones from four steps to half of the time: what changes more slowly is a drift
 
@@ -260,7 +258,8 @@ def at_rest(data: Measurements, share: float, axes: Array) -> list[SmoothError]:
     number, first, which = np.unique(data.configuration, return_index=True, return_inverse=True)
     square, own = square_distances(data, first.tolist()), np.eye(len(number))
     results = [own]
-    results += [(1 - q) * own + q * np.exp(-square / (2 * length**2)) for q, length in product(SMOOTH, LENGTHS)]
+    kernels = [np.exp(-square / (2 * length**2)) for length in JOINT_LENGTHS[1:]]
+    results += [(1 - q) * own + q * kernel for q, kernel in product(SMOOTH, kernels)]
     of_poses = [one[np.ix_(which.ravel(), which.ravel())] for one in results]
     of_poses = [share * one + (1 - share) * np.eye(data.count) for one in of_poses]
     one_by_one = _error("configuration", data, of_poses[0], axes)
@@ -288,7 +287,7 @@ def _correlations(data: Measurements) -> Iterator[tuple[Along, Array]]:
     for one in _smooth_in_time(time, MEMORIES, 2.0):
         yield "time", one * together
     square = square_distances(data, range(data.count))
-    for length in LENGTHS_OF_MOTION:
+    for length in JOINT_LENGTHS:
         yield "joints", np.exp(-square / (2 * length**2))
 
 

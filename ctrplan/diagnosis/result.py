@@ -17,10 +17,10 @@ from ctrplan.calibration.robot_content import calibrated_content, model_error_m
 from ctrplan.diagnosis.adequacy import ChiSquare
 from ctrplan.diagnosis.built_term import Built
 from ctrplan.diagnosis.correlated_bench import FRAMES
-from ctrplan.diagnosis.gap import Gap
-from ctrplan.diagnosis.localise import Place
+from ctrplan.diagnosis.gap import Gap, Place
 from ctrplan.diagnosis.next_experiment import Decision, Proposal
 from ctrplan.diagnosis.partial_diagnosis import PartialDiagnosis
+from ctrplan.diagnosis.posterior import Posterior
 from ctrplan.diagnosis.reading import MisreadError, Reading
 from ctrplan.diagnosis.remainder import Remainder
 from ctrplan.diagnosis.selection import SelectionStep
@@ -78,6 +78,7 @@ class Diagnosis:
     confirmations: tuple[ConfirmationResult, ...] = ()  # on other runs, asked once
     reading: tuple[Reading, ...] = ()  # how the columns should be read, where the file does not mean what it says
     decisions: tuple[Decision, ...] = ()  # between explanations, by poses measured to decide
+    posterior: Posterior | None = None  # of effects and verdict; None where the search was interrupted
     slip: Slip | None = None  # from where on a collar stands elsewhere; `data` has another homing from there
 
     def headline(self) -> str:
@@ -104,6 +105,12 @@ class Diagnosis:
     def listed(self) -> tuple[Term, ...]:
         """The effects of the verdict."""
         return tuple(finding.term for finding in self.judgement.findings)
+
+    @property
+    def verdict_probability(self) -> float | None:
+        """How probable the verdict is; None where the search was interrupted."""
+        listed = [{f.term.name, *(a.term.name for a in f.alternatives)} for f in self.judgement.findings]
+        return self.posterior.of_verdict(self.verdict, listed) if self.posterior else None
 
     def robot_content(self) -> dict[str, Any]:
         """The content of the new robot file: calibrated, with the effects of the verdict and a free frame in it."""
@@ -133,6 +140,8 @@ class Diagnosis:
             "other_tubes": self.other_tubes,
             "slip": None if self.slip is None else {"row": self.slip.row, "joint": self.slip.joint.rsplit("_", 2)[0]},
             "verdict": self.verdict,
+            "verdict_probability": None if self.posterior is None else round(self.verdict_probability or 0.0, 4),
+            "posterior": self.posterior.to_json() if self.posterior else None,
             "effects": [self._effect(k) for k in range(len(self.judgement.findings))],
             "gap": _gap(self.gap) | self._partial_gaps(),
             "where": self.place.sentence,
@@ -168,12 +177,17 @@ class Diagnosis:
         gaps = {"framed_rms_mm": self.framed_gap, "named_rms_mm": self.named_gap}
         return {name: _millimetres(gap.after.rms_m) for name, gap in gaps.items() if gap}
 
+    def _probability(self, name: str) -> float | None:
+        return round(self.posterior.of_effect(name), 4) if self.posterior else None
+
     def _effect(self, k: int) -> dict[str, Any]:
         finding = self.judgement.findings[k]
         result = estimates(self.chosen.fit, finding.term)
         return {
             "name": finding.term.name,
+            "probability": self._probability(finding.term.name),
             "alternatives": [a.term.name for a in finding.alternatives],
+            "alternative_probabilities": {a.term.name: self._probability(a.term.name) for a in finding.alternatives},
             "stage": finding.term.effect.stage,
             "parameters": {name: {"value": e.value, "ci95": list(e.ci95)} for name, e in result.items()},
             "evidence": [

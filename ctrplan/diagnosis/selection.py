@@ -8,12 +8,11 @@ from dataclasses import dataclass, field
 from ctrplan.calibration.least_squares import Fit
 from ctrplan.diagnosis.adequacy import remains
 from ctrplan.diagnosis.cross_validation import null_threshold
-from ctrplan.diagnosis.workbench import Candidates, Scored, Screened, Workbench, linear
+from ctrplan.diagnosis.workbench import CERTAIN, Candidates, Scored, Screened, Workbench, linear
 from ctrplan.pipeline.term import Term
 
 MOST_EFFECTS = 4
 CAUTION = 2.0  # times the threshold, for an effect that the residuals do not ask for: they look like noise already
-CERTAIN = 2.0  # standard errors that a gain must exceed zero by
 REFITTED = 5  # variants of different effects that are fitted for good after the screening
 LEAST_SHARE_OF_GAIN = 0.5  # share of the best gain of the screening that makes a variant worth fitting
 FIRST_OF_PAIRS, SECOND_OF_PAIRS = 2, 3  # effects that did not pass alone, and variants tried beside each

@@ -10,6 +10,7 @@ from ctrplan.calibration.estimates import estimates
 from ctrplan.calibration.least_squares import Fit
 from ctrplan.diagnosis.correlated_bench import FRAME
 from ctrplan.diagnosis.gap import LARGEST_REST, times_noise
+from ctrplan.diagnosis.posterior import shown
 from ctrplan.diagnosis.result import Diagnosis
 from ctrplan.effects.drive.homing_shift import HomingShift
 from ctrplan.measurement.measurements import MOST_ROWS
@@ -21,8 +22,27 @@ WORTH_TELLING = 0.9  # of the error without them, which frames have to undercut
 def verdict_sentence(diagnosis: Diagnosis) -> str:
     """What a person can repeat, a wrong tube first."""
     tubes = " and ".join(diagnosis.other_tubes)
-    told = _verdict(diagnosis)
+    told = f"{_verdict(diagnosis)}{_how_probable(diagnosis)}"
     return f"{tubes[0].upper()}{tubes[1:]}. Taken for that, {told[0].lower()}{told[1:]}" if tubes else told
+
+
+def _how_probable(diagnosis: Diagnosis) -> str:
+    """The probability of the verdict, and that of something unknown where it is higher."""
+    if diagnosis.posterior is None or diagnosis.verdict_probability is None:
+        return ""
+    told, unknown = shown(diagnosis.verdict_probability), diagnosis.posterior.of_unknown
+    against = f"; that something acts which the catalogue lacks has {shown(unknown)}"
+    is_against = diagnosis.verdict_probability < unknown and diagnosis.verdict not in ("partial", "unexplained")
+    return f" {told[0].upper()}{told[1:]}{against if is_against else ''}."
+
+
+def probabilities(diagnosis: Diagnosis, k: int) -> str:
+    """Of the k-th effect of the verdict, and of what may stand for it; empty where none were found."""
+    if diagnosis.posterior is None:
+        return ""
+    finding = diagnosis.judgement.findings[k]
+    others = [f"{a.term.name} {shown(diagnosis.posterior.of_effect(a.term.name))}" for a in finding.alternatives]
+    return " or ".join([shown(diagnosis.posterior.of_effect(finding.term.name)), *others])
 
 
 def _verdict(diagnosis: Diagnosis) -> str:
@@ -74,9 +94,10 @@ def _built(diagnosis: Diagnosis) -> str:
 def effect_lines(diagnosis: Diagnosis) -> list[str]:
     """Per effect its parameters with intervals."""
     lines = []
-    for t in diagnosis.listed:
-        values = (f"{name} = {e.shown} ({e.shown_ci95})" for name, e in estimates(diagnosis.chosen.fit, t).items())
-        lines.append(f"{t.name} ({t.effect.stage}): {', '.join(values)}")
+    for k, t in enumerate(diagnosis.listed):
+        values = [f"{name} = {e.shown} ({e.shown_ci95})" for name, e in estimates(diagnosis.chosen.fit, t).items()]
+        probable = f", {likely}" if (likely := probabilities(diagnosis, k)) else ""
+        lines.append(f"{t.name}{probable} ({t.effect.stage}): {', '.join(values)}")
     told = [*lines, *built_lines(diagnosis), *_free_frame_lines(diagnosis)]
     return [*_frame_lines(diagnosis), *told, *([rest.sentence] if (rest := diagnosis.rest) else [])]
 

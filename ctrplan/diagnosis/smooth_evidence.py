@@ -19,6 +19,7 @@ import numpy as np
 
 from ctrplan.base.arrays import Array
 from ctrplan.calibration.discrepancy import Linearised
+from ctrplan.diagnosis.block_evidence import LEAST_ODDS
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
 from ctrplan.diagnosis.remainder import SmoothError
 from ctrplan.diagnosis.workbench import Scored, Workbench
@@ -176,7 +177,6 @@ def _evidence(H: Array, g: Array, columns: Sequence[int]) -> float:
     return float(z @ z / 2 - np.log(np.diag(factor)).sum())
 
 
-LEAST_ODDS_OF_ERROR = 7.0  # logarithm; true names left up to 5.2 (heavy tails), nulls 2.8, the jump called a drift 9.7
 IN_WORDS = {
     "configuration": "belongs to the configuration",
     "joints": "goes along with the joints",
@@ -191,7 +191,7 @@ def remaining_error(bench: Workbench, chosen: Scored) -> str:
     """
     correlated = CorrelatedBench(bench.robot, bench.data, bench.noise, bench.group, bench.fold)
     odds, error = SmoothEvidence(correlated, bench.sized(chosen)).beside_noise_alone()
-    if odds < LEAST_ODDS_OF_ERROR:
+    if odds < LEAST_ODDS:
         return ""
     beside, along = " and ".join(chosen.names), IN_WORDS[error.along]
     return f"What {beside} leaves is no noise: an error that {along} is exp({odds:.0f}) times as probable."

@@ -24,7 +24,7 @@ from ctrplan.diagnosis.correlated_bench import CorrelatedBench
 from ctrplan.diagnosis.cross_validation import Linear, left_out_residuals, null_thresholds
 from ctrplan.diagnosis.partial_search import is_built
 from ctrplan.diagnosis.term_dictionary import TermPiece
-from ctrplan.diagnosis.workbench import Scored, certainty, values_by_name
+from ctrplan.diagnosis.workbench import CERTAIN, Scored, certainty, values_by_name
 from ctrplan.effects.learned import parts
 from ctrplan.effects.learned.inputs import InputRange, Situation, Target, values
 from ctrplan.effects.learned.learned import Learned, learned, named, split_name
@@ -191,7 +191,6 @@ def _left(bench: CorrelatedBench, table: WideLinearisation, columns: list[int]) 
 MOST_PIECES = 4
 DRAWS = 200  # surrogates
 TIMES_CHANCE = 1.2  # the gain that traded residuals exceed in 2 % of draws; beside a piece that passed, smooth ones too
-CERTAIN = 2.0  # standard errors over blocks, of a piece while others are missing
 LEAST_SHARE = 0.1  # of the squares that remain beyond noise, which a piece has to close of blocks left out
 WORTH_MORE = 3.0  # log-likelihood that a piece with more coefficients has to gain besides
 TRIED = 4  # pieces that are refitted for good in each round

@@ -14,7 +14,7 @@ from typing import Literal
 from ctrplan.calibration.fit_warnings import is_strained, strained
 from ctrplan.diagnosis.adequacy import Adequacy, remains
 from ctrplan.diagnosis.selection import Selection, Selector
-from ctrplan.diagnosis.workbench import Scored, Workbench
+from ctrplan.diagnosis.workbench import OVERWHELMING, SURE, Scored, Workbench
 from ctrplan.pipeline.term import Term, term
 
 Verdict = Literal["named", "no_missing_effect", "ambiguous", "partial", "unexplained"]
@@ -22,7 +22,6 @@ Verdict = Literal["named", "no_missing_effect", "ambiguous", "partial", "unexpla
 CLOSE = 3.0  # log-likelihood: an alternative that predicts nearly as well
 CLOSE_ERRORS = 1.0  # or worse by less than this many standard errors of the comparison
 MOST_RIVALS = 3  # alternatives of one of several effects: with more of them the data ask for something else
-OVERWHELMING = 30.0  # log-likelihood of an effect that stays listed although something remains unexplained
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,6 +144,6 @@ def specific(bench: Workbench, chosen: Scored, findings: Sequence[Finding], left
         explained = left.within.is_noise if history else left.between.is_noise
         others = [t for t in chosen.terms if t is not finding.term]
         gain, error = bench.difference(chosen, bench.scored(others, chosen.fit))
-        if explained and gain > max(OVERWHELMING, 3 * error):
+        if explained and gain > max(OVERWHELMING, SURE * error):
             kept.append(finding)
     return tuple(kept)

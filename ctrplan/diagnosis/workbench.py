@@ -67,6 +67,9 @@ def candidates(robot: Robot, data: Measurements, catalogue: Mapping[str, Effect]
     return Candidates(tuple(terms), reasons)
 
 
+CERTAIN = 2.0  # standard errors over groups or blocks by which a gain exceeds zero that is taken for one
+SURE = 3.0  # of the same, where much was asked or something remains
+OVERWHELMING = 30.0  # log-likelihood, of an effect that is told although something remains that may look like it
 MOST_WIDENINGS = 3
 WIDENED_FROM = 1.1  # standard deviations of a prior
 WORTH_ANOTHER = 2.0  # of the loss, to fit a set again from another place
@@ -150,6 +153,11 @@ class Workbench:
         self._done: dict[frozenset[str], Scored] = {}
         self._tried: dict[frozenset[str], list[Fit | None]] = {}  # where fits of a set began
         self._sized: dict[tuple[Scored, Noise], Scored] = {}  # with wide priors
+
+    @property
+    def visited(self) -> tuple[Scored, ...]:
+        """Sets that were fitted, as far as they still count."""
+        return tuple(self._done.values())
 
     @cached_property
     def whitening_group(self) -> NDArray[np.int_]:

@@ -22,18 +22,18 @@ from ctrplan.calibration.robot_content import within_file
 from ctrplan.diagnosis.adequacy import Adequacy, ignored, left_out_probability, noise_floor, remains
 from ctrplan.diagnosis.built_term import LEAST_SHARE_ASIDE, MOST_WORSE, Built, worse_in
 from ctrplan.diagnosis.conclusion import HELD_OUT_SHARE, Conclusion, Teller, conclude
-from ctrplan.diagnosis.gap import Gap, contradiction, open_test_set
-from ctrplan.diagnosis.localise import Place, localise
+from ctrplan.diagnosis.gap import Gap, Place, contradiction, localise, open_test_set
 from ctrplan.diagnosis.next_experiment import decision, next_experiment
 from ctrplan.diagnosis.partial_diagnosis import PartialDiagnosis, concluded, left_by_names
 from ctrplan.diagnosis.partial_search import PartialSelector, is_built
+from ctrplan.diagnosis.posterior import Posterior, posterior
 from ctrplan.diagnosis.reading import MisreadError, read_again
 from ctrplan.diagnosis.result import Diagnosis
 from ctrplan.diagnosis.selection import Report, Selection
 from ctrplan.diagnosis.slips import after_slip, found_slip
 from ctrplan.diagnosis.usable_poses import checked_split, usable_poses
 from ctrplan.diagnosis.verdict import Judgement, specific
-from ctrplan.diagnosis.workbench import Scored, candidates, reduced
+from ctrplan.diagnosis.workbench import Candidates, Scored, candidates, reduced
 from ctrplan.effects.drive.homing_shift import HomingShift
 from ctrplan.effects.effect import CATALOGUE, Effect
 from ctrplan.errors import InputError
@@ -312,8 +312,16 @@ def diagnose(
         memory=_memory(result),
         framed_gap=asked.framed_gap,
         reading=reading,
+        posterior=None if result.interrupted else _posterior(result, known),
         slip=slip,
     )
+
+
+def _posterior(answer: Conclusion, known: Candidates) -> Posterior:
+    """How probable it is that each effect acts; the decision is not made by it."""
+    bench = answer.partly.bench if answer.partly else answer.bench
+    more = [compared.scored for compared in answer.judgement.compared]
+    return posterior(bench, answer.chosen, known, [*more, *([answer.built.named] if answer.built else [])])
 
 
 def decide(

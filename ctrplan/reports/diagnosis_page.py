@@ -17,7 +17,7 @@ from ctrplan.diagnosis.correlated_bench import FRAMES
 from ctrplan.diagnosis.next_experiment import Proposal
 from ctrplan.diagnosis.partial_diagnosis import PartialDiagnosis
 from ctrplan.diagnosis.result import Diagnosis
-from ctrplan.diagnosis.sentences import built_lines, headline, in_figures, verdict_sentence
+from ctrplan.diagnosis.sentences import built_lines, headline, in_figures, probabilities, verdict_sentence
 from ctrplan.effects.learned.inputs import unit
 from ctrplan.pipeline.term import Term
 from ctrplan.reports import looks
@@ -83,6 +83,7 @@ def _effects(diagnosis: Diagnosis, errors: SelectionErrors) -> Iterator[dict[str
         yield {
             "term": t,
             "said": in_figures(diagnosis, t, diagnosis.chosen.fit),
+            "probable": probabilities(diagnosis, number),
             "figure": plot(drawn, f"signature_{number}", with_library=number == 0, kind="plot twin"),
             "parameters": [(n, e.shown, f"{e.shown_ci95}{', at its bound' if e.at_bound else ''}") for n, e in values],
             "rivals": [a for a in compared if t.key not in {other.key for other in a.scored.terms}],

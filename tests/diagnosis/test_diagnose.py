@@ -18,7 +18,7 @@ from packed_page import library
 
 from ctrplan.cli import main
 from ctrplan.diagnosis import CATALOGUE, Diagnosis, diagnose
-from ctrplan.diagnosis.localise import localise
+from ctrplan.diagnosis.gap import localise
 from ctrplan.errors import InputError
 from ctrplan.files.robot_file import load_robot, write_robot
 from ctrplan.measurement.measurements import Measurements, split

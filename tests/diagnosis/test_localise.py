@@ -10,7 +10,7 @@ from measured_data import pair_robot, waypoints
 
 from ctrplan.base.arrays import Array
 from ctrplan.diagnosis.conclusion import HELD_OUT_SHARE, Teller
-from ctrplan.diagnosis.localise import localise, quantities
+from ctrplan.diagnosis.gap import localise, quantities
 from ctrplan.measurement.measurements import Measurements
 
 DATA = waypoints(pair_robot(), 18)

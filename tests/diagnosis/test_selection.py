@@ -6,8 +6,8 @@ from measured_data import measured, pair_robot, waypoints
 
 from ctrplan.diagnosis import CATALOGUE
 from ctrplan.diagnosis.adequacy import noise_floor, remains
-from ctrplan.diagnosis.selection import CERTAIN, Selector
-from ctrplan.diagnosis.workbench import Workbench, candidates
+from ctrplan.diagnosis.selection import Selector
+from ctrplan.diagnosis.workbench import CERTAIN, Workbench, candidates
 from ctrplan.pipeline.term import Term, term
 
 ROBOT = pair_robot()

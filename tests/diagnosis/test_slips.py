@@ -13,7 +13,7 @@ from measured_data import SIGMA_M, measured, pair_robot, waypoints
 import ctrplan
 from ctrplan.base.arrays import Array
 from ctrplan.calibration.residuals import Noise
-from ctrplan.diagnosis.localise import localise
+from ctrplan.diagnosis.gap import localise
 from ctrplan.diagnosis.sentences import headline, verdict_sentence
 from ctrplan.diagnosis.slips import LEAST_POSES, after_slip, found_slip
 from ctrplan.measurement.measurements import Measurements

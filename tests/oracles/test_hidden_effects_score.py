@@ -10,11 +10,15 @@ from typing import Any
 import numpy as np
 import pytest
 from hidden_effects.run import diagnose_all
-from hidden_effects.score import Trial, draw_power, goals, intervals, pooled_gap, power, read, wilson
+from hidden_effects.score import Trial, draw_power, goals, intervals, pooled_gap, power, read, reliability, wilson
 
 
 def trial(row: str, true: list[str], verdict: str, named: list[list[str]], leftover: float = 2.0, **more: Any) -> Trial:
-    effects = [{"name": n[0], "alternatives": n[1:], "parameters": more.get("found", {})} for n in named]
+    p = more.get("probability", 0.97)
+    effects = [
+        {"name": n[0], "alternatives": n[1:], "parameters": more.get("found", {}), "probability": p} for n in named
+    ]
+    posterior = {"unknown": 0.6, "effects": {n[0]: p for n in named}}
     truth = {
         "effects": true,
         "leftover_over_noise": leftover,
@@ -31,7 +35,8 @@ def trial(row: str, true: list[str], verdict: str, named: list[list[str]], lefto
         "after": {"rms_ci95_mm": [0.85 * after, 1.15 * after]},
         "regions": {"near": region, "far": region | more.get("far", {})},
     }
-    return Trial("x", truth, {"verdict": verdict, "effects": effects, "gap": gap}, more.get("seconds", 10.0))
+    found = {"verdict": verdict, "effects": effects, "gap": gap, "posterior": posterior, "verdict_probability": p}
+    return Trial("x", truth, found, more.get("seconds", 10.0))
 
 
 @pytest.mark.parametrize(
@@ -75,7 +80,11 @@ def test_rows_count_their_own_trials() -> None:
         (0, 0),
         *singles,
         (3, 10),
+        (0, 0),
         (1, 2),
+        (0, 2),
+        (2, 2),
+        (0, 0),
         (0, 0),
         (1, 2),
         (0, 0),
@@ -88,6 +97,29 @@ def test_rows_count_their_own_trials() -> None:
     before, after = pooled_gap(trials)
     assert before == pytest.approx(2.0 / 0.69)
     assert after == pytest.approx(np.sqrt(np.mean(np.square([0.7, 0.7, 0.9, 0.8]))) / 0.69)
+
+
+def test_probabilities_are_compared_with_what_acts() -> None:
+    trials = [
+        trial("single", ["lag"], "named", [["lag"]], probability=0.995),
+        trial("single", ["lag"], "named", [["drift"]], probability=0.995),
+        trial("single", ["lag"], "named", [["lag"]], probability=0.9),
+        trial("not in the catalogue", ["unknown"], "named", [["drift"]], probability=0.6),
+        trial("null", [], "no_missing_effect", [], probability=1.0),
+    ]
+    counted = {goal.text: (goal.hits, goal.trials) for goal in reliability(trials) if goal.trials}
+    assert counted == {
+        "effect acts, p 0.5 to 0.8": (0, 1),
+        "effect acts, p 0.8 to 0.95": (1, 1),
+        "effect acts, p 0.99 to 1": (1, 2),
+        "listed effect acts, p 0.5 to 0.8": (0, 1),
+        "listed effect acts, p 0.8 to 0.95": (1, 1),
+        "listed effect acts, p 0.99 to 1": (1, 2),
+        "verdict is right, p 0.5 to 0.8": (0, 1),
+        "verdict is right, p 0.8 to 0.95": (1, 1),
+        "verdict is right, p 0.99 to 1": (2, 3),
+        "something unknown acts, p 0.5 to 0.8": (1, 5),
+    }
 
 
 def test_wilson_interval_against_published_values() -> None:

@@ -51,6 +51,7 @@ UNKNOWN: dict[str, Effect] = {}  # in nobody's catalogue: truth says "unknown"
 BUILDABLE: dict[str, Effect] = {}  # in no catalogue either, and not in the bank: what a built term is tried on
 TRUTH_NAME = {"homing_rotation": "off_plane_precurvature|homing_offset", "homing_translation": "homing_offset"}
 TRUTH_NAME["off_plane_precurvature"] = TRUTH_NAME["homing_rotation"]  # a straight base and one curved section
+TRUTH_NAME["collar_slip"] = "homing_shift"  # drawn among the unknown ones, of which it was one; a slip has a name now
 CONTINUOUS_ONLY = frozenset({"lag"})
 
 
@@ -64,7 +65,7 @@ def _register(table: dict[str, Effect]) -> Callable[[Effect], Effect]:
 
 def truth_name(name: str) -> str:
     """The name in truth.json; a|b where the data can't tell."""
-    return "unknown" if name in UNKNOWN or name in BUILDABLE else TRUTH_NAME.get(name, name)
+    return TRUTH_NAME.get(name, "unknown" if name in UNKNOWN or name in BUILDABLE else name)
 
 
 def apply(name: str, world: World, draw: Draw) -> tuple[World, Parameters]:

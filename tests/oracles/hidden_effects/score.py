@@ -17,7 +17,10 @@ from typing import Any
 
 import numpy as np
 
+from hidden_effects.effects import UNKNOWN
+
 SEPARABLE_FROM = 1.0  # times the noise, left after recalibration
+BINS = ((0.5, 0.8), (0.8, 0.95), (0.95, 0.99), (0.99, 1.0))  # of probabilities, whose share that is right is counted
 Names = list[set[str]]
 
 
@@ -47,6 +50,10 @@ class Trial:
         return [set(e.split("|")) for e in self.truth["effects"] if e != "unknown"]
 
     @property
+    def has_unknown(self) -> bool:
+        return "unknown" in self.truth["effects"]
+
+    @property
     def extra(self) -> Names:
         """Named and not true."""
         return [n for n in self.named if not any(n & k for k in self.known)]
@@ -55,7 +62,7 @@ class Trial:
     def is_right(self) -> bool:
         if self.found is None:
             return False
-        if "unknown" in self.truth["effects"]:
+        if self.has_unknown:
             verdicts = {"unexplained", "partial"}
         else:
             verdicts = {"named", "ambiguous"} if self.known else {"no_missing_effect"}
@@ -69,6 +76,39 @@ class Trial:
     @property
     def outcome(self) -> str:
         return "right" if self.is_right else "WRONG" if self.is_wrong else "miss"
+
+    @property
+    def acting(self) -> set[str]:
+        """Effects of the catalogue that act, each by the name that it was made by."""
+        case = self.truth["case"]
+        hidden = [name for name, _ in case["hidden"]]
+        of_release = {"friction"} if "translation_release" in hidden else set()
+        names = {"homing_offset" if name.startswith("homing") else name for name in hidden if name not in UNKNOWN}
+        of_slip = {"homing_shift"} if "collar_slip" in hidden else set()
+        return (names | of_release | of_slip) - {case.get("left_out")}
+
+    @property
+    def probabilities(self) -> list[tuple[float, bool]]:
+        """Of every effect of the catalogue that may act, the probability and whether it does."""
+        posterior = (self.found or {}).get("posterior") or {"effects": {}}
+        return [(p, name in self.acting) for name, p in posterior["effects"].items()]
+
+    @property
+    def listed_probabilities(self) -> list[tuple[float, bool]]:
+        """The same of those that the verdict lists."""
+        return [(e["probability"], e["name"] in self.acting) for e in (self.found or {}).get("effects", [])]
+
+    @property
+    def verdict_probability(self) -> list[tuple[float, bool]]:
+        """Of the verdict and of its truth; of what the catalogue lacks where the verdict leaves that open."""
+        p = (self.found or {}).get("verdict_probability")
+        return [] if p is None else [(p, self.is_right)]
+
+    @property
+    def unknown_probability(self) -> list[tuple[float, bool]]:
+        """That something acts which the catalogue lacks, and whether it does."""
+        posterior = (self.found or {}).get("posterior")
+        return [(posterior["unknown"], self.has_unknown)] if posterior else []
 
     @property
     def leftover(self) -> float:
@@ -122,8 +162,9 @@ def goals(trials: list[Trial]) -> list[Goal]:
     singles = [t for t in trials if t.row == "single" and t.leftover >= SEPARABLE_FROM]
     heavy = [t for t in trials if t.row == "single, heavy tails" and t.leftover >= SEPARABLE_FROM]
     pairs = [t for t in trials if t.row == "pair"]
-    foreign = [t for t in trials if t.row in ("not in the catalogue", "taken out of the catalogue")]
-    mixed = [t for t in trials if t.row == "known and unknown"]
+    foreign = [t for t in trials if t.row in ("not in the catalogue", "taken out of the catalogue") and t.has_unknown]
+    mixed = [t for t in trials if t.row == "known and unknown" and t.has_unknown]
+    slips = [t for t in trials if {"homing_shift"} in t.known]
     look_alikes = [t for t in trials if t.row == "look-alike" and t.leftover >= SEPARABLE_FROM]
     right = [t for t in trials if t.is_right and t.known]
     covered = [inside for t in right for inside in intervals(t)]
@@ -134,8 +175,12 @@ def goals(trials: list[Trial]) -> list[Goal]:
         _goal("the same, heavy tails", "", heavy, lambda t: t.is_right),
         _goal("both right, pairs", "", pairs, lambda t: t.is_right),
         _goal("confident wrong name, all sets", "<= 2 %", trials, lambda t: t.is_wrong),
+        Goal("wrong, of listed names with a probability above 0.99", "<= 1 %", *_wrong_of_certain(trials)),
         _goal("effect not in the catalogue, given a name", "<= 5 %", foreign, lambda t: bool(t.extra) and _claims(t)),
+        _goal("the same, with a probability above 0.99", "", foreign, lambda t: any(p > 0.99 for p in _wrong(t))),
+        _goal("gap halved, of unknown effects that leave >= 1x noise", ">= 70 %", _large(foreign), _halves_gap),
         _goal("known part listed, where an unknown effect acts besides", ">= 80 %", mixed, _lists_known),
+        _goal("slips named", ">= 90 %", slips, lambda t: any("homing_shift" in n for n in t.named)),
         _goal("look-alikes reported as A or B, truth inside", ">= 90 %", look_alikes, _says_either),
         Goal("95 % intervals that contain the true value", "90-98 %", sum(covered), len(covered)),
         _goal("gap after adding <= 1.1x noise floor, right ones", "all", right, _closes_gap),
@@ -143,6 +188,23 @@ def goals(trials: list[Trial]) -> list[Goal]:
         _goal("no region more than 5 % worse, right ones", "all", right, _hurts_nowhere),
         _goal("answered within 5 minutes", "all", trials, lambda t: t.found is not None and not t.seconds > 300),
     ]
+
+
+def reliability(trials: list[Trial]) -> list[Goal]:
+    """Of what was given a probability in each bin, how much is true."""
+    kinds: list[tuple[str, Callable[[Trial], list[tuple[float, bool]]]]] = [
+        ("effect acts", lambda t: t.probabilities),
+        ("listed effect acts", lambda t: t.listed_probabilities),
+        ("verdict is right", lambda t: t.verdict_probability),
+        ("something unknown acts", lambda t: t.unknown_probability),
+    ]
+    rows = []
+    for text, of in kinds:
+        told = [one for t in trials for one in of(t)]
+        for low, high in BINS:
+            inside = [true for p, true in told if low <= p < high or p == high == 1]
+            rows.append(Goal(f"{text}, p {low:g} to {high:g}", "inside", sum(inside), len(inside)))
+    return rows
 
 
 def _goal(text: str, asked: str, trials: list[Trial], is_hit: Callable[[Trial], bool]) -> Goal:
@@ -155,6 +217,27 @@ def _claims(trial: Trial) -> bool:
 
 def _lists_known(trial: Trial) -> bool:
     return all(any(k & n for n in trial.named) for k in trial.known)
+
+
+def _wrong(trial: Trial) -> list[float]:
+    """Probabilities of effects that are listed and do not act."""
+    return [p for p, is_true in trial.listed_probabilities if not is_true]
+
+
+def _wrong_of_certain(trials: list[Trial]) -> tuple[int, int]:
+    certain = [is_true for t in trials for p, is_true in t.listed_probabilities if p > 0.99]
+    return certain.count(False), len(certain)
+
+
+def _large(trials: list[Trial]) -> list[Trial]:
+    return [t for t in trials if t.leftover >= SEPARABLE_FROM]
+
+
+def _halves_gap(trial: Trial) -> bool:
+    """On unseen poses, the noise taken out."""
+    gap = _gap(trial)
+    before, after = (gap[key] ** 2 - gap["noise_floor_mm"] ** 2 for key in ("before_rms_mm", "after_rms_mm"))
+    return bool(after <= before / 4)
 
 
 def _says_either(trial: Trial) -> bool:
@@ -246,6 +329,11 @@ def print_table(trials: list[Trial]) -> None:
     print("\n| | goal | share | trials | 95 % interval |\n|---|---|---|---|---|")
     for goal in goals(trials):
         print(goal.line())
+    print("\n| probability | goal | true | trials | 95 % interval |\n|---|---|---|---|---|")
+    for goal in reliability(trials):
+        print(goal.line())
+    seconds = float(np.median([t.seconds for t in trials])) if trials else math.nan
+    print(f"\n{seconds:.0f} s in the median")
     before, after = pooled_gap(trials)
     print(f"\n{len(trials)} sets; rms on unseen poses of the right ones: {before:.2f} -> {after:.2f} times the noise")
 

@@ -1,0 +1,160 @@
+"""Laws of the posterior: probabilities sum to one, more data sharpen them, equals share, units say nothing."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from measured_data import SIGMA_M, SIGMA_RAD, measured, pair_robot, waypoints
+from scipy.stats import multivariate_normal
+
+from ctrplan.calibration.discrepancy import Linearised
+from ctrplan.calibration.residuals import Noise
+from ctrplan.diagnosis import CATALOGUE
+from ctrplan.diagnosis.posterior import (
+    Hypothesis,
+    Posterior,
+    UnknownErrors,
+    normalised,
+    posterior,
+    shown,
+    without_error,
+)
+from ctrplan.diagnosis.workbench import Workbench, candidates
+from ctrplan.measurement.measurements import Measurements
+
+NONE: frozenset[str] = frozenset()
+A, B, BOTH = frozenset({"a"}), frozenset({"b"}), frozenset({"a", "b"})
+
+
+def test_probabilities_sum_to_one_and_effects_are_sums_over_sets() -> None:
+    rng = np.random.default_rng(2)
+    told = normalised({names: tuple(rng.normal(0, 3, 2).tolist()) for names in (NONE, A, B, BOTH)})
+    assert told.probabilities.sum() == pytest.approx(1, abs=1e-12)
+    p = {(one.names, one.has_unknown): q for one, q in zip(told.hypotheses, told.probabilities, strict=True)}
+    assert told.of_effect("a") == pytest.approx(sum(q for (names, _), q in p.items() if "a" in names))
+    assert told.of_effect("a", "b") + p[NONE, False] + p[NONE, True] == pytest.approx(1)
+    named = told.of_verdict("named", [{"a"}, {"b"}])
+    assert named == pytest.approx(p[BOTH, False]) and named <= told.of_verdict("partial", [{"a"}, {"b"}])
+    assert told.of_verdict("ambiguous", [{"a", "b"}]) == pytest.approx(p[A, False] + p[B, False])
+    assert told.of_verdict("no_missing_effect", []) == pytest.approx(p[NONE, False])
+    assert told.of_verdict("unexplained", []) == pytest.approx(told.of_unknown)
+
+
+def test_equals_share_and_what_says_nothing_keeps_its_prior() -> None:
+    told = normalised({NONE: (0.0, 0.0), A: (9.0, -np.inf), B: (9.0, -np.inf)})
+    assert told.of_effect("a") == pytest.approx(told.of_effect("b")) and 0.4 < told.of_effect("a") < 0.5
+    silent = normalised({names: (0.0, 0.0) for names in (NONE, A, B, BOTH)})
+    assert silent.of_effect("a") == pytest.approx(0.03) and silent.of_unknown == pytest.approx(0.1)
+
+
+def test_certainty_is_never_said() -> None:
+    assert shown(1.0) == "probability above 0.99" and shown(0.0) == "probability below 0.01"
+    assert shown(0.973) == "probability 0.97"
+    assert Posterior((Hypothesis(A, False, 0.0), Hypothesis(A, True, 1.0))).of_effect("a") == 1.0
+
+
+def system(poses: int, size: float, seed: int = 1) -> tuple[Linearised, Linearised]:
+    """Without an effect and with it, which acts with `size` over the noise in a linear world of so many poses."""
+    rng = np.random.default_rng(seed)
+    J, precision = rng.standard_normal((poses, 5, 4)), np.ones(4)
+    r = J @ np.array([0.3, -0.5, 0.8, size]) + rng.standard_normal((poses, 5))
+    return Linearised(r, J[:, :, :3], precision[:3]), Linearised(r, J, precision)
+
+
+def of_a(pair: tuple[Linearised, Linearised]) -> float:
+    """Probability of the effect."""
+    less, more = (without_error(fit) for fit in pair)
+    return normalised({NONE: (less, -np.inf), A: (more, -np.inf)}).of_effect("a")
+
+
+def test_evidence_is_the_density_of_the_poses() -> None:
+    less, more = system(4, 1.0)
+    values = []
+    for fit in (less, more):
+        J = fit.J.reshape(20, -1)
+        covariance = np.eye(20) + (J / fit.precision) @ J.T
+        values.append(multivariate_normal(np.zeros(20), covariance).logpdf(fit.r.ravel()))
+    assert without_error(more) - without_error(less) == pytest.approx(values[1] - values[0], abs=1e-9)
+
+
+def test_more_poses_sharpen() -> None:
+    acting, idle = ([of_a(system(poses, size)) for poses in (4, 20, 100)] for size in (0.4, 0.0))
+    assert acting[0] < acting[1] < acting[2] and acting[2] > 0.99
+    assert idle[2] < idle[0] < 0.05
+
+
+def test_nulls_give_most_to_nothing() -> None:
+    told = np.array([of_a(system(12, 0.0, seed)) for seed in range(200)])
+    assert told.mean() < 0.03 and (told > 0.5).mean() <= 0.01
+
+
+@pytest.mark.parametrize("factor", [1e-3, 57.3, 1e6])
+def test_units_and_order_of_parameters_say_nothing(factor: float) -> None:
+    less, more = system(20, 0.4)
+    order, scale = np.array([2, 0, 3, 1]), np.array([1.0, factor, 1.0, 1 / factor])
+    again = Linearised(more.r, (more.J * scale)[:, :, order], (more.precision * scale**2)[order])
+    assert of_a((less, again)) == pytest.approx(of_a((less, more)), rel=1e-6)
+
+
+ROBOT = pair_robot()
+QUICK = {name: CATALOGUE[name] for name in ("sensor_offset", "joint_scale", "tip_load", "base_misalignment")}
+
+
+def bench_of(hidden: str, seed: int = 4) -> tuple[Workbench, Measurements]:
+    """A workbench on 16 configurations of a pair."""
+    values = {"sensor_offset": {"sensor_offset": {"offset_x_mm": 2.0, "offset_y_mm": -1.5}}, "": {}}[hidden]
+    data = measured(ROBOT, waypoints(ROBOT, 16, seed=seed), values)
+    group = data.configuration
+    return Workbench(ROBOT, data, Noise(SIGMA_M, SIGMA_RAD), group, group % 4), data
+
+
+def test_acting_effect_has_nearly_all_and_nothing_else_any() -> None:
+    bench, data = bench_of("sensor_offset")
+    known = candidates(ROBOT, data, QUICK)
+    best = max((bench.scored([t]) for t in known.terms if t.name == "sensor_offset"), key=lambda one: one.score)
+    told = posterior(bench, best, known)
+    assert told.probabilities.sum() == pytest.approx(1)
+    assert told.of_effect("sensor_offset") > 0.99 and told.of_verdict("named", [{"sensor_offset"}]) > 0.8
+    assert told.of_unknown < 0.2 and told.of_effect("joint_scale", "tip_load") < 0.2
+
+
+def test_null_has_no_effect_and_nothing_unknown() -> None:
+    bench, data = bench_of("", 7)
+    told = posterior(bench, bench.scored([]), candidates(ROBOT, data, QUICK))
+    assert told.of_verdict("no_missing_effect", []) > 0.8
+
+
+def test_effect_that_nobody_knows_is_something_unknown() -> None:
+    bench, data = bench_of("sensor_offset")
+    few = {name: effect for name, effect in QUICK.items() if name != "sensor_offset"}
+    told = posterior(bench, bench.scored([]), candidates(ROBOT, data, few))
+    assert told.of_verdict("no_missing_effect", []) < 0.01
+
+
+def test_processes_have_the_size_of_the_noise_and_rows_in_any_order_say_the_same() -> None:
+    bench, data = bench_of("")
+    base = bench.scored([])
+    parts = base.fit.residuals
+    fit = Linearised(parts.r, parts.J, base.fit.precision)
+    errors = UnknownErrors(bench, base, base, [fit, fit], np.ones(data.count))
+    assert all(np.mean((modes**2).sum(axis=1)) == pytest.approx(1) for modes in errors.processes)
+    order = np.random.default_rng(1).permutation(fit.r.size)
+    again = UnknownErrors.__new__(UnknownErrors)
+    again.smooth, again.processes = errors.smooth, [modes[order] for modes in errors.processes]
+    r, J = fit.r.ravel(), fit.J.reshape(fit.r.size, -1)
+    assert again.gain(r[order], J[order], fit.precision) == pytest.approx(errors.gain(r, J, fit.precision))
+
+
+def test_process_that_acts_gains_and_noise_gains_nothing() -> None:
+    bench, data = bench_of("")
+    base = bench.scored([])
+    parts = base.fit.residuals
+    fit = Linearised(parts.r, parts.J, base.fit.precision)
+    errors = UnknownErrors(bench, base, base, [fit, fit], np.ones(data.count))
+    r, J, modes = fit.r.ravel(), fit.J.reshape(fit.r.size, -1), errors.processes[0]
+    acting = 3 * modes @ np.random.default_rng(3).standard_normal(modes.shape[1])
+    assert errors.gain(r, J, fit.precision) < 0 < 10 < errors.gain(r + acting, J, fit.precision)
+    weighed = replace(fit, r=fit.r + acting.reshape(fit.r.shape))
+    assert errors.evidence(weighed)[0] > without_error(weighed) + 10

@@ -1,0 +1,127 @@
+"""Gross faults made of clean files, and whether each is named first: `python -m hidden_effects.misread DIR ...`.
+
+Every folder has robot.toml and measurements.csv. With `--clean` the folders are only asked whether they raise an alarm.
+A fault that leaves the uncalibrated robot less than twice as far off as the clean file is none: it is counted apart.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ctrplan.diagnosis.reading import read_again
+from ctrplan.errors import InputError
+from ctrplan.files.measurement_file import load_measurements
+from ctrplan.files.robot_file import load_robot
+from ctrplan.measurement.measurements import Measurements
+from ctrplan.robot.robot import Robot
+from hidden_effects.score import Goal
+from hidden_effects.tube import Array
+
+File = tuple[Robot, Measurements]
+FRAME = Rotation.from_rotvec([0.4, 1.1, -0.7]), np.array([0.03, -0.2, 0.1])  # of a tracker, rad and m
+GROSS = 2.0
+
+
+def faults(robot: Robot, data: Measurements) -> Iterator[tuple[str, str, File]]:
+    """Kind, words that an answer has to begin with or to offer, and the file with the fault."""
+    n, theta, l, p = robot.n, data.theta_commanded, data.l_commanded, data.position_m  # noqa: E741
+
+    def joints(theta: Array = theta, l: Array = l) -> File:  # noqa: E741
+        return robot, replace(data, theta_commanded=theta, l_commanded=l)
+
+    def places(position: Array) -> File:
+        return robot, replace(data, position_m=position)
+
+    def stiffer(i: int, factor: float) -> File:
+        tube = replace(robot.tubes[i], bending_stiffness_Nm2=factor * robot.tubes[i].bending_stiffness_Nm2)
+        return replace(robot, tubes=(*robot.tubes[:i], tube, *robot.tubes[i + 1 :])), data
+
+    outer = np.hstack([np.zeros((len(theta), 1)), theta[:, :-1]])
+    yield "columns of positions exchanged", "(y, x, z)", places(p[:, [1, 0, 2]])
+    yield "a column of positions negated", "(x, y, -z)", places(p * [1, 1, -1])
+    yield "positions in millimetres", "positions are in millimetres", places(1e3 * p)
+    for i in range(1, n):
+        sign = np.where(np.arange(n) == i, -1.0, 1.0)
+        yield "sign of a rotation", f"rotation {i + 1} has the other sign", joints(theta * sign)
+        half = np.where(np.arange(n) == i, 0.5, 1.0)
+        yield "a rotation halved", f"rotation {i + 1} is half of what", joints(theta * half)
+    relative = "rotation 2 is logged relative to tube 1" if n == 2 else "relative to the next outer tube"
+    yield "rotations relative to the outer tube", relative, joints(theta - outer)
+    yield "rotations in degrees", "rotations are in degrees", joints(np.degrees(theta))
+    yield "rotations in turns", "rotations are in turns", joints(theta / (2 * np.pi))
+    yield "all rotations halved", "all rotations are half of what", joints(theta / 2)
+    yield "translations in millimetres", "translations are 1000 times too large", joints(l=1e3 * l)
+    yield "tubes in the opposite order", "tubes are in the opposite order", joints(theta[:, ::-1], l[:, ::-1])
+    shown = np.roll(np.arange(len(p)), 1), np.roll(np.arange(len(p)), -1)
+    yield "poses one row late", "poses are one row late", places(p[shown[0]])
+    yield "poses one row early", "poses are one row early", places(p[shown[1]])
+    yield "another frame", "positions are in another frame", places(FRAME[0].apply(p) + FRAME[1])
+    for i in range(n):
+        yield "EI ten times too large", f"bending stiffness of tube {i + 1} is 10 times too large", stiffer(i, 10.0)
+
+
+def uncalibrated_m(robot: Robot, data: Measurements) -> float:
+    """Rms distance [m] of the tips from those of the robot as its file has it; infinite where it can't stand so."""
+    joints = data.theta_commanded[data.rows], data.l_commanded[data.rows]
+    try:
+        tips = robot.mechanics.tips(*robot.collars(*joints))[0]
+    except InputError:  # no tube stands there
+        return np.inf
+    error = np.linalg.norm(tips - data.position_m, axis=1)
+    return float(np.sqrt(np.mean(error**2))) if np.isfinite(error).mean() > 0.8 else np.inf
+
+
+def turned(data: Measurements) -> Measurements:
+    """The robot turned as a whole from one configuration to the next, so that every tube turns."""
+    turn = 0.7 * (1 + data.sequence)
+    spin: Callable[[Array], Array] = Rotation.from_rotvec(np.outer(turn[data.rows], [0, 0, 1])).apply
+    tangent = spin(data.tangent) if data.has_tangents else data.tangent
+    theta = data.theta_commanded + turn[:, None]
+    return replace(data, theta_commanded=theta, position_m=spin(data.position_m), tangent=tangent)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folders", type=Path, nargs="+")
+    parser.add_argument("--clean", action="store_true")
+    given = parser.parse_args()
+    named, made, small, alarms, seconds = Counter[str](), Counter[str](), Counter[str](), 0, list[float]()
+    for folder in given.folders:
+        robot = load_robot(folder / "robot.toml")
+        data = load_measurements(folder / "measurements.csv", robot)
+        began = time.process_time()
+        if told := read_again(robot, data):
+            alarms += 1
+            print(f"{folder}: {told[0].sentence}", flush=True)
+        seconds.append(time.process_time() - began)
+        if given.clean:
+            continue
+        data = turned(data)
+        least = GROSS * uncalibrated_m(robot, data)
+        for kind, words, (other, read) in faults(robot, data):
+            if uncalibrated_m(other, read) < least:
+                small[kind] += 1
+                continue
+            made[kind] += 1
+            said = read_again(other, read)
+            named[kind] += bool(said and words in said[0].what)
+            if not (said and words in said[0].what):
+                print(f"{folder}, {kind}, {words}: {said[0].what if said else 'nothing'}", flush=True)
+    print("\n| | goal | share | trials | 95 % interval |\n|---|---|---|---|---|")
+    print(Goal("clean files with an alarm", "none", alarms, len(given.folders)).line())
+    for kind in made:
+        print(Goal(f"{kind} ({small[kind]} too small)", "", named[kind], made[kind]).line())
+    print(Goal("all gross faults, named first", ">= 95 %", named.total(), made.total()).line())
+    print(f"\n{np.median(seconds):.2f} s of a processor for a file in the median")
+
+
+if __name__ == "__main__":
+    main()
