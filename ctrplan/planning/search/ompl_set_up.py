@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
@@ -183,6 +184,7 @@ class SearchProblem:
         self.planner: Any = checker.scenario.planner.ompl_planner(self.information)
         self.planner.setProblemDefinition(self.definition)
         self.planner.setup()
+        self.cut_short: list[Array] | None = None  # states of the best path when a question ended the search
 
     @property
     def improves(self) -> bool:
@@ -202,18 +204,44 @@ class SearchProblem:
 
         if not self.has_goal:
             return False  # OMPL would wait for another goal, asking whether to stop now and then
-        if self.improves or only_first:
+        if (self.improves or only_first) and self.cut_short is None:
             try:
                 with self.checker.watch.until(lambda: stop(self.best_cost())):
                     self.planner.solve(ob.PlannerTerminationCondition(over))
             except SearchOver:
-                self._hand_over()
-        return bool(self.definition.hasExactSolution())
+                self.cut_short = self._best_of_tree()
+        return bool(self.cut_short or self.definition.hasExactSolution())
 
-    def _hand_over(self) -> None:
-        """Has the planner hand over its best path, as it does at the end of `solve` alone."""
-        if np.isfinite(self.best_cost()):
-            self.planner.solve(ob.PlannerTerminationCondition(lambda: True))
+    def _best_of_tree(self) -> list[Array]:
+        """States of the cheapest path in the planner's tree; none without one.
+
+        A planner hands its path over at the end of `solve`. One that an exception left in the midst of its work is
+        not asked to go on, not even to the end: what it was changing may be half changed.
+        """
+        tree = ob.PlannerData(self.information)
+        self.planner.getPlannerData(tree)
+        best_mm, best = np.inf, list[Array]()
+        for goal in (tree.getGoalIndex(k) for k in range(tree.numGoalVertices())):
+            path, node = [goal], goal
+            while not tree.isStartVertex(node) and (before := list(tree.getIncomingEdges(node))):
+                node = int(before[0])
+                if node in path:
+                    break
+                path.append(node)
+            if not tree.isStartVertex(node):
+                continue
+            states = [self.read(tree.getVertex(k).getState()) for k in reversed(path)]
+            if (cost_mm := self._cost_mm(states)) < best_mm:
+                best_mm, best = cost_mm, states
+        return best
+
+    def _cost_mm(self, states: list[Array]) -> float:
+        """Cost [mm] of the motions through states; infinite where one is not valid."""
+        motions = [self.checker.motion(a, b) for a, b in itertools.pairwise(states)]
+        if not all(motion.valid for motion in motions):
+            return np.inf
+        goals = [*[False] * (len(motions) - 1), True]
+        return sum(self.checker.cost_mm(m, ends_at_goal=g) for m, g in zip(motions, goals, strict=False))
 
     def best_cost(self) -> float:
         """Cost [mm] of the best path so far, inf without one."""
@@ -221,10 +249,14 @@ class SearchProblem:
 
     def cost_mm(self) -> float:
         """Cost [mm] of the path there is."""
+        if self.cut_short:
+            return self._cost_mm(self.cut_short)
         return float(self.definition.getSolutionPath().cost(self.objective).value())
 
     def states(self) -> list[Array]:
         """Joint values of the best path's states."""
+        if self.cut_short:
+            return self.cut_short
         path = self.definition.getSolutionPath()
         return [self.read(path.getState(k)) for k in range(path.getStateCount())]
 
