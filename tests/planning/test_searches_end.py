@@ -270,14 +270,14 @@ def test_every_question_of_the_planner_asks_the_watch() -> None:
 
 
 @pytest.mark.parametrize("questions", [12, 64, 434, 1569])
-def test_a_search_that_a_question_ends_has_the_best_path_of_its_tree(questions: int) -> None:
-    """Its cost is what the planner says; the planner, which was left in the midst of its work, is not asked again."""
+def test_a_search_that_a_question_ends_has_the_best_path_so_far(questions: int) -> None:
+    """It costs what the planner says at most; the planner, left in the midst of its work, is not asked again."""
     checker = MotionChecker(load_scenario(SCENARIOS / "pair_free.toml"))
     problem = SearchProblem(checker, goal_states(checker, np.random.default_rng(0)), 1)
     asked = itertools.count()
     assert problem.solve(lambda _: next(asked) >= questions, only_first=False) and problem.cut_short
     states, cost_mm = problem.states(), problem.cost_mm()
-    assert cost_mm == pytest.approx(problem.best_cost(), rel=1e-12)
+    assert cost_mm <= problem.best_cost() + 1e-9
     np.testing.assert_allclose(checker.space.difference(states[0], checker.scenario.start), 0, atol=1e-12)
     assert problem.objective.is_goal(states[-1])
     assert problem.solve(lambda _: pytest.fail("asked again"), only_first=False)

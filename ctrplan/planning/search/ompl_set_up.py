@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import itertools
+import heapq
 import math
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -115,6 +116,7 @@ class BoundObjective(ob.OptimizationObjective):  # type: ignore[misc]
         drive, weights = self.checker.space.drive, self.checker.space.weights_mm
         self._joints = list(zip(drive.wraps.tolist(), drive.is_rotation.tolist(), weights.tolist(), strict=True))
         self.goals = np.array(goals).reshape(-1, len(scenario.robot.drive.joints))
+        self.priced = dict[tuple[bytes, bytes], float]()  # costs [mm] of valid motions, by joint values at both ends
 
     def motionCost(self, a: Any, b: Any) -> Any:  # noqa: N802, OMPL's names from here on
         """Cost [mm] of the motion from a to b; infinite where it is not valid."""
@@ -124,7 +126,10 @@ class BoundObjective(ob.OptimizationObjective):  # type: ignore[misc]
         if not motion.valid:
             return self.infiniteCost()
         cost = self.checker.cost_mm(motion, ends_at_goal=self.is_goal(end))
-        return ob.Cost(cost) if np.isfinite(cost) and cost >= 0 else self.infiniteCost()
+        if not (np.isfinite(cost) and cost >= 0):
+            return self.infiniteCost()
+        self.priced[start.tobytes(), end.tobytes()] = cost
+        return ob.Cost(cost)
 
     def motionCostHeuristic(self, a: Any, b: Any) -> Any:  # noqa: N802
         """Lower bound [mm] of that cost: length and stops are exact, errors never negative."""
@@ -172,7 +177,9 @@ class SearchProblem:
         self.information.setMotionValidator(self.motions)
         self.information.setup()
         self.definition: Any = ob.ProblemDefinition(self.information)
-        self.definition.addStartState(self._state(checker.scenario.start))
+        start = self._state(checker.scenario.start)
+        self.start = self.read(start)
+        self.definition.addStartState(start)
         self.has_goal = any(checker.state(goal.joints).valid for goal in goals)
         self.goal = ob.GoalStates(self.information)
         for goal in goals:
@@ -184,7 +191,7 @@ class SearchProblem:
         self.planner: Any = checker.scenario.planner.ompl_planner(self.information)
         self.planner.setProblemDefinition(self.definition)
         self.planner.setup()
-        self.cut_short: list[Array] | None = None  # states of the best path when a question ended the search
+        self.cut_short: tuple[float, list[Array]] | None = None  # cost and states of the best path, ended by a question
 
     @property
     def improves(self) -> bool:
@@ -205,43 +212,34 @@ class SearchProblem:
         if not self.has_goal:
             return False  # OMPL would wait for another goal, asking whether to stop now and then
         if (self.improves or only_first) and self.cut_short is None:
-            try:
-                with self.checker.watch.until(lambda: stop(self.best_cost())):
-                    self.planner.solve(ob.PlannerTerminationCondition(over))
-            except SearchOver:
-                self.cut_short = self._best_of_tree()
-        return bool(self.cut_short or self.definition.hasExactSolution())
+            is_cut = True
+            with suppress(SearchOver), self.checker.watch.until(lambda: stop(self.best_cost())):
+                self.planner.solve(ob.PlannerTerminationCondition(over))
+                is_cut = False
+            if is_cut:
+                self.cut_short = self._cheapest_priced()
+        return bool(self.cut_short[1]) if self.cut_short else bool(self.definition.hasExactSolution())
 
-    def _best_of_tree(self) -> list[Array]:
-        """States of the cheapest path in the planner's tree; none without one.
+    def _cheapest_priced(self) -> tuple[float, list[Array]]:
+        """Cost [mm] and states of the cheapest path of all motions that the planner asked the price of; inf, and none.
 
-        A planner hands its path over at the end of `solve`. One that an exception left in the midst of its work is
+        A planner hands its own path over at the end of `solve`. One that an exception left in the midst of its work is
         not asked to go on, not even to the end: what it was changing may be half changed.
         """
-        tree = ob.PlannerData(self.information)
-        self.planner.getPlannerData(tree)
-        best_mm, best = np.inf, list[Array]()
-        for goal in (tree.getGoalIndex(k) for k in range(tree.numGoalVertices())):
-            path, node = [goal], goal
-            while not tree.isStartVertex(node) and (before := list(tree.getIncomingEdges(node))):
-                node = int(before[0])
-                if node in path:
-                    break
-                path.append(node)
-            if not tree.isStartVertex(node):
-                continue
-            states = [self.read(tree.getVertex(k).getState()) for k in reversed(path)]
-            if (cost_mm := self._cost_mm(states)) < best_mm:
-                best_mm, best = cost_mm, states
-        return best
-
-    def _cost_mm(self, states: list[Array]) -> float:
-        """Cost [mm] of the motions through states; infinite where one is not valid."""
-        motions = [self.checker.motion(a, b) for a, b in itertools.pairwise(states)]
-        if not all(motion.valid for motion in motions):
-            return np.inf
-        goals = [*[False] * (len(motions) - 1), True]
-        return sum(self.checker.cost_mm(m, ends_at_goal=g) for m, g in zip(motions, goals, strict=False))
+        onward = dict[bytes, list[tuple[bytes, float]]]()
+        for (a, b), cost_mm in self.objective.priced.items():
+            onward.setdefault(a, []).append((b, cost_mm))
+        ends, done, start = {goal.tobytes() for goal in self.objective.goals}, set[bytes](), self.start.tobytes()
+        queue: list[tuple[float, bytes, list[bytes]]] = [(0.0, start, [start])]
+        while queue:
+            cost_mm, at, path = heapq.heappop(queue)
+            if at in ends and len(path) > 1:
+                return cost_mm, [np.frombuffer(state) for state in path]
+            if at not in done:
+                done.add(at)
+                for to, step_mm in onward.get(at, []):
+                    heapq.heappush(queue, (cost_mm + step_mm, to, [*path, to]))
+        return np.inf, []
 
     def best_cost(self) -> float:
         """Cost [mm] of the best path so far, inf without one."""
@@ -250,13 +248,13 @@ class SearchProblem:
     def cost_mm(self) -> float:
         """Cost [mm] of the path there is."""
         if self.cut_short:
-            return self._cost_mm(self.cut_short)
+            return self.cut_short[0]
         return float(self.definition.getSolutionPath().cost(self.objective).value())
 
     def states(self) -> list[Array]:
         """Joint values of the best path's states."""
         if self.cut_short:
-            return self.cut_short
+            return self.cut_short[1]
         path = self.definition.getSolutionPath()
         return [self.read(path.getState(k)) for k in range(path.getStateCount())]
 
