@@ -1,4 +1,4 @@
-"""Gross faults made of clean files, and whether each is named first: `python -m hidden_effects.misread DIR ...`.
+"""Gross faults made of clean files, and whether each is named first: `python -m banks.misread DIR ...`.
 
 Every folder has robot.toml and measurements.csv. With `--clean` the folders are only asked whether they raise an alarm.
 A fault that leaves the uncalibrated robot less than twice as far off as the clean file is none: it is counted apart.
