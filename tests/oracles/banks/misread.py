@@ -14,6 +14,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from hidden_effects.score import Goal
+from hidden_effects.tube import Array
 from scipy.spatial.transform import Rotation
 
 from ctrplan.diagnosis.reading import read_again
@@ -22,8 +24,6 @@ from ctrplan.files.measurement_file import load_measurements
 from ctrplan.files.robot_file import load_robot
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.robot.robot import Robot
-from hidden_effects.score import Goal
-from hidden_effects.tube import Array
 
 File = tuple[Robot, Measurements]
 FRAME = Rotation.from_rotvec([0.4, 1.1, -0.7]), np.array([0.03, -0.2, 0.1])  # of a tracker, rad and m
