@@ -21,7 +21,7 @@ from ctrplan.files.plan_file import WrittenPlan
 from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.scenario.scenario import Registration
 
-WORK = 16_000  # units, two seconds or so
+WORK = 8_000  # units, a second or so
 
 
 @pytest.fixture

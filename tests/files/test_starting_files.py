@@ -74,7 +74,7 @@ def test_a_scenario_is_planned_as_it_is(folder: Path, capsys: pytest.CaptureFixt
     assert f"next: ctrplan plan {task} -o out" in capsys.readouterr().out
     scenario = ctrplan.load_scenario(task)
     assert scenario.warnings == () and ctrplan.check(task).flags == ()
-    plan = ctrplan.plan(scenario, seed=0, time_s=0.7)
+    plan = ctrplan.plan(scenario, seed=0, time_s=0.3)
     assert plan.certificate.valid
     assert main(["init", "scenario", str(task), "--robot", str(folder / "robot.toml")]) == 2
     assert "is there already" in capsys.readouterr().err

@@ -46,7 +46,7 @@ def told() -> list[Progress]:
 
 @pytest.fixture(scope="module")
 def ribs(told: list[Progress]) -> ctrplan.Plan:
-    return ctrplan.plan(scenario("ribs", "planner.time_s=1"), seed=0, progress=told.append)
+    return ctrplan.plan(scenario("ribs", "planner.time_s=0.4"), seed=0, progress=told.append)
 
 
 @pytest.fixture(scope="module")
@@ -124,7 +124,7 @@ def test_progress_of_a_search_only_rises(ribs: ctrplan.Plan, told: list[Progress
 def test_bound_aware_plan_ends_with_less_error_than_blind_one(tmp_path: Path) -> None:
     # how much less is the user's choice: here the target matters most
     weights = ({"error_goal": 100.0}, {"error_along": 0.0, "error_goal": 0.0})
-    aware, blind = (ctrplan.plan(pair_without_named_joints(tmp_path, 1.0, **cost), seed=0) for cost in weights)
+    aware, blind = (ctrplan.plan(pair_without_named_joints(tmp_path, 0.5, **cost), seed=0) for cost in weights)
     assert aware.certificate.goal_bound_m < 0.5 * blind.certificate.goal_bound_m
 
 
@@ -274,7 +274,7 @@ def test_simultaneous_motion_is_a_named_fallback(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(
         sys.modules["ctrplan.planning.reordering"], "_pieces", lambda checker, corners, i, j: [corners[i : j + 1]]
     )
-    plan = ctrplan.plan(scenario("pair_free", "planner.time_s=1"), seed=0)
+    plan = ctrplan.plan(scenario("pair_free", "planner.time_s=0.3"), seed=0)
     assert plan.style == "simultaneous" and any("simultaneously" in note for note in plan.notes)
     assert plan.certificate.valid
 

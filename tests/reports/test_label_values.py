@@ -96,7 +96,7 @@ def judged(scene: PlanScene) -> None:
 @pytest.mark.parametrize("file", [f for f in FILES if FUZZ or f.stem in SAMPLE], ids=lambda file: file.stem)
 def test_numbers_of_one_name_are_equal_on_shipped_plans(file: Path) -> None:
     """Also where targets are on the way, and where nothing is near."""
-    brief = None if file.stem == "deploy" else "planner.time_s=1"
+    brief = None if file.stem == "deploy" else "planner.time_s=0.2"
     judged(plan_scene(ctrplan.plan(ctrplan.load_scenario(file, [brief] if brief else []), seed=0), 4))
 
 

@@ -255,7 +255,17 @@ def test_two_processes_share_a_cache(tmp_path: Path) -> None:
     for attempt in range(repetitions(1)):
         cache = tmp_path / f"cache {attempt}"
         sphere = 'anatomy=[{kind="sphere", center_mm=[0, 60, 210], radius_mm=10}]'
-        plan = ["plan", str(SCENARIOS / "pair_free.toml"), "--set", sphere, "--time", "0.2", "--quiet"]
+        plan = [
+            "plan",
+            str(SCENARIOS / "pair_free.toml"),
+            "--set",
+            sphere,
+            "--time",
+            "0.2",
+            "--quiet",
+            "--formats",
+            "csv",
+        ]
         pair = [started(plan, folder, cache) for folder in (tmp_path / "a", tmp_path / "b") if not folder.mkdir()]
         told = [process.communicate(timeout=PATIENCE_S) for process in pair]
         assert [process.returncode for process in pair] == [0, 0], told
