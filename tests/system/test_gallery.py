@@ -11,6 +11,15 @@ from typing import Any
 import pytest
 from browser import Browser, chromium
 from places import ROOT
+from small_scenarios import NEAR
+
+from ctrplan.diagnosis import CATALOGUE
+
+FEW = ("joint_scale", "backlash", "tip_load")
+QUICK = {
+    "plan": ["--set", "planner.time_s=0.2", "--set", NEAR],
+    "diagnose": [f"--without={name}" for name in CATALOGUE if name not in FEW],
+}
 
 
 def gallery(folder: Path, *names: str) -> subprocess.CompletedProcess[str]:
@@ -20,7 +29,7 @@ def gallery(folder: Path, *names: str) -> subprocess.CompletedProcess[str]:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A plan of a short search and a diagnosis of few poses."""
+    """A plan of a short search and way, and a diagnosis of few poses and effects."""
     made = tmp_path_factory.mktemp("gallery")
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(ROOT / "tools"))
@@ -28,7 +37,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         program = tool.program
 
         def quick(command: str, *arguments: str, **keys: Any) -> None:
-            program(command, *arguments, *(["--set", "planner.time_s=0.2"] if command == "plan" else []), **keys)
+            program(command, *arguments, *QUICK.get(command, []), **keys)
 
         patch.setattr(tool, "program", quick)
         patch.setattr(tool, "CONFIGURATIONS", 16)

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from measured_data import measured, pair_robot, waypoints, write_csv
 from places import ROOT
+from small_scenarios import NEAR
 
 from ctrplan.diagnosis import CATALOGUE
 from ctrplan.files.robot_file import write_robot
@@ -36,7 +37,7 @@ COMMANDS = {
     ],
     "ik": ["ik", str(SCENARIOS / "robots" / "three_tube.toml"), "--tip-mm", "34", "-47", "200"],
     "simulate": ["simulate", PAIR, "path.csv", "-o", "simulate"],
-    "plan": ["plan", SCENARIO, "--set", "planner.time_s=0.2", "-o", "plan"],
+    "plan": ["plan", SCENARIO, "--set", "planner.time_s=0.2", "--set", NEAR, "-o", "plan"],
     "calibrate": ["calibrate", "robot.toml", "data.csv", "-o", "calibrate", "--parameters", "tube.2.poisson_ratio"],
     "diagnose": ["diagnose", "robot.toml", "data.csv", "-o", "diagnose", *(f"--without={name}" for name in LEFT_OUT)],
     "refused": ["plan", SCENARIO, "--set", "goal.tip_mm=1"],
