@@ -14,7 +14,7 @@ def test_solves_after_the_first_ask_for_no_memory_and_a_workspace_stays_below_2_
     )
     program = tmp_path / "memory_test"
     source = ROOT / "model" / "tests" / "memory_test.cpp"
-    command = [os.environ.get("CXX", "c++"), "-std=c++20", "-O0", "-I", str(ROOT / "model" / "include"), str(source)]
+    command = [os.environ.get("CXX", "c++"), "-std=c++20", "-O1", "-I", str(ROOT / "model" / "include"), str(source)]
     subprocess.run([*command, str(libraries[-1]), "-o", str(program)], check=True)
     done = subprocess.run([program], capture_output=True, text=True)
     assert done.returncode == 0, done.stdout
