@@ -184,7 +184,7 @@ def states(name: str) -> Array:
     return checker(name).space.sample(np.random.default_rng(4), ROWS)
 
 
-@pytest.mark.parametrize("name", ["vessel", "sinus"])
+@pytest.mark.parametrize("name", ["vessel", "sinus"] if FUZZ else ["vessel"])  # sinus by its base, below
 def test_clearance_by_joints(name: str) -> None:
     own, q = checker(name), states(name)
     here = own.clearance(q, gradient=True)
