@@ -32,7 +32,7 @@ from ctrplan.planning.search.stage_search import Progress
 SCHEMA = SCENARIOS.parent / "docs" / "plan.schema.json"
 ROBOT = str(SCENARIOS / "robots" / "three_tube.toml")
 REST = {"rotate outer": 0, "rotate inner": 0, "translate inner": -30}  # where the pair in free space starts
-AWAY = {"rotate outer": 20, "rotate inner": 40, "translate inner": 10}
+AWAY = {"rotate outer": 5, "rotate inner": 10, "translate inner": -27}
 
 
 def test_plan_writes_everything_whole(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
