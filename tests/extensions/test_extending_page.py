@@ -166,7 +166,7 @@ def test_files_as_shown_pass_the_linter_and_the_type_checker(tmp_path: Path) -> 
     for command in (
         [*tools, "ruff", "check", "--config", settings, *files],
         [*tools, "ruff", "format", "--check", "--config", settings, *files],
-        [*tools, "mypy", "--config-file", settings, "--cache-dir", str(tmp_path / "mypy"), *files],
+        [*tools, "mypy", "--config-file", settings, "--cache-dir", str(ROOT / ".mypy_cache"), *files],
     ):
         done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
         assert done.returncode == 0, done.stdout

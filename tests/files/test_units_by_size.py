@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
+from made_up_input import FUZZ
 from measured_data import measured, pair_robot, waypoints, write_csv
 from places import ROBOTS, SCENARIOS
 
@@ -24,6 +25,7 @@ from ctrplan.files.scenario_file import load_scenario, scenario_from_dict
 from ctrplan.robot.magnitudes import likely_unit
 
 THREE = ROBOTS / "three_tube.toml"
+IN_NO_DOUBT = "youngs_modulus_GPa=60,poisson_ratio=0.3"
 START = {"rotate outer": 20, "rotate middle": -60, "rotate inner": 80, "translate inner": -86.4}
 
 
@@ -118,7 +120,7 @@ def test_numbers_of_a_robot_by_what_they_would_mean(said: str, phrase: str) -> N
             "youngs_modulus_GPa=20,shear_modulus_GPa=8000",
             "shear_modulus_GPa = 8000: .* a third to a half: is it in MPa",
         ),
-        ("youngs_modulus_GPa=60,poisson_ratio=0.3", ""),
+        (IN_NO_DOUBT, ""),
     ],
 )
 @pytest.mark.parametrize(
@@ -130,6 +132,8 @@ def test_numbers_of_a_robot_by_what_they_would_mean(said: str, phrase: str) -> N
     ],
 )
 def test_moduli_and_radii_are_doubted_as_they_were_said(said: str, phrase: str, bend: str, hint: str) -> None:
+    if said != IN_NO_DOUBT and bend == "radius_mm=3.77" and not FUZZ:
+        pytest.skip("both in doubt: with the other radius; this one in make fuzz")
     tube = f"outer_diameter_mm=2.64,inner_diameter_mm=2.39,{said},section=[{{length_mm=150,{bend}}}]"
     robot = load_robot(THREE, [f"tube.1={{{tube}}}"])
     told = " ".join(ctrplan.check(robot).flags)

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from made_up_input import FUZZ
 from places import SCENARIOS
 from scipy.spatial.transform import Rotation
 
@@ -80,7 +81,7 @@ def assert_limit(values: Callable[[float], Array], by: Array, step: float, scale
     assert np.all(off[smooth] <= LIMIT * scale[smooth]), off / scale
 
 
-@pytest.mark.parametrize("n", [1, 2, 3, 4])
+@pytest.mark.parametrize("n", [1, 2, 3, 4] if FUZZ else [1, 3])
 @pytest.mark.parametrize("kind", ["theta_b", "l_b"])
 def test_bound_stability_and_tip_by_collars(n: int, kind: str) -> None:
     robot, rows = nested_robot(n), configurations(n)
@@ -183,7 +184,7 @@ def states(name: str) -> Array:
     return checker(name).space.sample(np.random.default_rng(4), ROWS)
 
 
-@pytest.mark.parametrize("name", ["vessel", "sinus"])
+@pytest.mark.parametrize("name", ["vessel", "sinus"] if FUZZ else ["vessel"])  # sinus by its base, below
 def test_clearance_by_joints(name: str) -> None:
     own, q = checker(name), states(name)
     here = own.clearance(q, gradient=True)

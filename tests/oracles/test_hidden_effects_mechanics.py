@@ -292,7 +292,7 @@ def test_a_translation_releases_what_a_rotation_has_loaded() -> None:
 
 def test_a_motion_that_turns_and_translates_agrees_with_the_history_of_ctrplan() -> None:
     """Two formulations of one slip: rods with stations of their own against the core's contact nodes."""
-    u = np.linspace(0, 1, 49)
+    u = np.linspace(0, 1, 33)
     theta, l_b = joints(38.4, 82.6, -73.2)
     thetas = theta + np.outer(np.sin(2 * np.pi * u), [0.0, 0.5, 1.0])
     ls = l_b + 4e-3 * np.outer(np.sin(2 * np.pi * u + 1.0), [0, 0, 1])

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from made_up_input import FUZZ
 from places import ROBOTS
 
 import ctrplan
@@ -58,7 +59,7 @@ def changed(**content: Any) -> Robot:
 AT = joints(20, 60, -40, -30)
 
 
-@pytest.mark.parametrize("share", [0.0, 0.25, 0.5, 0.8])
+@pytest.mark.parametrize("share", [0.0, 0.25, 0.5, 0.8] if FUZZ else [0.0, 0.5])
 def test_an_obstacle_as_thin_as_a_wire_is_seen_between_two_points(share: float) -> None:
     """Points of a body are 1 mm apart; 0.18 mm of a 0.02 mm obstacle once lay inside a tube of 0.4 mm."""
     shape = ROBOT.solve(*ROBOT.drive.collars(AT), 0.0, accuracy="certificate")

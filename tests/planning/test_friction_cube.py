@@ -144,7 +144,7 @@ def test_a_body_between_the_corners_is_seen() -> None:
     assert found.min_clearance_m < -1e-3
 
 
-@pytest.mark.parametrize("seed", range(4) if FUZZ else [0, 2])
+@pytest.mark.parametrize("seed", range(4) if FUZZ else [2])
 def test_no_friction_state_has_less_clearance_than_certified(seed: int) -> None:
     """Spheres near the bodies of random friction states: a valid certificate holds against a grid of 17 x 17 states."""
     rng = np.random.default_rng(seed)

@@ -193,7 +193,7 @@ def test_correction_keeps_the_kinds_of_legs() -> None:
 
 
 def test_a_goal_in_joint_values_is_driven_to_as_it_is() -> None:
-    plan = ctrplan.plan(pair())
+    plan = ctrplan.plan(pair(), time_s=0.2)
     assert plan.compensation is None
     turned = plan.waypoints[-1] - plan.scenario.goal.joints
     np.testing.assert_allclose(turned / np.array([2 * np.pi, 2 * np.pi, 1]), np.round(turned / 2 / np.pi), atol=1e-9)

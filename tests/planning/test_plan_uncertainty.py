@@ -28,6 +28,7 @@ from ctrplan.reports.plan_page import uncertainty_section
 from ctrplan.scenario.scenario import Goal, Registration, Scenario
 from ctrplan.uncertainty.body_clearance import bodies_at, body_at
 from ctrplan.uncertainty.parameters import uncertain_parameters
+from ctrplan.uncertainty.result import Uncertainty
 from ctrplan.uncertainty.worst_case import wilson
 
 INTERVALS = [
@@ -59,6 +60,12 @@ def walked(scenario: Scenario) -> CertificateSamples:
 @pytest.fixture(scope="module")
 def uncertain() -> Scenario:
     return ribs(*INTERVALS, *REGISTRATION)
+
+
+@pytest.fixture(scope="module")
+def along(uncertain: Scenario) -> Uncertainty:
+    """What is uncertain on its path."""
+    return ctrplan.plan_uncertainty(uncertain, path(uncertain))
 
 
 @pytest.fixture(scope="module")
@@ -128,8 +135,8 @@ def test_a_margin_that_only_the_intervals_break_is_refused_in_a_sentence_that_sa
     assert any("stability" in text and "intervals and play" in text for text in problems)
 
 
-def test_causes_add_up_and_are_ranked(uncertain: Scenario) -> None:
-    found = ctrplan.plan_uncertainty(uncertain, path(uncertain))
+def test_causes_add_up_and_are_ranked(along: Uncertainty) -> None:
+    found = along
     assert found.closest is not None
     for causes in (found.goal.contributors, found.closest.contributors):
         shares = [cause.share_m for cause in causes]
@@ -151,9 +158,9 @@ def test_what_measuring_takes_off_is_what_the_worst_case_is_without() -> None:
     assert whole.worst_m - less.worst_m - second == pytest.approx(saved, abs=1e-6)
 
 
-def test_linear_chances_agree_with_solves(uncertain: Scenario) -> None:
+def test_linear_chances_agree_with_solves(uncertain: Scenario, along: Uncertainty) -> None:
     joints = path(uncertain)
-    miss = ctrplan.plan_uncertainty(uncertain, joints).goal.quantile_any_friction_m
+    miss = along.goal.quantile_any_friction_m
     goal = replace(uncertain.goal, tolerance_m=miss - 0.3e-3)
     found = ctrplan.plan_uncertainty(replace(uncertain, goal=goal), joints)
     assert found.goal.chance_any_friction is not None and found.closest is not None

@@ -18,6 +18,8 @@ from places import SCENARIOS
 from small_scenarios import pair_past_a_sphere, pair_without_named_joints
 
 import ctrplan
+from ctrplan.anatomy.parts import AnatomyPart
+from ctrplan.anatomy.shapes.sphere import Sphere
 from ctrplan.certificate.certify import certify
 from ctrplan.certificate.friction_states import SEARCH_MESH_M, SPACING_M, TIGHT_M, bound_allowance_m
 from ctrplan.certificate.walked_piece import walk_pieces
@@ -40,13 +42,14 @@ def scenario(name: str, *overrides: str) -> Scenario:
 
 @pytest.fixture(scope="module")
 def told() -> list[Progress]:
-    """What the planner said while `ribs` was planned."""
+    """What the planner said while `past` was planned."""
     return []
 
 
 @pytest.fixture(scope="module")
-def ribs(told: list[Progress]) -> ctrplan.Plan:
-    return ctrplan.plan(scenario("ribs", "planner.time_s=1"), seed=0, progress=told.append)
+def past(told: list[Progress]) -> ctrplan.Plan:
+    """A plan past a sphere to where the tip shall be."""
+    return ctrplan.plan(pair_past_a_sphere(), seed=0, progress=told.append)
 
 
 @pytest.fixture(scope="module")
@@ -91,17 +94,17 @@ def check(plan: ctrplan.Plan) -> None:
     np.testing.assert_allclose(plan.trajectory.position[-1], plan.legs[-1].end, atol=1e-9)
 
 
-def test_plan_past_obstacles_reaches_its_target(ribs: ctrplan.Plan) -> None:
-    check(ribs)
-    assert ribs.certificate.goal_tip_error_m <= ribs.scenario.goal.tolerance_m
-    target = ribs.scenario.goal.tip_m
-    reached = ribs.scenario.robot.bound(*ribs.scenario.robot.drive.collars(ribs.legs[-1].end))
-    assert target is not None and np.linalg.norm(reached.frictionless.tip_m - target) <= ribs.scenario.goal.tolerance_m
-    assert reached.position_m == pytest.approx(ribs.certificate.samples.bound_m[-1], abs=1e-6)
-    closely = ribs.scenario.robot.bound(*ribs.scenario.robot.drive.collars(ribs.legs[-1].end), accuracy="certificate")
-    allowance = bound_allowance_m(ribs.scenario.robot, "certificate")
+def test_plan_past_obstacles_reaches_its_target(past: ctrplan.Plan) -> None:
+    check(past)
+    assert past.certificate.goal_tip_error_m <= past.scenario.goal.tolerance_m
+    target = past.scenario.goal.tip_m
+    reached = past.scenario.robot.bound(*past.scenario.robot.drive.collars(past.legs[-1].end))
+    assert target is not None and np.linalg.norm(reached.frictionless.tip_m - target) <= past.scenario.goal.tolerance_m
+    assert reached.position_m == pytest.approx(past.certificate.samples.bound_m[-1], abs=1e-6)
+    closely = past.scenario.robot.bound(*past.scenario.robot.drive.collars(past.legs[-1].end), accuracy="certificate")
+    allowance = bound_allowance_m(past.scenario.robot, "certificate")
     assert 0 < allowance < 0.05e-3
-    assert ribs.certificate.goal_bound_m == pytest.approx(closely.position_m + allowance, abs=1e-6)
+    assert past.certificate.goal_bound_m == pytest.approx(closely.position_m + allowance, abs=1e-6)
 
 
 def test_cost_that_weighs_the_error_more_prefers_goals_with_less() -> None:
@@ -114,7 +117,7 @@ def test_cost_that_weighs_the_error_more_prefers_goals_with_less() -> None:
     assert caring < blind
 
 
-def test_progress_of_a_search_only_rises(ribs: ctrplan.Plan, told: list[Progress]) -> None:
+def test_progress_of_a_search_only_rises(past: ctrplan.Plan, told: list[Progress]) -> None:
     shares = [progress.fraction for progress in told if progress.stage == "search"]
     assert np.all(np.diff(shares) >= 0) and shares[0] < 0.5 < shares[-1] <= 1
     costs = [progress.best_cost_mm for progress in told if progress.best_cost_mm is not None]
@@ -124,7 +127,7 @@ def test_progress_of_a_search_only_rises(ribs: ctrplan.Plan, told: list[Progress
 def test_bound_aware_plan_ends_with_less_error_than_blind_one(tmp_path: Path) -> None:
     # how much less is the user's choice: here the target matters most
     weights = ({"error_goal": 100.0}, {"error_along": 0.0, "error_goal": 0.0})
-    aware, blind = (ctrplan.plan(pair_without_named_joints(tmp_path, 1.0, **cost), seed=0) for cost in weights)
+    aware, blind = (ctrplan.plan(pair_without_named_joints(tmp_path, 0.5, **cost), seed=0) for cost in weights)
     assert aware.certificate.goal_bound_m < 0.5 * blind.certificate.goal_bound_m
 
 
@@ -230,29 +233,24 @@ def test_joint_space_takes_the_short_way_round_only_where_unlimited() -> None:
         assert not np.any(turned[~space.drive.is_rotation])
 
 
-def test_certificate_sees_an_obstacle_the_search_never_had(ribs: ctrplan.Plan) -> None:
+def test_certificate_sees_an_obstacle_the_search_never_had(past: ctrplan.Plan) -> None:
     """A sphere put into the way of a tip is found where it is, by as much as the tip enters it."""
-    tip_m, radius_m = ribs.certificate.samples.tip_m, 3e-3
-    k = len(tip_m) // 2
-    center_mm = (ribs.scenario.base_R @ tip_m[k] + ribs.scenario.base_position_m) * 1e3
-    sphere = f'{{kind="sphere", center_mm={center_mm.tolist()}, radius_mm={radius_m * 1e3}}}'
-    found = certify(scenario("ribs", f"anatomy=[{sphere}]"), ribs.waypoints)
+    tip_m, radius_m = past.certificate.samples.tip_m, 3e-3
+    center_m = past.scenario.base_R @ tip_m[len(tip_m) // 2] + past.scenario.base_position_m
+    found = certify(replace(past.scenario, anatomy=(AnatomyPart(Sphere(center_m, radius_m)),)), past.waypoints)
     assert not found.valid and found.min_clearance_m <= -radius_m
     assert any("too close to the anatomy" in problem for problem in found.problems)
 
 
-def around(plan: ctrplan.Plan, sample: np.intp) -> np.ndarray:
-    """A short piece (2, m) of the leg of a sample, about it."""
-    of_leg = np.flatnonzero(plan.certificate.samples.leg == plan.certificate.samples.leg[sample])
-    joints = plan.certificate.samples.joints
-    return joints[[max(sample - 5, of_leg[0]), min(sample + 5, of_leg[-1])]]
+# A piece of a plan past the ribs, about where it is narrowest: 2.2 mm from them.
+NARROW = np.array([[-9.344, 176.206, -51.850, -69.706], [-9.344, 176.206, -51.850, -67.559]])
 
 
-def test_certificate_measures_distances_and_asks_no_grid(ribs: ctrplan.Plan, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_certificate_measures_distances_and_asks_no_grid(monkeypatch: pytest.MonkeyPatch) -> None:
     """No grid can fool it: a wider margin is missed by as much as it is wider, and by what lies between two points."""
     monkeypatch.setattr("ctrplan.motion.checker.anatomy_grid", lambda _: pytest.fail("a grid was asked"))
     cases = [scenario("ribs", f"anatomy.1.margin_mm={mm}") for mm in (1, 4)]
-    narrow = around(ribs, ribs.certificate.samples.clearance_m.argmin())
+    narrow = NARROW * [joint.si_per_unit for joint in cases[0].robot.drive.joints]
     cases = [replace(case, start=narrow[0], goal=Goal(narrow[-1], None, 1e-3)) for case in cases]
     near, far = (walk_pieces(case, JointSpace.of(case), narrow, "search", None) for case in cases)
     least = [min(float(piece.clearance_m.min()) for piece in pieces) for pieces in (near, far)]
@@ -274,7 +272,7 @@ def test_simultaneous_motion_is_a_named_fallback(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(
         sys.modules["ctrplan.planning.reordering"], "_pieces", lambda checker, corners, i, j: [corners[i : j + 1]]
     )
-    plan = ctrplan.plan(scenario("pair_free", "planner.time_s=1"), seed=0)
+    plan = ctrplan.plan(scenario("pair_free", "planner.time_s=0.3"), seed=0)
     assert plan.style == "simultaneous" and any("simultaneously" in note for note in plan.notes)
     assert plan.certificate.valid
 

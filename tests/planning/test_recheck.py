@@ -135,6 +135,8 @@ def test_stages_are_walked_again_one_by_one(scenario: Scenario) -> None:
     first = certify(replace(scenario, goal=Goal(middle, None, 1e-3)), np.array([scenario.start, middle]))
     second = certify(replace(scenario, start=middle), np.array([middle, end]), starts=first.end_states)
     joined = joined_certificates([first, second])
+    assert joined.walk_again is not None
+    joined = replace(joined, walk_again=cache(joined.walk_again))
     assert joined.recheck().is_confirmed
     assert not replace(joined, cost_mm=first.cost_mm).recheck().is_confirmed
 

@@ -10,6 +10,8 @@ from places import SCENARIOS
 from ctrplan.files.scenario_file import scenario_from_dict
 from ctrplan.scenario.scenario import Scenario
 
+NEAR = "goal.joints={'rotate outer' = 6, 'rotate inner' = 10, 'translate inner' = -27}"  # of pair_free.toml: soon there
+
 PAIR = {
     "robot": "robots/table_5_pair.toml",
     "start": {"rotate outer": 0, "rotate inner": 0, "translate inner": -30},

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from places import SCENARIOS
-from small_scenarios import pair_past_a_sphere
+from small_scenarios import NEAR, pair_past_a_sphere
 
 import ctrplan
 from ctrplan.cli import main
@@ -75,7 +75,8 @@ def test_the_same_path_is_reordered_to_the_same_bytes() -> None:
 
 
 def test_a_plan_says_that_it_depends_on_the_speed_of_the_machine(tmp_path: Path) -> None:
-    assert main(["plan", str(SCENARIOS / "pair_free.toml"), "--time", "0.2", "-o", str(tmp_path), "--seed", "5"]) == 0
+    given = ["--time", "0.2", "--set", NEAR, "--seed", "5", "--formats", "csv"]
+    assert main(["plan", str(SCENARIOS / "pair_free.toml"), "-o", str(tmp_path), *given]) == 0
     content = json.loads((tmp_path / "plan.json").read_text())
     assert content["seed"] == 5 and content["clock_s"] > content["first_found_s"] > 0 and content["work_s"] > 0
     assert content["search_ended_by"] == "time"

@@ -24,6 +24,7 @@ import pytest
 from made_up_input import FUZZ
 from measured_data import measured, pair_robot, waypoints, write_csv
 from places import SCENARIOS
+from small_scenarios import NEAR
 
 import ctrplan
 from ctrplan.anatomy.shape import CATALOGUE as SHAPES
@@ -162,7 +163,7 @@ ODD_COSTS.remove(("cost.path", "0"))  # a plan, as with the smallest number
 def test_a_plan_with_an_odd_number_is_one_or_is_refused(
     key: str, value: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    arguments = ("-o", str(tmp_path / "out"), "--set", f"{key}={value}", "--time", "0.2", "--quiet")
+    arguments = ("-o", str(tmp_path / "out"), "--set", NEAR, "--set", f"{key}={value}", "--time", "0.2", "--quiet")
     assert_told(*run(capsys, "plan", str(SCENARIO_FILE), *arguments))
 
 

@@ -2,13 +2,24 @@
 
 from __future__ import annotations
 
+import importlib
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 from browser import Browser, chromium
 from places import ROOT
+from small_scenarios import NEAR
+
+from ctrplan.diagnosis import CATALOGUE
+
+FEW = ("joint_scale", "backlash", "tip_load")
+QUICK = {
+    "plan": ["--set", "planner.time_s=0.2", "--set", NEAR],
+    "diagnose": [f"--without={name}" for name in CATALOGUE if name not in FEW],
+}
 
 
 def gallery(folder: Path, *names: str) -> subprocess.CompletedProcess[str]:
@@ -18,9 +29,20 @@ def gallery(folder: Path, *names: str) -> subprocess.CompletedProcess[str]:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A plan of a short search and way, and a diagnosis of few poses and effects."""
     made = tmp_path_factory.mktemp("gallery")
-    done = gallery(made, "pair_free", "joint_scale")
-    assert done.returncode == 0, done.stderr
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(ROOT / "tools"))
+        tool: Any = importlib.import_module("gallery")
+        program = tool.program
+
+        def quick(command: str, *arguments: str, **keys: Any) -> None:
+            program(command, *arguments, *QUICK.get(command, []), **keys)
+
+        patch.setattr(tool, "program", quick)
+        patch.setattr(tool, "CONFIGURATIONS", 16)
+        patch.setattr("sys.argv", ["gallery.py", "-o", str(made), "--only", "pair_free", "joint_scale"])
+        tool.main()
     return made
 
 

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
 import os
 import re
+import shlex
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 from places import ROOT
+
+from ctrplan.cli import main
 
 GUIDES = ROOT / "docs" / "guides"
 BLOCK = re.compile(
@@ -23,7 +28,10 @@ def follow(page: str, folder: Path) -> dict[str, str]:
     printed: dict[str, str] = {}
     for block in BLOCK.finditer((GUIDES / page).read_text(encoding="utf-8")):
         if block["language"] == "sh":
-            printed |= {line: run(line, folder) for line in block["text"].splitlines()}
+            printed |= {
+                line: (typed if line.startswith("ctrplan ") else run)(line, folder)
+                for line in block["text"].splitlines()
+            }
         else:
             save(folder / block["file"], block["text"], append=block["append"] is not None)
     return printed
@@ -42,6 +50,16 @@ def run(line: str, folder: Path) -> str:
     )
     assert done.returncode == 0, f"{line}: {done.stderr}"
     return done.stdout
+
+
+def typed(line: str, folder: Path) -> str:
+    """A command of ctrplan in this process; the search of a plan that the page only compares with is short."""
+    _, *words = shlex.split(line)
+    quick = ["--time", "0.3"] if "blind" in words else []
+    with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(io.StringIO()) as said:
+        patch.chdir(folder)
+        assert main([*words, *quick]) == 0, line
+    return said.getvalue()
 
 
 def number(pattern: str, text: str) -> float:

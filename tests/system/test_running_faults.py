@@ -20,6 +20,7 @@ from interruptible import INTERRUPTIBLE
 from made_up_input import FUZZ, repetitions
 from measured_data import measured, pair_robot, waypoints, write_csv
 from places import SCENARIOS
+from small_scenarios import NEAR
 
 from ctrplan.anatomy.clearance_grid import SignedDistanceField
 from ctrplan.cli import main
@@ -38,6 +39,7 @@ OUTPUTS = {
     "plan": {"SHA256SUMS", "inputs.zip", "plan.json", "plan.png", "report.html", "trajectory.csv", "trajectory.yaml"},
     "diagnose": {"SHA256SUMS", "diagnosis.json", "report.html", "robot.toml"},
 }
+PLAN = f'plan "{SCENARIOS / "pair_free.toml"}" --set planner.time_s=0.2 --set "{NEAR}"'  # as a shell reads it
 PATIENCE_S = 120  # on a busy machine; a process that ignores Ctrl-C would take far longer
 
 
@@ -208,7 +210,7 @@ def test_files_that_may_not_grow_leave_the_old_plan_and_nothing_else(tmp_path: P
     folder = tmp_path / "disk"
     folder.mkdir()
     (folder / "plan.json").write_text("old")
-    arguments = f"plan '{SCENARIOS / 'pair_free.toml'}' --set planner.time_s=0.2 -o '{folder}'"
+    arguments = f"{PLAN} -o '{folder}'"
     command = f"ulimit -f 200; '{sys.executable}' -m ctrplan.cli {arguments}"
     done = subprocess.run(["sh", "-c", command], capture_output=True, text=True)
     assert done.returncode == 1, done.stderr
@@ -219,7 +221,7 @@ def test_files_that_may_not_grow_leave_the_old_plan_and_nothing_else(tmp_path: P
 
 @needs_namespaces
 def test_a_full_disk_leaves_the_old_plan_and_nothing_else(tmp_path: Path) -> None:
-    arguments = f"plan '{SCENARIOS / 'pair_free.toml'}' --set planner.time_s=0.2 -o '{tmp_path / 'disk'}'"
+    arguments = f"{PLAN} -o '{tmp_path / 'disk'}'"
     done = in_a_small_world(tmp_path, "rw", arguments)
     assert done.stdout.split() == ["exit", "1", "cache", "plan.json", "old"], done.stdout + done.stderr
     assert "No space left on device" in done.stderr and "Traceback" not in done.stderr
@@ -236,7 +238,7 @@ def test_a_read_only_disk_is_refused_before_anything_is_computed(tmp_path: Path)
 @needs_namespaces
 @pytest.mark.parametrize("options", ["ro", "size=8k"] if FUZZ else ["ro"])
 def test_a_cache_without_room_or_permission_is_no_error_to_those_who_only_use_it(options: str, tmp_path: Path) -> None:
-    arguments = f"plan '{SCENARIOS / 'pair_free.toml'}' --set planner.time_s=0.2 -o '{tmp_path / 'out'}'"
+    arguments = f"{PLAN} -o '{tmp_path / 'out'}'"
     done = in_a_small_world(tmp_path, options, arguments)
     assert "exit 0\n" in done.stdout and not done.stderr, done.stderr
     assert ".ctrplan-" not in done.stdout and (tmp_path / "out" / "plan.json").exists()
@@ -255,7 +257,8 @@ def test_two_processes_share_a_cache(tmp_path: Path) -> None:
     for attempt in range(repetitions(1)):
         cache = tmp_path / f"cache {attempt}"
         sphere = 'anatomy=[{kind="sphere", center_mm=[0, 60, 210], radius_mm=10}]'
-        plan = ["plan", str(SCENARIOS / "pair_free.toml"), "--set", sphere, "--time", "0.2", "--quiet"]
+        given = ["--set", sphere, "--set", NEAR, "--time", "0.2", "--quiet", "--formats", "csv"]
+        plan = ["plan", str(SCENARIOS / "pair_free.toml"), *given]
         pair = [started(plan, folder, cache) for folder in (tmp_path / "a", tmp_path / "b") if not folder.mkdir()]
         told = [process.communicate(timeout=PATIENCE_S) for process in pair]
         assert [process.returncode for process in pair] == [0, 0], told
@@ -342,7 +345,7 @@ def test_a_clock_that_goes_backwards_changes_nothing(
     """Searches go by the monotonic clock; the wall clock, set back a year at every look, is not asked."""
     clock = iter(range(10**9, 0, -31_536_000 // 100))
     monkeypatch.setattr(time, "time", lambda: float(next(clock)))
-    assert main(["plan", str(SCENARIOS / "pair_free.toml"), "--time", "0.2", "-o", str(tmp_path)]) == 0
+    assert main(["plan", str(SCENARIOS / "pair_free.toml"), "--time", "0.2", "--set", NEAR, "-o", str(tmp_path)]) == 0
     assert readable(tmp_path) == OUTPUTS["plan"]
 
 
