@@ -117,3 +117,5 @@ def test_the_command_proposes_and_decides(tmp_path: Path, capsys: pytest.Capture
     assert "Decided by" in said and "joint_scale, with a probability of" in said and "nothing to propose" in said
     assert content["verdict"] == "named" and content["decisions"][0]["decided"]
     assert any("as new poses decided against it: sensor_distortion" in note for note in content["notes"])
+    assert main([*command, "--decide", str(new), "--without", "sensor_distortion"]) == 2
+    assert "has nothing to decide" in capsys.readouterr().err
