@@ -178,7 +178,7 @@ def with_innermost(content: dict[str, Any], number: int) -> dict[str, Any]:
 
 
 def by_tubes() -> None:
-    """Of random configurations the bound, and of short motions in free space the certificate, histories included."""
+    """Times the bound at random configurations, and the certificate of short motions in free space."""
     files, rows = robots(), []
     files["five tubes"] = with_innermost(files["four tubes"], 5)
     for name in ("pair", "three tubes", "four tubes", "five tubes"):
@@ -202,7 +202,7 @@ def by_tubes() -> None:
 
 
 def by_targets() -> None:
-    """Of tours in free space whose targets are tips of random configurations, all found by the seed given."""
+    """Times plans of tours in free space whose targets are tips of random configurations."""
     rows = []
     for count in (1, 2, 5, 10, 20):
         case, rng = ctrplan.load_scenario(SCENARIOS / "pair_free.toml"), np.random.default_rng(0)
@@ -223,7 +223,7 @@ def by_targets() -> None:
 
 
 def by_legs() -> None:
-    """Of a path that goes on between two configurations of a scenario."""
+    """Times the certificate of a path that goes to and fro between two configurations of a scenario."""
     plan, rows = ctrplan.plan(ctrplan.load_scenario(SCENARIOS / "vessel.toml"), time_s=1.0), []
     there = plan.waypoints
     for count in (1, 2, 4, 8):
@@ -236,7 +236,7 @@ def by_legs() -> None:
 
 
 def by_triangles() -> None:
-    """Of the vessel's mesh, divided."""
+    """Times plans in the vessel, its mesh divided into more and more triangles."""
     rows = [plan_apart("vessel", count)[1:] for count in (1_000, 10_000, 100_000, 1_000_000)]
     table("growth with triangles", ("triangles", "outcome", "peak memory", "CPU time", "by the clock"), rows)
 

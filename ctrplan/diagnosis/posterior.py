@@ -182,7 +182,7 @@ class _Set:
         return -np.inf if self.has_built else without_error(self.fit) - self.cost
 
     def beside(self, errors: UnknownErrors) -> tuple[float, Peak]:
-        """The same beside something unknown, and the most probable smooth error."""
+        """Logarithm of the evidence beside something unknown, and the most probable smooth error."""
         value, peak = errors.evidence(self.fit)
         return value - self.cost, peak
 
@@ -228,11 +228,11 @@ class _Asking:
         return {t.name: float(max(1.0, over[place].max())) for t, place in places if t.name in named}
 
     def evidences(self, sets: Sequence[_Set]) -> list[Evidences]:
-        """Of whole sets."""
+        """Logarithms of the evidence of sets that were solved as they are."""
         return [(one.names, (one.alone, one.beside(self.errors)[0])) for one in sets]
 
     def one_more(self, here: Scored) -> list[Evidences]:
-        """Of a set with any effect that acts in proportion added to it, to first order."""
+        """Logarithms of the evidence of a set and any effect beside it that acts in proportion, to first order."""
         beside, unknown, peak = self.beside[here]
         names, variants = {*self._named(here), *here.names}, self.known.beside(here.terms)
         others = [t for t in variants if t.name not in names and t.effect.is_linear and t.effect.needs in ("", *names)]

@@ -37,7 +37,7 @@ def _how_probable(diagnosis: Diagnosis) -> str:
 
 
 def probabilities(diagnosis: Diagnosis, k: int) -> str:
-    """Of the k-th effect of the verdict, and of what may stand for it; empty where none were found."""
+    """Probabilities of the k-th effect of the verdict and of what may stand for it, in words; empty without any."""
     if diagnosis.posterior is None:
         return ""
     finding = diagnosis.judgement.findings[k]

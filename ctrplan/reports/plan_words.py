@@ -299,11 +299,8 @@ def _clearance(plan: Plan) -> list[CertificateRow]:
     if plan.scenario.robot.model_error_m:
         row = replace(row, requirement=f"{row.requirement} (model error)")
     taken = sorted(place.taken_m.items(), key=lambda pair: -pair[1]) if place else []
-    causes = [CertificateRow(f"  taken by {cause}", millimetres(m)) for cause, m in taken if m > TAKEN_SHOWN_M]
-    return [row, *causes]
-
-
-TAKEN_SHOWN_M = 5e-6  # of a clearance: less is 0.00 mm on a page
+    shown = [(cause, millimetres(m)) for cause, m in taken if millimetres(m) != millimetres(0.0)]
+    return [row, *(CertificateRow(f"  taken by {cause}", length) for cause, length in shown)]
 
 
 Standing = Literal["good", "caution", "bad"]
@@ -356,15 +353,8 @@ def is_acceptable(plan: Plan) -> bool:
 def certificate_in_words(plan: Plan) -> list[str]:
     """Paragraphs that say what the certificate's figures say."""
     times = sample_time_s(plan)
-    texts = [
-        _checked(plan),
-        _error_sentences(plan, times),
-        _play(plan),
-        _reached(plan),
-        _room(plan, times),
-        _elastic(plan, times),
-    ]
-    return [text for text in (*texts, _insertion(plan)) if text]
+    texts = [_checked(plan), _error_sentences(plan, times), _play(plan), _reached(plan), _room(plan, times)]
+    return [text for text in (*texts, _elastic(plan, times), _insertion(plan)) if text]
 
 
 def _checked(plan: Plan) -> str:

@@ -133,12 +133,17 @@ def test_effect_that_nobody_knows_is_something_unknown() -> None:
     assert told.of_verdict("no_missing_effect", []) < 0.01
 
 
-def test_processes_have_the_size_of_the_noise_and_rows_in_any_order_say_the_same() -> None:
+def errors_of_noise() -> tuple[Linearised, UnknownErrors]:
+    """The fit of data without an effect, and what may be unknown in them."""
     bench, data = bench_of("")
     base = bench.scored([])
     parts = base.fit.residuals
     fit = Linearised(parts.r, parts.J, base.fit.precision)
-    errors = UnknownErrors(bench, base, base, [fit, fit], np.ones(data.count))
+    return fit, UnknownErrors(bench, base, base, [fit, fit], np.ones(data.count))
+
+
+def test_processes_have_the_size_of_the_noise_and_rows_in_any_order_say_the_same() -> None:
+    fit, errors = errors_of_noise()
     assert all(np.mean((modes**2).sum(axis=1)) == pytest.approx(1) for modes in errors.processes)
     order = np.random.default_rng(1).permutation(fit.r.size)
     again = UnknownErrors.__new__(UnknownErrors)
@@ -148,11 +153,7 @@ def test_processes_have_the_size_of_the_noise_and_rows_in_any_order_say_the_same
 
 
 def test_process_that_acts_gains_and_noise_gains_nothing() -> None:
-    bench, data = bench_of("")
-    base = bench.scored([])
-    parts = base.fit.residuals
-    fit = Linearised(parts.r, parts.J, base.fit.precision)
-    errors = UnknownErrors(bench, base, base, [fit, fit], np.ones(data.count))
+    fit, errors = errors_of_noise()
     r, J, modes = fit.r.ravel(), fit.J.reshape(fit.r.size, -1), errors.processes[0]
     acting = 3 * modes @ np.random.default_rng(3).standard_normal(modes.shape[1])
     assert errors.gain(r, J, fit.precision) < 0 < 10 < errors.gain(r + acting, J, fit.precision)

@@ -89,18 +89,18 @@ class Trial:
 
     @property
     def probabilities(self) -> list[tuple[float, bool]]:
-        """Of every effect of the catalogue that may act, the probability and whether it does."""
+        """The probability of every effect of the catalogue that may act, and whether it does."""
         posterior = (self.found or {}).get("posterior") or {"effects": {}}
         return [(p, name in self.acting) for name, p in posterior["effects"].items()]
 
     @property
     def listed_probabilities(self) -> list[tuple[float, bool]]:
-        """The same of those that the verdict lists."""
+        """The probability of every effect that the verdict lists, and whether it acts."""
         return [(e["probability"], e["name"] in self.acting) for e in (self.found or {}).get("effects", [])]
 
     @property
     def verdict_probability(self) -> list[tuple[float, bool]]:
-        """Of the verdict and of its truth; of what the catalogue lacks where the verdict leaves that open."""
+        """The probability of the verdict, and whether it is right."""
         p = (self.found or {}).get("verdict_probability")
         return [] if p is None else [(p, self.is_right)]
 
@@ -191,7 +191,7 @@ def goals(trials: list[Trial]) -> list[Goal]:
 
 
 def reliability(trials: list[Trial]) -> list[Goal]:
-    """Of what was given a probability in each bin, how much is true."""
+    """How much is true of what was given a probability in each bin."""
     kinds: list[tuple[str, Callable[[Trial], list[tuple[float, bool]]]]] = [
         ("effect acts", lambda t: t.probabilities),
         ("listed effect acts", lambda t: t.listed_probabilities),
