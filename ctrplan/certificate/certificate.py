@@ -309,6 +309,7 @@ class Certificate:
     arrival: Arrival | None = None  # at the goal, by this motion; None where a history found no equilibrium
     settling: Settling | None = None
     end_states: tuple[HistoryState, ...] = ()  # friction states at the end, one for each start
+    spare_m: float = np.inf  # of clearance beyond what the scenario asks for: of more it is only known that it is more
     # The same legs; on the same mesh if None, from the friction states that a stage before left.
     walk_again: WalkAgain | None = None
 
@@ -327,7 +328,7 @@ class Certificate:
 
     def _differences(self, again: Certificate) -> tuple[Difference, ...]:
         """The differences of all figures, samples and targets included, from those of another walk of the same legs."""
-        result = differences(self, again, skip=("settling", "end_states", "walk_again"))
+        result = differences(self, again, skip=("settling", "end_states", "spare_m", "walk_again"))
         if self.settling is None:
             return result
         swinging = again.samples.leg >= self.settling.first_leg

@@ -94,6 +94,7 @@ def certify(
     goal_test: GoalTest = frictionless_arrives,
     starts: Sequence[FrictionStart] | None = None,
     restart: bool = True,
+    spare_m: float = np.inf,
     timing: Trajectory | None = None,
     progress: Progress | None = None,
 ) -> Certificate:
@@ -111,9 +112,10 @@ def certify(
     Friction errors are the bound, whatever the history; the same less what the friction law says translations released,
     which the cost counts as the search does; and the prediction by simulated histories, from `starts` where a motion
     before this one left the robot in these friction states. `goal_test` says what misses the goal. From where an
-    interrupted run begins again is simulated too, unless it is not wanted.
+    interrupted run begins again is simulated too, unless it is not wanted. Of clearance beyond `spare_m` more than what
+    the scenario asks for it is only known that it is more, which takes less time.
     """
-    walk = walk_legs(scenario, corners, accuracy=accuracy, timing=timing, progress=progress)
+    walk = walk_legs(scenario, corners, accuracy=accuracy, spare_m=spare_m, timing=timing, progress=progress)
     result = finished(walk, goal_test, starts)
     return with_restart(scenario, result, starts, accuracy) if restart else result
 
@@ -122,12 +124,9 @@ def finished(
     walk: WalkedLegs,
     goal_test: GoalTest = frictionless_arrives,
     starts: Sequence[FrictionStart] | None = None,
-    progress: Progress | None = None,
 ) -> Certificate:
-    """The certificate of walked legs, histories simulated; walked again where not all clearance was asked for."""
+    """The certificate of walked legs, histories simulated; of as much clearance as the walk asked for."""
     scenario, begun = walk.scenario, start_states(walk.scenario) if starts is None else starts
-    if np.isfinite(walk.spare_m):
-        walk = walk_legs(scenario, walk.corners, accuracy=walk.accuracy, timing=walk.timing, progress=progress)
     bodies = SimulatedBodies.of(scenario)
     with ThreadPoolExecutor(1) as beside:  # of few histories one ends last
         places = beside.submit(closest_places, scenario, walk.pieces, walk.samples)
@@ -170,6 +169,7 @@ def finished(
         closest=closest.friction,
         narrowest=closest.certified,
         end_states=tuple(history.end_states),
+        spare_m=walk.spare_m,
         walk_again=partial(_walked_again, walk, goal_test),
     )
 

@@ -85,8 +85,8 @@ class WalkedLegs:
     @cached_property
     def unknown_m(self) -> float:
         """What friction leaves of the tip's error at the end that no compensation knows [m], by the friction law."""
-        robot, loaded_m = self.scenario.robot, float(self.samples.released_m[-1])
-        return left_at_end(robot, self.corners, self.pieces[-1].samples, loaded_m, start_load(self.scenario))
+        loaded_m = float(self.samples.released_m[-1])
+        return left_at_end(self.scenario, self.corners, self.pieces[-1].samples, loaded_m, start_load(self.scenario))
 
     @cached_property
     def cost_mm(self) -> float:

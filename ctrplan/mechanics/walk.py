@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -84,6 +85,65 @@ class PathDensity:
     motion_m: float = 20e-3
     near_m: float = 2e-3
     point_spacing_m: float = 1.5e-3  # between the points of a shape that are looked up in the field
+
+
+SAME_TIP_M = 1e-5  # between solutions of one equilibrium, which agree to 1e-7; others are 0.1 mm away and more
+
+
+class KnownLegs:
+    """Walks of polylines in which no leg is walked twice: paths of a local search have most of theirs in common.
+
+    The core's steps depend on a leg alone, so that samples are those of a walk of the whole. A leg walked by itself
+    begins from a shape solved afresh; where that is another equilibrium than the one that the leg before leads to, the
+    path is walked as a whole. For one thread at a time.
+    """
+
+    def __init__(self, walk: Callable[[Array], PathSamples], is_broken: Callable[[PathSamples], bool]) -> None:
+        """`walk` stops where a limit is broken, which `is_broken` tells from its last sample."""
+        self._walk, self._is_broken = walk, is_broken
+        self._legs: dict[tuple[bytes, bytes], PathSamples] = {}
+
+    def along(self, corners: Array) -> PathSamples:
+        """Samples along a polyline (K, m), up to the first that breaks a limit."""
+        ends = [row.tobytes() for row in corners]
+        legs = list(pairwise(ends))
+        unknown = [k for k, leg in enumerate(legs) if leg not in self._legs]
+        while unknown:
+            first = last = unknown[0]
+            while last + 1 in unknown:
+                last += 1
+            samples = self._walk(corners[first : last + 2])
+            is_broken = self._is_broken(samples)
+            for k in range(int(samples.segment[-1]) + 1 - is_broken):
+                self._legs[legs[first + k]] = _leg(samples, k)
+            if is_broken:
+                before = [self._legs[leg] for leg in legs[:first]]
+                return (_joined([*before, samples]) if len(samples.segment) > 1 else None) or self._walk(corners)
+            unknown = [k for k in unknown if k > last]
+        return (_joined([self._legs[leg] for leg in legs]) if legs else None) or self._walk(corners)
+
+
+def _leg(samples: PathSamples, k: int) -> PathSamples:
+    """The samples of leg k, from its beginning to its end, as those of a walk of it alone."""
+    on_leg = np.flatnonzero(samples.segment == k)
+    rows = on_leg if k == 0 else np.concatenate([on_leg[:1] - 1, on_leg])
+    leg = samples.at_rows(rows)
+    fraction = np.where(np.arange(len(rows)) > 0, leg.fraction, 0.0)
+    return replace(leg, segment=np.zeros_like(leg.segment), fraction=fraction)
+
+
+def _joined(parts: Sequence[PathSamples]) -> PathSamples | None:
+    """Walks that go on from one another as one; None where the equilibria at their ends differ."""
+    kept, legs = [parts[0]], int(parts[0].segment[-1]) + 1
+    for part in parts[1:]:
+        a, b = (np.vstack([x.tip_m[[row]], x.corner_tip_m[row]]) for x, row in ((kept[-1], -1), (part, 0)))
+        if not np.linalg.norm(a - b, axis=1).max() < SAME_TIP_M:
+            return None
+        kept.append(replace(part.at_rows(np.arange(1, len(part.segment))), segment=part.segment[1:] + legs))
+        legs += int(part.segment[-1]) + 1
+    names = [entry.name for entry in fields(PathSamples) if entry.name != "bodies"]
+    columns: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in kept]) for name in names}
+    return PathSamples(**columns)
 
 
 @checked(stability=ANY, max_strain=ANY, clearance_m=ANY)

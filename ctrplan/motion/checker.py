@@ -20,7 +20,7 @@ from ctrplan.mechanics.core import THREADS
 from ctrplan.mechanics.friction import largest_deviation
 from ctrplan.mechanics.gradients import Clearances, clearances
 from ctrplan.mechanics.shapes import Status
-from ctrplan.mechanics.walk import Field, PathDensity, PathLimits, PathSamples
+from ctrplan.mechanics.walk import Field, KnownLegs, PathDensity, PathLimits, PathSamples
 from ctrplan.motion.play import usual_play_shift
 from ctrplan.robot.friction_calibration import friction_law
 from ctrplan.scenario.joint_space import JointSpace, MotionStyle
@@ -28,7 +28,6 @@ from ctrplan.scenario.scenario import anatomy_grid, path_cost_mm
 from ctrplan.uncertainty.body_clearance import usual_allowance_m
 
 if TYPE_CHECKING:
-    from ctrplan.robot.robot import Robot
     from ctrplan.scenario.scenario import Scenario
 
 # What a certificate on the fine mesh takes off a clearance, half the motion between samples and the discretisation
@@ -234,20 +233,27 @@ class MotionChecker:
         """Remembers that the motion from a to b failed a stricter check."""
         self._known[a.tobytes() + b.tobytes()] = invalid(reason)
 
-    def along(self, corners: Array) -> Motion:
-        """The polyline (K, m) of joint values."""
+    def along(self, corners: Array, *, remembers: bool = False) -> Motion:
+        """The polyline (K, m) of joint values; one thread alone may ask that no leg is walked twice."""
         if not self.space.allowed(corners):
             return invalid(self.space.violation(corners))
-        samples = self.walk(corners, self.density, self.limits)
+        samples = self._legs.along(corners) if remembers else self._walked(corners)
         reason = breach(samples, self.limits)
         if reason:
             return invalid(reason)
         error = self.errors(corners, samples)
         length, integral = self.price(corners, samples, error)
         bound, last = float(samples.position_m[-1]), samples.at_end()
-        left = partial(left_at_end, self.scenario.robot, corners, last, float(error[-1]))
+        left = partial(left_at_end, self.scenario, corners, last, float(error[-1]))
         terms_mm = self.terms_mm(corners)
         return Motion(True, "", length, integral, bound, left, count_legs(corners), terms_mm)
+
+    @cached_property
+    def _legs(self) -> KnownLegs:
+        return KnownLegs(self._walked, lambda samples: bool(breach(samples, self.limits)))
+
+    def _walked(self, corners: Array) -> PathSamples:
+        return self.walk(corners, self.density, self.limits)
 
     def walk(self, corners: Array, density: PathDensity, limits: PathLimits) -> PathSamples:
         """The core's samples along a polyline."""
@@ -364,18 +370,20 @@ def invalid(reason: str) -> Motion:
 
 
 def left_at_end(
-    robot: Robot, corners: Array, samples: PathSamples, loaded_m: float, load: Array | None = None
+    scenario: Scenario, corners: Array, samples: PathSamples, loaded_m: float, load: Array | None = None
 ) -> float:
     """[m] that friction may leave of the tip's error at the end of a walked polyline (K, m), by the friction law.
 
     That is what friction before it leaves unknown, the load (P,) then full unless it is given; and of the error that
-    the load at its end makes, `loaded_m`, the share by which coefficients are uncertain. The rest is compensated.
+    the load at its end makes, `loaded_m`, the share by which coefficients are uncertain. The rest is compensated, but
+    for a goal in joint values, which is driven to as it is: there all of it is left.
     """
+    robot, share = scenario.robot, COEFFICIENTS if scenario.goal.joints is None else 1.0
     before = np.ones(robot.n - 1) if load is None else load
     left = friction_law(robot).unknown_after(before, *robot.drive.collars(corners))
     last = samples.at_end()
     unknown = float(released_error(last, left[None])[0])
-    return min(unknown + COEFFICIENTS * loaded_m, float(last.position_m[0]))
+    return min(unknown + share * loaded_m, float(last.position_m[0]))
 
 
 def released_error(samples: PathSamples, load: Array) -> Array:

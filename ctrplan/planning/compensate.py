@@ -18,6 +18,7 @@ from ctrplan.base.long_work import Progress, part_of
 from ctrplan.certificate.arrival import Arrival, beside_nominal, friction_variants
 from ctrplan.certificate.certificate import Certificate, CertificateSamples
 from ctrplan.certificate.certify import certify, frictionless_arrives
+from ctrplan.mechanics.history import HistoryState
 from ctrplan.motion.checker import MotionChecker
 from ctrplan.planning.endings import settled_again
 from ctrplan.planning.reach import tips_by_joints
@@ -142,6 +143,40 @@ def _is_at_limit(checker: MotionChecker, joints: Array, delta: Array) -> bool:
     return bool(np.any(stands & (delta != 0)))
 
 
+def aimed(checker: MotionChecker, corners: Array) -> tuple[MotionChecker, Array]:
+    """A checker whose goal is where the frictionless tip has to end so that the tip with friction arrives, and the path
+    (K, m) moved there, as it costs when it is compensated; both as they are where that is not possible.
+    """
+    scenario = checker.scenario
+    goal, robot = scenario.goal, scenario.robot
+    if goal.tip_m is None or goal.joints is not None or goal.line_m is not None or len(corners) < 2:
+        return checker, corners
+    frictionless = robot.mechanics.tips_with_friction(*robot.drive.collars(corners[-1:]), np.zeros((1, robot.n - 1)))
+    offset = predict_end(robot, corners, start_states(scenario))[0].end_middle_m - frictionless.position_m[0]
+    if not np.isfinite(offset).all():
+        return checker, corners
+    there = replace(goal, tip_m=goal.tip_m - scenario.base_R @ offset)
+    other = MotionChecker(replace(scenario, goal=there), checker.style, checker.meter, checker.reserve_m)
+    other.watch = checker.watch
+    moved = brought_to_goal(other, corners)
+    return (checker, corners) if moved is None or not other.along(moved).valid else (other, moved)
+
+
+def brought_to_goal(checker: MotionChecker, corners: Array) -> Array | None:
+    """The path (K, m) with its last legs moved so that the frictionless tip ends at the goal; None where it can't."""
+    robot, is_rotation, delta = checker.scenario.robot, checker.space.drive.is_rotation, np.zeros(corners.shape[1])
+    for _ in range(ITERATIONS):
+        path = corrected(corners, len(corners) - 1, is_rotation, delta)
+        if not checker.space.allowed(path):
+            return None
+        tip = robot.mechanics.tips_with_friction(*robot.drive.collars(path[-1:]), np.zeros((1, robot.n - 1)))
+        miss = target_in_robot_frame(checker.scenario) - tip.position_m[0]
+        if not np.linalg.norm(miss) > CLOSE_M:
+            return path
+        delta = delta + _newton_step(checker, path[-1], miss, tip.tangent[0], np.ones(len(delta), bool))
+    return None
+
+
 def arrival_error(certificate: Certificate) -> float:
     """[m] of the arrival; inf where a history found no equilibrium."""
     return certificate.arrival.error_m if certificate.arrival else np.inf
@@ -229,7 +264,8 @@ def _corrected_ways(
     scenario, deltas = checker.scenario, list[Array]()
     is_interval, is_rotation = bool(friction_variants(scenario.robot)), checker.space.drive.is_rotation
     for place in places:
-        delta = _correction(checker, place, _aim(scenario, certificate), starts, np.zeros(corners.shape[1]))
+        ends_m = certificate.goal_predicted_tip_m if certificate.arrival else None
+        delta = _correction(checker, place, _aim(scenario, certificate), starts, np.zeros(corners.shape[1]), ends_m)
         for _ in range(REFINED if is_interval else 0):
             aim = target_in_robot_frame(scenario) - beside_nominal(scenario, place.path(is_rotation, delta), starts)
             delta = _correction(checker, place, aim, starts, delta)
@@ -253,14 +289,9 @@ class _Place:
         """The path whose end is changed by delta (m,)."""
         if not self.of_its_own:
             return corrected(self.corners, self.legs, is_rotation, delta)
-        end = self.corners[-1]
-        added = [end + np.where(is_rotation, delta, 0.0), end + delta]
-        return np.vstack(
-            [
-                self.corners,
-                *(row for row, kind in zip(added, (is_rotation, ~is_rotation), strict=True) if delta[kind].any()),
-            ]
-        )
+        end, kinds = self.corners[-1], (is_rotation, ~is_rotation)
+        added = zip((end + np.where(is_rotation, delta, 0.0), end + delta), kinds, strict=True)
+        return np.vstack([self.corners, *(row for row, kind in added if delta[kind].any())])
 
     def unchanged(self, is_rotation: NDArray[np.bool_]) -> int:
         """Index of the last corner before any change."""
@@ -277,32 +308,49 @@ def _aim(scenario: Scenario, certificate: Certificate) -> Array:
 
 
 def _correction(
-    checker: MotionChecker, place: _Place, aim: Array, starts: Sequence[FrictionStart], delta: Array
+    checker: MotionChecker,
+    place: _Place,
+    aim: Array,
+    starts: Sequence[FrictionStart],
+    delta: Array,
+    ends_m: Array | None = None,
 ) -> Array:
     """(m,) change of joints whose simulated path ends nearest to the aim: damped Newton steps from delta (m,).
 
-    Only what follows the first changed corner is simulated again.
+    Only what follows the first changed corner is simulated again, and not the path with delta whose end `ends_m` (3,)
+    is known, nor the one after a step that is so small that steps shrinking as before end on the aim.
     """
     robot, is_rotation = checker.scenario.robot, checker.space.drive.is_rotation
-    unchanged = place.unchanged(is_rotation)
-    _, states = predict_end(robot, place.corners[: unchanged + 1], starts)
-    best = (np.inf, delta)
-    for _ in range(ITERATIONS if states else 0):
-        path = place.path(is_rotation, delta)
+    unchanged, states = place.unchanged(is_rotation), list[HistoryState]()
+    best, before = (np.inf, delta), np.inf
+    for k in range(ITERATIONS):
+        path, tangent = place.path(is_rotation, delta), None
         if not checker.space.allowed(path):
             break
-        prediction = predict_from(robot, states, path[unchanged:])
-        miss = aim - prediction.end_middle_m
+        if k or ends_m is None or checker.scenario.goal.direction is not None:
+            if not states and not (states := predict_end(robot, place.corners[: unchanged + 1], starts)[1]):
+                break
+            prediction = predict_from(robot, states, path[unchanged:])
+            miss, tangent = aim - prediction.end_middle_m, prediction.tangent[:, -1].mean(axis=0)
+        else:
+            miss = aim - ends_m
         distance = float(np.linalg.norm(miss))
         if distance < best[0]:
             best = (distance, delta)
         if not CLOSE_M / 2 < distance < np.inf:
             break
         movable = ~is_rotation if place.slides_alone else np.ones(len(delta), bool)
-        step = _newton_step(checker, path[-1], miss, prediction.tangent[:, -1].mean(axis=0), movable)
+        step = _newton_step(checker, path[-1], miss, tangent, movable)
         if not step.any():
             break
         delta = delta + step
+        if (
+            np.isfinite(before)
+            and distance**2 / before < CLOSE_M / 2
+            and checker.space.allowed(place.path(is_rotation, delta))
+        ):
+            return delta
+        before = distance
     return best[1]
 
 

@@ -18,6 +18,7 @@ from ctrplan.base.long_work import Progress, part_of
 from ctrplan.certificate.arrival import FORGOTTEN
 from ctrplan.certificate.certificate import Certificate, Settling
 from ctrplan.certificate.certify import GoalTest, certify, frictionless_arrives
+from ctrplan.certificate.uneven_friction import NEAR_LIMIT_M
 from ctrplan.drive.drive import Drive
 from ctrplan.drive.legs import merge_legs
 from ctrplan.mechanics.history import OSCILLATION_DEG
@@ -73,7 +74,9 @@ def erase(
         if not after.friction_spread[-1].max() < FORGOTTEN:
             continue
         longer = merge_legs(np.concatenate([corners, ending]))
-        checked = certify(scenario, longer, goal_test=goal_test, starts=starts, restart=False, progress=progress)
+        checked = certify(
+            scenario, longer, goal_test=goal_test, starts=starts, restart=False, spare_m=NEAR_LIMIT_M, progress=progress
+        )
         if checked.valid and checked.arrival and checked.arrival.by_cause.past_m < before.by_cause.past_m:
             was, now = (x.by_cause.past_m * MM_PER_M for x in (before, checked.arrival))
             erased = f"from {was:.2f} to {now:.2f} mm, for {price_mm:.0f} mm of cost"

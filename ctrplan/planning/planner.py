@@ -23,12 +23,13 @@ from ctrplan.certificate.closest import failure_with_place
 from ctrplan.certificate.friction_cube import refuse_many_tubes
 from ctrplan.certificate.other_equilibria import other_start
 from ctrplan.certificate.problems import with_shares
+from ctrplan.certificate.uneven_friction import NEAR_LIMIT_M
 from ctrplan.certificate.walked_legs import WalkedLegs, walk_legs
 from ctrplan.drive.legs import merge_legs
 from ctrplan.errors import NoAnswerError
 from ctrplan.motion.checker import MotionChecker
 from ctrplan.planning.compensate import compensate, shifted_start
-from ctrplan.planning.endings import Settled, erase, settle
+from ctrplan.planning.endings import Settled, erase, settle, settled_again
 from ctrplan.planning.goal_states import follow_line, goal_states, is_at_goal, line_beginnings, nearest_turn, turn_notes
 from ctrplan.planning.reordering import Reordered, as_given, assemble
 from ctrplan.planning.room import refuse_blocked_fixtures, refuse_impossible_margins, start_room, start_trouble
@@ -101,7 +102,9 @@ def plan(
     laps.end("preparation")
     with interrupt_event(interrupted) as interrupted, ThreadPoolExecutor(1) as beside:
         approaches = cache(partial(beside.submit, other_start, scenario, scenario.start))
-        asked = _PlanRequest(seed, began, budget, budget, time_s is not None, report, interrupted, approaches)
+        asked = _PlanRequest(
+            seed, began, budget, budget, time_s is not None, report, interrupted, approaches, compensated
+        )
         first, stages, ended_by = _anytime_stages(scenario, asked)
         spent_ns = [meter.spent_ns for meter in asked.meters]  # corrections at the end are no search
         laps.end("search")
@@ -147,6 +150,7 @@ class _PlanRequest:
     report: Report
     interrupted: threading.Event
     approaches: Callable[[], Future[str]]  # to the start, begun when first asked for
+    compensated: bool = True
     before: float = 0.0  # s, of `whole`, spent on other searches
     meters: list[WorkMeter] = field(default_factory=list)  # of all searches
 
@@ -218,6 +222,7 @@ def _stages(
             clock = SearchClock(checker.meter, asked.timed)
             search = StageSearch(checker, goals, asked.seed, asked.began, share, clock, asked.report, asked.interrupted)
             search.refuse_start, search.moves_goal = refuse_start, not begins_line
+            search.is_compensated = asked.compensated
             search.before, search.whole = asked.before + spent, asked.whole
             stages.append(run(search))
             spent += clock.now()
@@ -303,7 +308,9 @@ def _finish(scenario: Scenario, stages: Stages, compensated: bool, report: Repor
             corners = shifted_start(corners, is_rotation, shift, keeps_end=stage.goal.tip_m is None)
             stage = replace(stage, start=corners[0])
         if is_moved or starts:
-            certificate = certify(stage, corners, goal_test=goal_test, starts=starts, restart=False)
+            certificate = certify(
+                stage, corners, goal_test=goal_test, starts=starts, restart=False, spare_m=NEAR_LIMIT_M
+            )
         else:
             certificate = best.certificate
         checker = MotionChecker(stage)
@@ -313,6 +320,10 @@ def _finish(scenario: Scenario, stages: Stages, compensated: bool, report: Repor
         if compensated and stage.goal.tip_m is not None and stage.goal.joints is None:
             result = compensate(checker, corners, certificate, starts=starts, progress=told)
             corners, certificate, change = result.corners, result.certificate, result.compensation
+        if np.isfinite(certificate.spare_m):  # nothing was corrected: what is driven is asked for all its clearance
+            settling = certificate.settling
+            certificate = certify(stage, corners, goal_test=goal_test, starts=starts, restart=False, progress=told)
+            certificate = replace(certificate, settling=settling and settled_again(settling, certificate, 0))
         if compensated and (not certificate.valid or is_moved and not _arrives(stage, certificate)):
             return replace(
                 _finish(scenario, stages, False, report),

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -75,7 +76,12 @@ def alternative(checker: MotionChecker, name: str, corners: Array) -> ComparedWa
 
 def _by_name(scenario: Scenario, motion: Motion) -> dict[str, float]:
     """What the scenario's own terms cost on a motion; nothing where it is not valid."""
-    return {term.name: cost for term, cost in zip(scenario.terms, motion.terms_mm, strict=False)}
+    return _by_terms(scenario, motion.terms_mm)
+
+
+def _by_terms(scenario: Scenario, terms_mm: Sequence[float]) -> dict[str, float]:
+    """Costs [mm] of the scenario's own terms, in their order, by their names."""
+    return {term.name: cost for term, cost in zip(scenario.terms, terms_mm, strict=False)}
 
 
 def changes(checker: MotionChecker, before: Array, after: Array) -> tuple[str, ...]:
@@ -135,13 +141,13 @@ def least_error_order(checker: MotionChecker, corners: Array) -> Reordered:
     if not np.array_equal(given.after, corners):
         ways.append(given.after)
     others = [way for base in tuple(ways) for way in with_translation_last(checker, base)]
-    motions = [checker.along(way) for way in others]
+    motions = [checker.along(way, remembers=True) for way in others]
     ranked = [k for k in np.argsort([_way_cost(checker, motion) for motion in motions]) if motions[k].valid]
     ways += [others[k] for k in ranked[:MOST_SIMULATED]]
     if len(ways) == 1:
         return given
     errors = np.array([goal_error(robot, way, starts) for way in ways])
-    motions = [before, *(checker.along(way) for way in ways[1:])]
+    motions = [before, *(checker.along(way, remembers=True) for way in ways[1:])]
     costs = np.array([_way_cost(checker, motion) for motion in motions])
     open_to = (costs <= costs[0] + 1e-9) & np.isfinite(errors)
     if not open_to.any():
@@ -153,7 +159,7 @@ def least_error_order(checker: MotionChecker, corners: Array) -> Reordered:
 
 def as_given(checker: MotionChecker, corners: Array) -> Reordered:
     """A path (K, m) left as it is."""
-    motion = checker.along(corners)
+    motion = checker.along(corners, remembers=True)
     return Reordered(corners, corners, motion, motion, _style(checker, corners))
 
 
@@ -164,7 +170,7 @@ def rotations_first(checker: MotionChecker, corners: Array) -> Reordered:
     LONGEST_SKIP apart: the given path is among the candidates, so that the cost cannot rise. Motions count their length
     and stops, which is never too dear, and are walked only where they may be on it.
     """
-    before = checker.along(corners)
+    before = checker.along(corners, remembers=True)
     given = Reordered(corners, corners, before, before, _style(checker, corners))
     steps = [
         _Step(i, j, piece, _lower_bound_mm(checker, piece))
@@ -180,11 +186,11 @@ def rotations_first(checker: MotionChecker, corners: Array) -> Reordered:
         if not unknown:
             break
         for step in unknown:
-            motion = checker.along(step.piece)
+            motion = checker.along(step.piece, remembers=True)
             step.cost_mm = checker.cost_mm(motion, ends_at_goal=False) if motion.valid else np.inf
             step.known = True
     after = merge_legs(np.concatenate([corners[:1], *(step.piece[1:] for step in chosen)]))
-    motion = checker.along(after)
+    motion = checker.along(after, remembers=True)
     if not motion.valid or _way_cost(checker, motion) > _way_cost(checker, before) + 1e-9:
         return given
     return Reordered(corners, after, before, motion, _style(checker, after))
@@ -367,8 +373,16 @@ def _compared(scenario: Scenario, stage: Reordered, driven: Array, certificate: 
     return {
         "changes": changes(checker, stage.before, stage.after),
         "alternatives": tuple(
-            replace(other, problem=next(iter(certificate.problems), "")) if other.name == "as driven" else other
-            for other in (alternative(checker, name, way) for name, way in ways.items())
+            ComparedWay(
+                "as driven",
+                certificate.goal_predicted_m,
+                float(checker.space.lengths_mm(np.diff(driven, axis=0)).sum()),
+                next(iter(certificate.problems), ""),
+                _by_terms(scenario, checker.terms_mm(driven)),
+            )
+            if name == "as driven"
+            else alternative(checker, name, way)
+            for name, way in ways.items()
         ),
     }
 

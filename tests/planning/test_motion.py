@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from places import SCENARIOS
 
 from ctrplan.errors import InputError
 from ctrplan.files.scenario_file import load_scenario
+from ctrplan.mechanics.walk import KnownLegs, PathLimits, PathSamples
 from ctrplan.motion.checker import DOUBTFUL_M, MotionChecker
 from ctrplan.planning.goal_states import goal_states
 
@@ -76,3 +78,44 @@ def test_a_checker_is_pickled_as_what_it_was_made_of() -> None:
     again = pickle.loads(pickle.dumps(checker))
     assert (again.style, again.reserve_m, again.limits) == (checker.style, checker.reserve_m, checker.limits)
     assert again.state(checker.scenario.start) == checker.state(checker.scenario.start)
+
+
+def test_walks_that_remember_legs_are_walks_of_the_whole() -> None:
+    """Also where a leg breaks a limit; and a path that was walked costs nothing again."""
+    scenario = load_scenario(SCENARIOS / "vessel.toml")
+    whole, by_legs = MotionChecker(scenario), MotionChecker(scenario)
+    goals = goal_states(whole, np.random.default_rng(0))
+    ways = [whole.space.corners(scenario.start, goal.joints, whole.style) for goal in goals]
+    ends = next(way for way in ways if whole.along(way).valid)
+    rng, verdicts = np.random.default_rng(1), list[bool]()
+    for size in (0.0, 0.01, 0.02, 0.05, 0.5, 1.0):
+        inner = ends[:-1] + rng.normal(size=(len(ends) - 1, ends.shape[1])) * size * (ends[-1] - ends[0])
+        path = np.concatenate([ends[:1], inner[1:], ends[-1:], inner[1:]])
+        expected, walked = whole.along(path), by_legs.along(path, remembers=True)
+        verdicts.append(expected.valid)
+        assert walked.valid == expected.valid and walked.reason == expected.reason
+        if expected.valid:
+            figures = [(x.length_mm, x.error_integral_mm, x.end_bound_m, x.end_error_m) for x in (walked, expected)]
+            np.testing.assert_allclose(*figures, rtol=1e-6, atol=1e-9)
+            before = by_legs.meter.spent_ns
+            by_legs.along(path, remembers=True)
+            assert by_legs.meter.spent_ns == before
+    assert {True, False} == set(verdicts)
+
+
+def test_a_leg_that_begins_at_another_equilibrium_is_walked_with_the_one_before() -> None:
+    """A walk that leads into another shape than the one solved afresh at its end is no walk of its legs."""
+    samples = MotionChecker(load_scenario(SCENARIOS / "airway.toml"))
+    corners = samples.scenario.start + np.linspace(0, 0.05, 4)[:, None] * samples.space.drive.is_rotation
+    calls = list[int]()
+
+    def walk(rows: np.ndarray) -> PathSamples:
+        """Shapes of a walk that begins at any corner but the first are 1 mm off."""
+        calls.append(len(rows))
+        result = samples.walk(rows, samples.density, PathLimits())
+        return result if np.array_equal(rows[0], corners[0]) else replace(result, tip_m=result.tip_m + 1e-3)
+
+    legs = KnownLegs(walk, lambda _: False)
+    legs.along(corners[:2])
+    np.testing.assert_array_equal(legs.along(corners).tip_m, walk(corners).tip_m)
+    assert calls == [2, 3, 4, 4]

@@ -78,7 +78,7 @@ class Polish:
             at_random = not at_random
 
     def _cost_mm(self, corners: Array) -> float:
-        motion = self.checker.along(corners)
+        motion = self.checker.along(corners, remembers=True)
         return self.checker.cost_mm(motion, ends_at_goal=True) if motion.valid else np.inf
 
     def _takes(self, corners: Array) -> bool:

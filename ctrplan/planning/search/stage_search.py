@@ -21,6 +21,7 @@ from ctrplan.certificate.walked_legs import WalkedLegs, walk_legs
 from ctrplan.drive.legs import merge_legs
 from ctrplan.errors import NoAnswerError
 from ctrplan.motion.checker import MotionChecker
+from ctrplan.planning.compensate import aimed, brought_to_goal
 from ctrplan.planning.goal_states import descended, distinct
 from ctrplan.planning.reordering import Reordered, as_given, least_error_order
 from ctrplan.planning.search.insertion_chains import direct_roadmap, promising, retreat_roadmap
@@ -75,8 +76,8 @@ class Candidate:
 
     @cached_property
     def certificate(self) -> Certificate:
-        """With all that is left of clearance, and histories simulated: asked of what is driven in the end."""
-        return finished(self.walk, progress=self.progress)
+        """With histories simulated, and of clearance as much as the walk asked for: corrections may follow."""
+        return finished(self.walk)
 
 
 Report = Callable[[Progress], None]
@@ -104,6 +105,7 @@ class StageSearch:
     best: Candidate | None = None
     certified: list[Candidate] = field(default_factory=list)
     moves_goal: bool = True  # whether polish may leave the goal states, for others that reach the target
+    is_compensated: bool = False  # whether what is found is moved, so that the tip with friction arrives
     has_chains: bool = False  # whether the roadmap has those that withdraw from the goals
 
     def run_to_first(self) -> tuple[Candidate, Candidate]:
@@ -128,22 +130,26 @@ class StageSearch:
         return self._answer()
 
     def _polish(self) -> None:
-        """Improves the best path from where it is; certified again, or else half of the way there."""
-        until = self.clock.now() + POLISH_SHARE * self.budget
-        if self.clock.timed:
-            until = min(until, self.budget)
+        """Improves the best path as it will be driven; certified again, or else half of the way there."""
         if self.best is None or self._is_enough():
             return
         before = self.best
-        work = Polish(before.checker, before.result.after, self.seed, moves_goal=self.moves_goal)
+        checker, corners = before.checker, before.result.after
+        if self.is_compensated:
+            checker, corners = aimed(checker, corners)
+        until = self.clock.now() + POLISH_SHARE * self.budget
+        if self.clock.timed:
+            until = min(until, self.budget)
+        work = Polish(checker, corners, self.seed, moves_goal=self.moves_goal)
         with self._ending(until):
             work.run(lambda: self._is_over(until))
-        if np.array_equal(work.corners, before.result.after):
+        if np.array_equal(work.corners, corners):
             return
-        if self._tidied(before.checker, work.corners, before.found_by) and len(work.corners) == len(
-            before.result.after
-        ):
-            self._tidied(before.checker, (work.corners + before.result.after) / 2, before.found_by)
+        polished = work.corners if checker is before.checker else brought_to_goal(before.checker, work.corners)
+        if polished is None:
+            return
+        if self._tidied(before.checker, polished, before.found_by) and len(polished) == len(before.result.after):
+            self._tidied(before.checker, (polished + before.result.after) / 2, before.found_by)
 
     def _without_reserve(self) -> None:
         """No path keeps more clearance than the certificate asks for: what keeps no more is looked for."""
