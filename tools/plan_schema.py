@@ -15,7 +15,7 @@ from typing import Any
 from ctrplan.certificate.certificate import FIGURES, Certificate, Figure
 
 SCHEMA = Path(__file__).resolve().parents[1] / "docs" / "plan.schema.json"
-ELSEWHERE = ("settling", "end_states", "walk_again")  # fields that are no keys of "certificate"
+ELSEWHERE = ("settling", "end_states", "spare_m", "walk_again")  # fields that are no keys of "certificate"
 WIDTH = 120
 
 

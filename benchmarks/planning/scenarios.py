@@ -3,15 +3,18 @@
     python benchmarks/run.py --write scenarios plans [SCENARIO ...] [--seed N]     # the table of docs/results.md
     python benchmarks/run.py scenarios choice
     python benchmarks/run.py scenarios costs [SCENARIO ...] [--time 1] [--seeds 5] [--against CHECKOUT]
+    python benchmarks/run.py scenarios success [SCENARIO ...] [--time 1] [--seeds 20]
 
 costs: what plans of a search of so many seconds cost, how many seeds have one, and what all of it takes of a processor;
 with --against, in alternation with another checkout.
+success: how many seeds have a plan after a search of so many counted seconds, which ends with its first certified path.
 choice: how much choice the scenarios' goals leave: goal configurations, their bounds, and the ratio between them.
 """
 
 import os
 import subprocess
 import sys
+import threading
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -26,6 +29,7 @@ from ctrplan.files.scenario_file import load_scenario
 from ctrplan.motion.checker import MotionChecker
 from ctrplan.planning import Plan
 from ctrplan.planning.goal_states import goal_states
+from ctrplan.planning.search.stage_search import Progress
 from ctrplan.scenario.scenario import Cost, path_cost_mm
 
 BLIND = ["cost.error_along=0", "cost.error_goal=0"]
@@ -140,13 +144,36 @@ def costs(paths: list[Path], time_s: float, seeds: int, against: Path | None) ->
 COST_COLUMNS = ("planned", "cost", "bound at the goal", "processor")
 
 
+def success(paths: list[Path], time_s: float, seeds: int) -> None:
+    """A row for each scenario; searches end by their count alone, so that a busy machine has the same rows."""
+    rows = list[tuple[str, ...]]()
+    for path in paths:
+        scenario, took, planned = ctrplan.load_scenario(path, [f"planner.time_s={time_s}"]), list[float](), 0
+        for seed in range(seeds):
+            has_path, began = threading.Event(), time.process_time()
+
+            def told(progress: Progress, has_path: threading.Event = has_path) -> None:
+                if progress.stage == "search" and progress.best_cost_mm is not None:
+                    has_path.set()
+
+            try:
+                planned += ctrplan.plan(scenario, seed=seed, progress=told, interrupted=has_path).certificate.valid
+            except ctrplan.CtrplanError as error:
+                print(path.stem, seed, error, file=sys.stderr, flush=True)
+            took.append(time.process_time() - began)
+        rows.append((path.stem, f"{planned} of {seeds}", f"{np.median(took):.1f} s", f"{max(took):.1f} s"))
+        print(*rows[-1], sep=", ", file=sys.stderr, flush=True)
+    heads = ("scenario", f"planned in {time_s:g} s", "median time of a processor", "longest")
+    table("success", heads, rows)
+
+
 def main() -> None:
     if "--once" in sys.argv:
         path, seed, time_s = sys.argv[sys.argv.index("--once") + 1 :][:3]
         print(*plan_once(Path(path), int(seed), float(time_s)))
         return
     parser = common.parser(__doc__)
-    parser.add_argument("section", choices=["plans", "choice", "costs"])
+    parser.add_argument("section", choices=["plans", "choice", "costs", "success"])
     parser.add_argument("scenarios", nargs="*")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--seeds", type=int, default=5)
@@ -159,5 +186,7 @@ def main() -> None:
         plans(paths, given.seed)
     elif given.section == "costs":
         costs(paths, given.time, given.seeds, given.against)
+    elif given.section == "success":
+        success(paths, given.time, given.seeds)
     else:
         print_choice(paths)

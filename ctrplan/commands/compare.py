@@ -185,11 +185,12 @@ def compared_html(first: WrittenPlan, second: WrittenPlan, names: tuple[str, str
     code = "".join(map(script, ("fit_camera.js", "scene_key.js", "player.js"))) + START.replace(
         "MOTION", json.dumps(motion)
     )
+    scene, frames = _scene(plans, paths, steps)
     return rendered(
         "compare.html",
         title="Two plans - ctrplan",
         names=[plan.scenario.name for plan in plans],
-        scene=plot(_scene(plans, paths, steps), "scene", with_library=True, script=code, kind="plot scene"),
+        scene=plot(scene, "scene", frames=frames, with_library=True, script=code, kind="plot scene"),
         last=FRAMES - 1,
         now=[(letter, SERIES[k], said[f"now_{letter}"][0]) for k, letter in enumerate(LETTERS)],
         heads=_heads(first, second, names),
@@ -209,13 +210,20 @@ if (document.readyState === 'loading') document.addEventListener('DOMContentLoad
 """
 
 
-def _scene(plans: tuple[WrittenPlan, WrittenPlan], paths: list[list[RobotPose]], steps: list[str]) -> Any:
-    """Both robots, each in its colour, with their envelopes, goals and anatomies; a frame for each of `steps`."""
+def _scene(plans: tuple[WrittenPlan, WrittenPlan], paths: list[list[RobotPose]], steps: list[str]) -> tuple[Any, Any]:
+    """Both robots, each in its colour, with their envelopes, goals and anatomies; and a frame for each of `steps`."""
     import numpy as np
-    import plotly.graph_objects as go
 
     from ctrplan.reports.looks import GOAL, PLATE, SERIES, view_box
-    from ctrplan.reports.plan_scene import anatomy_traces, lay_out, mesh_trace, moved_traces, robot_traces, xyz
+    from ctrplan.reports.plan_scene import (
+        anatomy_traces,
+        laid_out,
+        line_trace,
+        mesh_trace,
+        moved_traces,
+        robot_traces,
+        xyz,
+    )
     from ctrplan.reports.robot_surface import anatomy_surface, stand
 
     moving, still, counts = list[Any](), list[Any](), list[int]()
@@ -238,23 +246,22 @@ def _scene(plans: tuple[WrittenPlan, WrittenPlan], paths: list[list[RobotPose]],
     for name, colour, goal in named:
         if goal is not None:
             marker = {"symbol": "diamond", "size": 6, "color": colour}
-            still.append(go.Scatter3d(**xyz(goal[None]), mode="markers", marker=marker, name=name))
+            still.append(line_trace(xyz(goal[None]), mode="markers", marker=marker, name=name))
     surfaces = [anatomy_surface(part) for part in scenarios[0].anatomy]
     still += anatomy_traces(scenarios[0], surfaces)
-    figure = go.Figure([*moving, *still])
-    figure.frames = [
-        go.Frame(
-            data=[trace for path, count in zip(paths, counts, strict=True) for trace in moved_traces(path[k])[:count]],
-            traces=list(range(len(moving))),
-            name=step,
-        )
-        for k, step in enumerate(steps)
-    ]
     points = np.concatenate([pose.envelope.surface(4).vertices_m for path in paths for pose in path])
     solid = np.concatenate([np.empty((0, 3)), *(surface.vertices_m for surface in surfaces)])
     base_m = scenarios[0].base_position_m
-    lay_out(figure, *view_box(points, solid), points, scenarios[0].frame, base_m=base_m)
-    return figure
+    figure = laid_out([*moving, *still], *view_box(points, solid), points, scenarios[0].frame, base_m=base_m)
+    frames = [
+        {
+            "data": [t for path, count in zip(paths, counts, strict=True) for t in moved_traces(path[k])[:count]],
+            "traces": list(range(len(moving))),
+            "name": step,
+        }
+        for k, step in enumerate(steps)
+    ]
+    return figure, frames
 
 
 def _curves(plans: tuple[WrittenPlan, WrittenPlan]) -> Any:

@@ -116,7 +116,7 @@ def _joint_values(q: Array, drive: Drive) -> dict[str, dict[str, float]]:
 def _certificate(plan: PlannedMotion) -> dict[str, Any]:
     """The summary, and the samples as columns of equal length."""
     certificate = plan.certificate
-    left_out = ("samples", "settling", "end_states", "walk_again")
+    left_out = ("samples", "settling", "end_states", "spare_m", "walk_again")
     names = [entry.name for entry in fields(certificate) if entry.name not in left_out]
     columns = {entry.name: getattr(certificate.samples, entry.name) for entry in fields(certificate.samples)}
     summary = {name: getattr(certificate, name) for name in names}

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import html
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-import plotly.graph_objects as go
 from numpy.typing import NDArray
-from plotly.subplots import make_subplots
 
 from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.drive.drive import UNITS, Kind
@@ -219,75 +217,76 @@ STROKES = {"solid": "\u2501\u2501", "dotted": "\u2509\u2509"}
 NAMES_A_LINE = 3  # of curves in a heading: as many as a phone has room for
 
 
-def stacked_figure(panels: Sequence[Panel], timeline: Timeline) -> go.Figure:
-    """Panels with their headings, limits and marks; the legs are shaded by their kind."""
+AXIS_TEXT = {"standoff": 10}  # pixels between an axis's numbers and its title
+
+
+def stacked_figure(panels: Sequence[Panel], timeline: Timeline) -> dict[str, Any]:
+    """Panels with their headings, limits and marks as a plain object of plotly.js; legs are shaded by their kind."""
     count = len(panels)
-    figure = make_subplots(rows=count, cols=1, shared_xaxes=True, vertical_spacing=HEADING / (ROW_HEIGHT * count))
+    gap = HEADING / (ROW_HEIGHT * count)
+    height = (1 - gap * (count - 1)) / count
+    layout: dict[str, Any] = {
+        "height": ROW_HEIGHT * count + 110,
+        "margin": {"l": 70, "r": 20, "t": 76, "b": 50},
+        "showlegend": False,
+        "shapes": [_cursor(0.0), *(_shade(shade, row) for row in range(1, count + 1) for shade in timeline.shades)],
+        "annotations": [],
+        "hovermode": "x unified",
+        "plot_bgcolor": "rgba(0,0,0,0)",
+        "font": FIGURE_TEXT,
+        "uirevision": "stays",
+    }
+    traces = list[dict[str, Any]]()
     for row, panel in enumerate(panels, start=1):
-        _add_panel(figure, row, panel, timeline)
-    shades = (_shade(shade, row) for row in range(1, count + 1) for shade in timeline.shades)
-    figure.update_layout(
-        height=ROW_HEIGHT * count + 110,
-        margin={"l": 70, "r": 20, "t": 76, "b": 50},
-        showlegend=False,
-        shapes=[_cursor(0.0), *shades],
-        hovermode="x unified",
-        plot_bgcolor="rgba(0,0,0,0)",
-        font=FIGURE_TEXT,
-        uirevision="stays",
-    )
-    figure.update_xaxes(range=[0, timeline.end_s], showgrid=False)
-    figure.update_xaxes(title_text="time (s)", ticks="outside", row=count, col=1)
-    return figure
+        number, top = "" if row == 1 else str(row), 1 - (row - 1) * (height + gap)
+        x_axis = {"anchor": f"y{number}", "range": [0, timeline.end_s], "showgrid": False, "zeroline": False}
+        if row > 1:
+            x_axis["matches"] = "x"
+        is_last: dict[str, Any] = (
+            {"title": {"text": "time (s)", **AXIS_TEXT}, "ticks": "outside"} if row == count else {}
+        )
+        layout[f"xaxis{number}"] = x_axis | (is_last or {"showticklabels": False})
+        rule = {"rangemode": "tozero"} if panel.from_zero else {}
+        y_axis = {"anchor": f"x{number}", "domain": [max(top - height, 0.0), top], "gridcolor": looks.GRID}
+        named = {"title": {"text": panel.unit, **AXIS_TEXT}, "zeroline": False, "automargin": True}
+        layout[f"yaxis{number}"] = y_axis | named | rule
+        layout["annotations"].append(_heading(panel, top))
+        traces += [trace | {"xaxis": f"x{number}", "yaxis": f"y{number}"} for trace in _curves(panel, timeline)]
+    return {"data": traces, "layout": layout}
 
 
-def _add_panel(figure: go.Figure, row: int, panel: Panel, timeline: Timeline) -> None:
-    place = {"row": row, "col": 1}
+def _curves(panel: Panel, timeline: Timeline) -> Iterator[dict[str, Any]]:
+    """The curves, limits and marks of a panel."""
+    quiet = {"type": "scatter", "hoverinfo": "skip", "showlegend": False}
     for series in panel.series:
-        figure.add_trace(_curve(series, panel.unit), **place)
+        yield {
+            "type": "scatter",
+            "x": series.time_s.astype(np.float32),
+            "y": series.values.astype(np.float32),
+            "name": html.escape(series.name),
+            "mode": "lines",
+            "line": {"color": series.colour, "width": 2, "dash": DASHES[series.dash]},
+            "hovertemplate": f"%{{y:.3g}} {panel.unit}",
+        }
     for limit in panel.limits:
         line = {"color": limit.colour, "width": 1.2, "dash": "dash"}
-        ends = {"x": [0, timeline.end_s], "y": [limit.value, limit.value]}
-        figure.add_scatter(**ends, mode="lines", line=line, hoverinfo="skip", showlegend=False, **place)
+        yield quiet | {"x": [0, timeline.end_s], "y": [limit.value] * 2, "mode": "lines", "line": line}
     for mark in panel.marks:
-        if mark.has_point:
-            _add_point(figure, timeline.duration_s, mark.value, mark.colour, place)
-    rule = {"rangemode": "tozero"} if panel.from_zero else {}
-    figure.update_yaxes(title_text=panel.unit, gridcolor=looks.GRID, zeroline=False, **place, **rule)
-    _add_heading(figure, row, panel)
+        if mark.has_point:  # at the end of a curve, whole although it stands on the axis's edge
+            point = {"mode": "markers", "marker": {"color": mark.colour, "size": 9}, "cliponaxis": False}
+            yield quiet | {"x": [timeline.duration_s], "y": [mark.value]} | point
 
 
-def _curve(series: Series, unit: str) -> Any:
-    return go.Scatter(
-        x=series.time_s.astype(np.float32),
-        y=series.values.astype(np.float32),
-        name=html.escape(series.name),
-        mode="lines",
-        line={"color": series.colour, "width": 2, "dash": DASHES[series.dash]},
-        hovertemplate=f"%{{y:.3g}} {unit}",
-    )
-
-
-def _add_point(figure: go.Figure, time_s: float, value: float, colour: str, place: dict[str, int]) -> None:
-    """At the end of a curve, whole although it stands on the axis's edge."""
-    marker = {"color": colour, "size": 9}
-    drawn = {"mode": "markers", "marker": marker, "cliponaxis": False, "hoverinfo": "skip", "showlegend": False}
-    figure.add_scatter(x=[time_s], y=[value], **drawn, **place)
-
-
-def _add_heading(figure: go.Figure, row: int, panel: Panel) -> None:
+def _heading(panel: Panel, top: float) -> dict[str, Any]:
     """Title at the left above a panel; under it the names of its curves in their colours, if there are several."""
-    top = figure.layout["yaxis" if row == 1 else f"yaxis{row}"].domain[1]
     names = [
         f'<span style="color:{series.colour}">{STROKES[series.dash]} {html.escape(series.name)}</span>'
         for series in panel.series
     ]
     lines = ["\u2002".join(names[k : k + NAMES_A_LINE]) for k in range(0, len(names), NAMES_A_LINE)]
     text = "<br>".join([f"<b>{html.escape(panel.heading)}</b>", *(lines if len(names) > 1 else [])])
-    figure.add_annotation(
-        text=text, x=0, y=top, xref="paper", yref="paper", xanchor="left", yanchor="bottom", align="left",
-        showarrow=False, yshift=4,
-    )  # fmt: skip
+    place = {"x": 0, "y": top, "xref": "paper", "yref": "paper", "xanchor": "left", "yanchor": "bottom"}
+    return {"text": text, **place, "align": "left", "showarrow": False, "yshift": 4}
 
 
 def _shade(shade: Shade, row: int) -> dict[str, Any]:

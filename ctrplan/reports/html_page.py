@@ -121,26 +121,30 @@ def plot(
 ) -> Markup:
     """A plotly figure in an element called `name`; the first one on a page brings plotly.js with it.
 
-    `frames` are those of a moving figure, plain objects with arrays. `script` runs once the figure stands. A figure
-    without a height fills that of `kind`, a class of the style. Texts of the figure must be escaped by whoever made it.
+    The figure is plotly's or a plain object of data and layout. `frames` are those of a moving figure, plain objects
+    with arrays. `script` runs once the figure stands. A figure without a height fills that of `kind`, a class of the
+    style. Texts of the figure must be escaped by whoever made it.
     """
-    buttons = BUTTONS_3D if "scene" in figure.layout else BUTTONS_2D
+    layout = figure["layout"]
+    buttons = BUTTONS_3D if "scene" in layout else BUTTONS_2D
     config = json.dumps({"displaylogo": False, "responsive": True, "modeBarButtons": [list(buttons)]})
-    height = f"{figure.layout.height}px" if figure.layout.height else "100%"
+    height = f"{layout['height']}px" if "height" in layout and layout["height"] else "100%"
     place = f'<div id="{name}" class="plotly-graph-div" style="height:{height}; width:100%;"></div>'
-    call = f'drawn("{name}", "{packed(_json(figure, frames))}", {config}).then(() => {{{script or ""}\n}});'
+    call = f'drawn("{name}", "{packed(figure_json(figure, frames))}", {config}).then(() => {{{script or ""}\n}});'
     first = f"<script>{_library()}</script>" if with_library else ""
     return Markup(f'<div class="{kind}">{first}{place}<script>{call}</script></div>')
 
 
-def _json(figure: Any, frames: Sequence[dict[str, Any]]) -> str:
-    text: str = figure.to_json()
+def figure_json(figure: Any, frames: Sequence[dict[str, Any]] = ()) -> str:
+    """A figure, plotly's or a plain object, with the frames of its motion."""
+    text: str = json.dumps(figure, default=_typed_array) if isinstance(figure, dict) else figure.to_json()
     return f'{text[:-1]},"frames":{json.dumps(list(frames), default=_typed_array)}}}' if frames else text
 
 
-def _typed_array(values: NDArray[np.float32]) -> dict[str, str]:
+def _typed_array(values: NDArray[np.float32 | np.int32]) -> dict[str, str]:
     """Numbers of single precision as plotly.js reads them."""
-    return {"dtype": "f4", "bdata": base64.b64encode(values.astype("<f4").tobytes()).decode("ascii")}
+    kind = f"{values.dtype.kind}4"
+    return {"dtype": kind, "bdata": base64.b64encode(values.astype(f"<{kind}").tobytes()).decode("ascii")}
 
 
 def packed(text: str) -> str:

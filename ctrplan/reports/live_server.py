@@ -25,7 +25,7 @@ from urllib.parse import SplitResult, parse_qs, urlsplit
 
 from ctrplan.errors import CtrplanError, InputError
 from ctrplan.reports import looks
-from ctrplan.reports.html_page import FONT, KEY_STYLE, rendered, script
+from ctrplan.reports.html_page import FONT, KEY_STYLE, figure_json, rendered, script
 from ctrplan.reports.words import Markup, explained, term
 
 if TYPE_CHECKING:
@@ -107,7 +107,7 @@ def live_page(state: LiveState) -> str:
 def scene_script(state: LiveState) -> str:
     """JavaScript that holds the figure and the sliders."""
     return (
-        f"const FIGURE = {state.figure().to_json()};\nconst JOINTS = {json.dumps(state.sliders())};\n"
+        f"const FIGURE = {figure_json(state.figure())};\nconst JOINTS = {json.dumps(state.sliders())};\n"
         f"const MOTION = {json.dumps(state.played())};\n"
     )
 

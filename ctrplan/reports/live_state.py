@@ -30,7 +30,16 @@ from ctrplan.planning.reach import reach
 from ctrplan.plans.planned_motion import Played, joints_at
 from ctrplan.reports import looks as looks
 from ctrplan.reports.looks import view_box
-from ctrplan.reports.plan_scene import anatomy_traces, lay_out, mesh_trace, moved_traces, robot_traces, xyz
+from ctrplan.reports.plan_scene import (
+    Trace,
+    anatomy_traces,
+    laid_out,
+    line_trace,
+    mesh_trace,
+    moved_traces,
+    robot_traces,
+    xyz,
+)
 from ctrplan.reports.robot_surface import RobotPose, anatomy_surface, pose, stand
 from ctrplan.scenario.tip_solver import TipTarget
 
@@ -104,25 +113,20 @@ class LiveState:
         rows = [[round(value, 5) for value in self._shown(q)] for q in joints_at(self.motion, times)]
         return {"time_s": np.round(times, 3).tolist(), "joints": rows}
 
-    def figure(self) -> Any:
-        """The plotly figure at the start: the traces that move first, then plate and anatomy."""
-        import plotly.graph_objects as go
-
+    def figure(self) -> dict[str, Any]:
+        """The figure at the start, as a plain object: the traces that move first, then plate and anatomy."""
         scenario = self.scenario
         surfaces = [anatomy_surface(part) for part in scenario.anatomy]
         still = [mesh_trace(stand(scenario), looks.PLATE_LOOK.colour, 1.0, looks.PLATE_LOOK.name, shown=False)]
         anatomy = anatomy_traces(scenario, surfaces)
-        figure = go.Figure([*robot_traces(pose(scenario, scenario.start)), *still, *self._target(), *anatomy])
+        traces = [*robot_traces(pose(scenario, scenario.start)), *still, *self._target(), *anatomy]
         points_m = self._reach(surfaces)
         solid = np.concatenate([np.empty((0, 3)), *(surface.vertices_m for surface in surfaces)])
         shown_m, base_m = np.concatenate([points_m, stand(scenario).vertices_m]), scenario.base_position_m
-        lay_out(figure, *view_box(points_m, solid), shown_m, scenario.frame, base_m=base_m)
-        return figure
+        return laid_out(traces, *view_box(points_m, solid), shown_m, scenario.frame, base_m=base_m)
 
-    def _target(self) -> list[Any]:
+    def _target(self) -> list[Trace]:
         """The points that the scenario asks for, to be clicked on."""
-        import plotly.graph_objects as go
-
         goals = [goal for goal in self.scenario.targets if goal.tip_m is not None]
         traces = []
         for goal in goals:
@@ -133,7 +137,7 @@ class LiveState:
             marker = {"symbol": symbol, "size": 7, "color": looks.GOAL_LOOK.colour}
             hover = f"{name}: a click moves the tip here<extra></extra>"
             shown = {"mode": "markers", "marker": marker, "name": name, "hovertemplate": hover}
-            traces.append(go.Scatter3d(**xyz(np.array([goal.tip_m])), **shown, meta={"target": True}))
+            traces.append(line_trace(xyz(np.array([goal.tip_m])), **shown, meta={"target": True}))
         return traces
 
     def reaching(self, values: list[float], tip_mm: list[float], base: list[float] | None = None) -> dict[str, Any]:

@@ -8,7 +8,6 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import plotly.graph_objects as go
 
 from ctrplan.base.arrays import Array
 from ctrplan.base.surface import capsule
@@ -20,9 +19,11 @@ from ctrplan.reports.looks import view_box
 from ctrplan.reports.plan_scene import (
     SIDES,
     PlanScene,
+    Trace,
     anatomy_traces,
     goal_tip,
-    lay_out,
+    laid_out,
+    line_trace,
     mesh_trace,
     moved_traces,
     robot_traces,
@@ -35,6 +36,8 @@ from ctrplan.reports.robot_surface import anatomy_surface, stand, swept_surface,
 from ctrplan.reports.words import Markup, millimetres
 
 if TYPE_CHECKING:
+    import plotly.graph_objects as go
+
     from ctrplan.plans.plan import Plan
     from ctrplan.reports.plan_scene import NarrowestPose
 
@@ -97,21 +100,28 @@ NAME = f"{looks.NARROW_BODY.name}: red 0, blue {FAR_MM:g} mm or more"
 SCALE = [[share, colour] for share, colour in zip((0.0, 0.3, 1.0), looks.CLEARANCES, strict=True)]
 
 
-def narrowest_traces(pose: NarrowestPose) -> list[Any]:
+def narrowest_traces(pose: NarrowestPose) -> list[Trace]:
     """The body coloured by its clearance, and the gap at its narrowest with its number."""
     return [_body(pose), *_gap(pose)]
 
 
-def _body(pose: NarrowestPose) -> Any:
+def _body(pose: NarrowestPose) -> Trace:
     slim = replace(pose.body, radius_m=WITHIN * pose.body.radius_m)
     trace = mesh_trace(slim.surface(SIDES), looks.NARROW_BODY.colour, 1.0, NAME)
     clearance_mm = np.concatenate([np.repeat(pose.clearance_m, SIDES), pose.clearance_m[[0, -1]]]) * 1e3
-    trace.update(intensity=clearance_mm.astype(np.float32), colorscale=SCALE, cmin=0.0, cmax=FAR_MM, showscale=False)
-    trace.update(hoverinfo=None, hovertemplate="clearance %{intensity:.2f} mm<extra></extra>")
-    return trace
+    coloured = {"colorscale": SCALE, "cmin": 0.0, "cmax": FAR_MM, "showscale": False}
+    del trace["hoverinfo"]
+    return (
+        trace
+        | coloured
+        | {
+            "intensity": clearance_mm.astype(np.float32),
+            "hovertemplate": "clearance %{intensity:.2f} mm<extra></extra>",
+        }
+    )
 
 
-def _gap(pose: NarrowestPose) -> list[Any]:
+def _gap(pose: NarrowestPose) -> list[Trace]:
     """Across the free room, and its number beyond the wall, where the robot does not cover it."""
     colour, number = looks.NARROWEST.colour, millimetres(pose.place.clearance_m)
     across = pose.gap_m[1] - pose.gap_m[0]
@@ -120,8 +130,8 @@ def _gap(pose: NarrowestPose) -> list[Any]:
     hover = f"clearance {number} beyond the margin, in the worst friction state<extra></extra>"
     label = {"text": [f"<b>{number}</b>"], "textfont": {"color": colour, "size": 14}, "textposition": "middle right"}
     return [
-        go.Scatter3d(**xyz(pose.gap_m), **drawn, name=NAME, hovertemplate=hover, showlegend=False),
-        go.Scatter3d(**xyz(beside[None]), mode="text", hoverinfo="skip", **label, name=NAME, showlegend=False),
+        line_trace(xyz(pose.gap_m), **drawn, name=NAME, hovertemplate=hover, showlegend=False),
+        line_trace(xyz(beside[None]), mode="text", hoverinfo="skip", **label, name=NAME, showlegend=False),
     ]
 
 
@@ -138,7 +148,7 @@ def clearance_section(plan: Plan) -> Markup:
 
 
 SWEPT_OPACITY, SWEPT_TRIANGLES = 0.10, 15_000
-SWEPT_NODES = 150_000  # of a grid about as fine as so many triangles can show
+SWEPT_NODES = 60_000  # of the grid of a surface that is seen through
 BOUND_COLOURS = ("#2F6FB0", "#B07AA1", looks.TIP_PATH.colour)  # of the least, half of and the largest worst case
 BOUND_SCALE = [[share, colour] for share, colour in zip((0.0, 0.5, 1.0), BOUND_COLOURS, strict=True)]
 SWATCH = f"linear-gradient(90deg, {', '.join(BOUND_COLOURS)})"
@@ -149,7 +159,9 @@ def scene_figure(scene: PlanScene) -> go.Figure:
 
     What the motion comes to is there and not shown: the pose at the goal, the closest one, the space that is swept.
     """
-    figure = start_figure(scene)
+    import plotly.graph_objects as go
+
+    figure = go.Figure(start_figure(scene))
     figure.frames = motion_frames(scene)
     return figure
 
@@ -164,8 +176,8 @@ def motion_frames(scene: PlanScene) -> list[dict[str, Any]]:
     return results
 
 
-def start_figure(scene: PlanScene) -> go.Figure:
-    """The scene before the motion, without frames."""
+def start_figure(scene: PlanScene) -> dict[str, Any]:
+    """The scene before the motion, without frames, as a plain object."""
     plan, path = scene.plan, scene.path
     moving = [*robot_traces(scene.start), _tip_path(plan, scene.start.time_s)]
     anatomy = [anatomy_surface(part) for part in plan.scenario.anatomy]
@@ -176,17 +188,17 @@ def start_figure(scene: PlanScene) -> go.Figure:
         "space the envelope sweeps",
     )
     later = [
-        trace.update(visible=False, meta={"later": True}) for trace in (*_at_goal(scene), *_narrowest(scene), swept)
+        trace | {"visible": False, "meta": {"later": True}} for trace in (*_at_goal(scene), *_narrowest(scene), swept)
     ]
-    figure = go.Figure([*moving, *_still(scene), *later, *anatomy_traces(plan.scenario, anatomy)])
+    traces = [*moving, *_still(scene), *later, *anatomy_traces(plan.scenario, anatomy)]
     robots, foot = [step.envelope.surface(4).vertices_m for step in path], stand(plan.scenario).vertices_m
     points = np.concatenate([*robots, foot, goal_tip(plan)[None]])
     solid = np.concatenate([np.empty((0, 3)), *(s.vertices_m for s in anatomy)])
-    lay_out(figure, *view_box(points, solid), points, plan.scenario.frame, base_m=plan.scenario.base_position_m)
-    return figure
+    base_m = plan.scenario.base_position_m
+    return laid_out(traces, *view_box(points, solid), points, plan.scenario.frame, base_m=base_m)
 
 
-def _at_goal(scene: PlanScene) -> list[Any]:
+def _at_goal(scene: PlanScene) -> list[Trace]:
     slim = [replace(rod, radius_m=0.9 * rod.radius_m) for rod in scene.goal.tubes]  # hidden where the moving robot is
     return [
         mesh_trace(rod.surface(SIDES), looks.AT_GOAL.colour, 1.0, looks.AT_GOAL.name, shown=i == 0)
@@ -194,21 +206,21 @@ def _at_goal(scene: PlanScene) -> list[Any]:
     ]
 
 
-def _narrowest(scene: PlanScene) -> list[Any]:
+def _narrowest(scene: PlanScene) -> list[Trace]:
     return narrowest_traces(scene.narrowest) if scene.narrowest else []
 
 
-def _still(scene: PlanScene) -> list[Any]:
+def _still(scene: PlanScene) -> list[Trace]:
     plate = mesh_trace(stand(scene.plan.scenario), looks.PLATE_LOOK.colour, 1.0, looks.PLATE_LOOK.name, shown=False)
     return [plate, *_goal(scene.plan)]
 
 
-def _tip_path(plan: Plan, time_s: float) -> Any:
+def _tip_path(plan: Plan, time_s: float) -> Trace:
     """The tip's way without friction up to a time, coloured by the worst case there."""
     bound_mm = (plan.certificate.samples.bound_m * 1e3).astype(np.float32)
     largest = max(float(np.nanmax(bound_mm)), 1e-6)
-    return go.Scatter3d(
-        **xyz(_tips_until(plan, time_s)),
+    return line_trace(
+        xyz(_tips_until(plan, time_s)),
         mode="lines",
         line={"color": bound_mm, "width": 6, "colorscale": BOUND_SCALE, "cmin": 0, "cmax": largest, "showscale": False},
         name=html.escape(f"{looks.TIP_PATH.name} so far, red where friction may err most"),
@@ -225,32 +237,30 @@ def _tips_until(plan: Plan, time_s: float) -> Array:
     return np.where(ahead[:, None], np.nan, tip_path(plan))
 
 
-def _goal(plan: Plan) -> list[Any]:
+def _goal(plan: Plan) -> list[Trace]:
     goal, tip_m = plan.scenario.goal, goal_tip(plan)
     way = [goal.tip_m for goal in plan.scenario.via if goal.tip_m is not None]
     marker = {"symbol": "diamond", "size": 6, "color": looks.GOAL_LOOK.colour}
     hover = {"hovertemplate": "goal<extra></extra>"}
     tolerance = "" if goal.tip_m is None else f", tolerance {goal.tolerance_m * 1e3:g} mm"
     name = f"{looks.GOAL_LOOK.name}{tolerance}"
-    traces = [go.Scatter3d(**xyz(tip_m[None]), mode="markers", marker=marker, name=name, **hover)]
+    traces = [line_trace(xyz(tip_m[None]), mode="markers", marker=marker, name=name, **hover)]
     if way:
         hollow = marker | {"symbol": "diamond-open"}
         hover_way = {"hovertemplate": "target on the way<extra></extra>"}
         traces.append(
-            go.Scatter3d(**xyz(np.array(way)), mode="markers", marker=hollow, name="targets on the way", **hover_way)
+            line_trace(xyz(np.array(way)), mode="markers", marker=hollow, name="targets on the way", **hover_way)
         )
     if goal.line_m is not None:
         line = {"color": looks.GOAL_LOOK.colour, "width": 5, "dash": "dot"}
-        traces.append(
-            go.Scatter3d(**xyz(goal.line_m), mode="lines", line=line, name="line to follow", hoverinfo="skip")
-        )
+        traces.append(line_trace(xyz(goal.line_m), mode="lines", line=line, name="line to follow", hoverinfo="skip"))
     if goal.tip_m is not None:
         ball = capsule(tip_m, tip_m, goal.tolerance_m, 20)
         traces.append(mesh_trace(ball, looks.GOAL_LOOK.colour, 0.25, name, shown=False))
     if goal.direction is not None:
         arrow = np.stack([tip_m - 0.015 * goal.direction, tip_m])
         line = {"color": looks.GOAL_LOOK.colour, "width": 4}
-        traces.append(go.Scatter3d(**xyz(arrow), mode="lines", line=line, name="goal direction", hoverinfo="skip"))
+        traces.append(line_trace(xyz(arrow), mode="lines", line=line, name="goal direction", hoverinfo="skip"))
     return traces
 
 
@@ -289,10 +299,10 @@ def _length(value_m: float) -> str:
     return "free space" if value_m == np.inf else millimetres(value_m)
 
 
-def _thinned(scene: PlanScene, figure: Any) -> str:
+def _thinned(scene: PlanScene, figure: dict[str, Any]) -> str:
     """What is drawn of a fine mesh; distances are those of all its triangles."""
     whole = sum(len(part.shape.surface().faces) for part in scene.plan.scenario.anatomy)
-    drawn = sum(len(trace.i) for trace in figure.data if trace.meta and "wall" in trace.meta)
+    drawn = sum(len(trace["i"]) for trace in figure["data"] if "wall" in trace.get("meta", {}))
     if drawn == whole:
         return ""
     return f" The anatomy is drawn in {drawn:,} of its {whole:,} triangles; distances are to all of them."

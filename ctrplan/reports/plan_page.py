@@ -7,7 +7,7 @@ import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -40,8 +40,6 @@ from ctrplan.reports.words import MEANING, VALUES, Markup, digits, millimetres, 
 from ctrplan.storage.output_folder import output_folder, write_atomically, written_together
 
 if TYPE_CHECKING:
-    import plotly.graph_objects as go
-
     from ctrplan.plans.planned_motion import Leg, ReorderReport
     from ctrplan.reports.plan_scene import PlanScene
 
@@ -140,12 +138,12 @@ def _reordered(report: ReorderReport) -> list[tuple[str, ...]]:
     return [(name, said(before), said(after)) for name, said, before, after in figures]
 
 
-def margins_figure(plan: Plan) -> go.Figure:
+def margins_figure(plan: Plan) -> dict[str, Any]:
     """What the certificate found along the path, with what it requires as dashed lines."""
     return stacked_figure([error_panel(plan), direction_panel(plan), *margin_panels(plan)], timeline(plan))
 
 
-def joints_figure(plan: Plan) -> go.Figure:
+def joints_figure(plan: Plan) -> dict[str, Any]:
     """Joint positions between their limits, and speeds as shares of theirs."""
     return stacked_figure([*position_panels(plan), speed_panel(plan)], timeline(plan))
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import plotly.graph_objects as go
 
 from ctrplan.anatomy.parts import exact_clearance
 from ctrplan.anatomy.patient_frame import ENDS, Frame, axis_label
@@ -35,7 +34,12 @@ LIGHT = {"ambient": 0.5, "diffuse": 0.75, "specular": 0.45, "roughness": 0.45, "
 TISSUE_LIGHT = {"ambient": 0.55, "diffuse": 0.7, "specular": 0.1, "roughness": 0.9, "fresnel": 0.5}
 
 
-def robot_traces(pose: RobotPose) -> list[Any]:
+# A trace of plotly.js as a plain object. Those of plotly check what they consist of, which takes longer than the page:
+# tests have them check it.
+Trace = dict[str, Any]
+
+
+def robot_traces(pose: RobotPose) -> list[Trace]:
     """The traces that move; their faces stay, and only their vertices come with the frames."""
     tubes = [
         mesh_trace(tube_surface(pose, i, SIDES), looks.tube_look(i).colour, 1.0, looks.tube_look(i).name)
@@ -44,18 +48,18 @@ def robot_traces(pose: RobotPose) -> list[Any]:
     envelope = mesh_trace(
         pose.envelope.surface(ENVELOPE_SIDES), looks.ENVELOPE_LOOK.colour, 0.22, looks.ENVELOPE_LOOK.name
     )
-    corners = go.Scatter3d(
-        **_corner_lines(pose),
-        mode="lines",
-        line={"color": looks.CORNERS.colour, "width": 2},
-        name=looks.CORNERS.name,
-        hoverinfo="skip",
-    )
+    line = {"color": looks.CORNERS.colour, "width": 2}
+    corners = line_trace(_corner_lines(pose), mode="lines", line=line, name=looks.CORNERS.name, hoverinfo="skip")
     return [*tubes, envelope, corners]
 
 
-def moved_traces(pose: RobotPose) -> list[dict[str, Any]]:
-    """What of `robot_traces` changes with the pose, as plain objects, which plotly need not check 50 times."""
+def line_trace(coordinates: dict[str, Any], **style: Any) -> Trace:
+    """A line, points or words in space, `coordinates` as of `xyz`."""
+    return {"type": "scatter3d", **coordinates, **style}
+
+
+def moved_traces(pose: RobotPose) -> list[Trace]:
+    """What of `robot_traces` changes with the pose."""
     tubes = [tube_surface(pose, i, SIDES) for i in range(len(pose.tubes))]
     surfaces = [*tubes, pose.envelope.surface(ENVELOPE_SIDES)]
     meshes = [{"type": "mesh3d", **xyz(surface.vertices_m)} for surface in surfaces]
@@ -68,32 +72,33 @@ def _corner_lines(pose: RobotPose) -> dict[str, Any]:
     return xyz(np.concatenate([pose.corners_m, gap], axis=1).reshape(-1, 3))
 
 
-def anatomy_traces(scenario: Scenario, surfaces: list[Surface]) -> list[Any]:
+def anatomy_traces(scenario: Scenario, surfaces: list[Surface]) -> list[Trace]:
     """What to avoid and what to stay inside, translucent."""
-    roles, traces = [part.role for part in scenario.anatomy], []
+    roles, traces = [part.role for part in scenario.anatomy], list[Trace]()
     for k, (role, surface) in enumerate(zip(roles, surfaces, strict=True)):
         look, opacity = looks.ANATOMY_LOOK[role], looks.ANATOMY_OPACITY[role]
         trace = mesh_trace(surface, look.colour, opacity, look.name, shown=role not in roles[:k])
-        traces.append(trace.update(meta={"cut": True, "wall": opacity}, lighting=TISSUE_LIGHT))  # for looking.js
+        traces.append(trace | {"meta": {"cut": True, "wall": opacity}, "lighting": TISSUE_LIGHT})  # for looking.js
     return traces
 
 
-def mesh_trace(surface: Surface, colour: str, opacity: float, name: str, shown: bool = True) -> Any:
+def mesh_trace(surface: Surface, colour: str, opacity: float, name: str, shown: bool = True) -> Trace:
     """A lit surface that does not get in the way of the mouse."""
     i, j, k = surface.faces.T.astype(np.int32)
-    return go.Mesh3d(
+    return {
+        "type": "mesh3d",
         **xyz(surface.vertices_m),
-        i=i,
-        j=j,
-        k=k,
-        color=colour,
-        opacity=opacity,
-        name=name,
-        legendgroup=name,
-        showlegend=shown,
-        lighting=LIGHT,
-        hoverinfo="skip",
-    )
+        "i": i,
+        "j": j,
+        "k": k,
+        "color": colour,
+        "opacity": opacity,
+        "name": name,
+        "legendgroup": name,
+        "showlegend": shown,
+        "lighting": LIGHT,
+        "hoverinfo": "skip",
+    }
 
 
 def xyz(points_m: Array) -> dict[str, Any]:
@@ -102,8 +107,8 @@ def xyz(points_m: Array) -> dict[str, Any]:
     return {"x": x, "y": y, "z": z}
 
 
-def lay_out(
-    figure: go.Figure,
+def laid_out(
+    traces: list[Trace],
     lower_m: Array,
     upper_m: Array,
     points_m: Array,
@@ -111,8 +116,9 @@ def lay_out(
     *,
     base_m: Array | None = None,
     axes: bool = False,
-) -> None:
-    """Equal scales that stay while the robot moves, seen from where `points_m` (K, 3) spread widest, as near as may be.
+) -> dict[str, Any]:
+    """A figure of traces in space, with equal scales that stay while the robot moves, seen from where `points_m` (K, 3)
+    spread widest, as near as may be.
 
     frame: of the patient, whose letters the axes have. base_m: (3,) from where the robot comes, left or below. axes:
     whether coordinates are to be read off; else a cross of known size stands in a corner of the box.
@@ -129,24 +135,24 @@ def lay_out(
     aspect = dict(zip("xyz", sides.tolist(), strict=True))
     light = dict(zip("xyz", (6e4 * (toward + 0.7 * np.cross(toward, along) + 0.3 * along)).tolist(), strict=True))
     camera = {"eye": dict(zip("xyz", eye.tolist(), strict=True)), "center": {"x": 0, "y": 0, "z": 0.0}}
-    figure.update_traces(lightposition=light, selector={"type": "mesh3d"})
+    traces = [trace | {"lightposition": light} if trace["type"] == "mesh3d" else trace for trace in traces]
     if not axes:
-        figure.add_traces(cross := _cross(points_m, frame))
+        traces += (cross := _cross(points_m, frame))
         points_m = np.concatenate([points_m, *(_ends_m(trace) for trace in cross)])
-    figure.update_layout(
-        autosize=True,
-        margin={"l": 0, "r": 0, "t": 0, "b": 0},
-        scene={"aspectmode": "manual", "aspectratio": aspect, "camera": camera, "bgcolor": "rgba(0,0,0,0)", **named},
-        paper_bgcolor="rgba(0,0,0,0)",
-        modebar={"bgcolor": "rgba(0,0,0,0)", "color": looks.MUTED},
-        showlegend=False,  # the key is beside the scene
-        uirevision="stays",
-        font=FIGURE_TEXT,
-        meta={
-            "view": {"toward": toward.tolist(), "along": along.tolist(), "points": _outermost_mm(points_m)}
-            | {"axes": axes}
-        },
-    )
+    scene = {"aspectmode": "manual", "aspectratio": aspect, "camera": camera, "bgcolor": "rgba(0,0,0,0)", **named}
+    view = {"toward": toward.tolist(), "along": along.tolist(), "points": _outermost_mm(points_m), "axes": axes}
+    layout = {
+        "autosize": True,
+        "margin": {"l": 0, "r": 0, "t": 0, "b": 0},
+        "scene": scene,
+        "paper_bgcolor": "rgba(0,0,0,0)",
+        "modebar": {"bgcolor": "rgba(0,0,0,0)", "color": looks.MUTED},
+        "showlegend": False,  # the key is beside the scene
+        "uirevision": "stays",
+        "font": FIGURE_TEXT,
+        "meta": {"view": view},
+    }
+    return {"data": traces, "layout": layout}
 
 
 def seen_from(points_m: Array, base_m: Array | None = None) -> tuple[Array, Array]:
@@ -179,14 +185,14 @@ def _outermost_mm(points_m: Array) -> list[list[float]]:
 ROUND_MM = (1, 2, 5, 10, 20, 50, 100)
 
 
-def _ends_m(trace: Any) -> Array:
+def _ends_m(trace: Trace) -> Array:
     return np.column_stack([trace[axis] for axis in "xyz"]).astype(float) * 1e-3
 
 
-def _cross(points_m: Array, frame: Frame | None) -> list[Any]:
+def _cross(points_m: Array, frame: Frame | None) -> list[Trace]:
     """Three lines of one stated length in the lower corner around points (K, 3), with the letters of the axes."""
     corner, upper_m = points_m.min(axis=0), points_m.max(axis=0)
-    extent, traces = float((upper_m - corner).max()) * 1e3, list[Any]()
+    extent, traces = float((upper_m - corner).max()) * 1e3, list[Trace]()
     length = max((mm for mm in ROUND_MM if mm <= 0.12 * extent), default=1)
     for k in range(3):
         end = corner + np.eye(3)[k] * length * 1e-3
@@ -199,7 +205,7 @@ def _cross(points_m: Array, frame: Frame | None) -> list[Any]:
             "showlegend": False,
             "hoverinfo": "skip",
         }
-        traces.append(go.Scatter3d(**xyz(np.stack([corner, end])), **drawn, **style, name="axes"))
+        traces.append(line_trace(xyz(np.stack([corner, end])), **drawn, **style, name="axes"))
     return traces
 
 

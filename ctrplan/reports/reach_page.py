@@ -7,9 +7,9 @@ from __future__ import annotations
 import math
 from contextlib import suppress
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-import plotly.graph_objects as go
 
 from ctrplan.base.arrays import Array
 from ctrplan.errors import SolverError
@@ -17,7 +17,7 @@ from ctrplan.planning.reach import Configuration, Reach
 from ctrplan.reports import looks
 from ctrplan.reports.html_page import plot, rendered, script
 from ctrplan.reports.looks import view_box
-from ctrplan.reports.plan_scene import SIDES, anatomy_traces, lay_out, mesh_trace, xyz
+from ctrplan.reports.plan_scene import SIDES, anatomy_traces, laid_out, line_trace, mesh_trace, xyz
 from ctrplan.reports.robot_surface import RobotPose, anatomy_surface, pose, stand
 from ctrplan.reports.words import digits, millimetres, term
 from ctrplan.scenario.scenario import Scenario
@@ -46,7 +46,7 @@ def reach_scene(scenario: Scenario, reach: Reach, branches: list[int]) -> ReachS
     return ReachScene(scenario, reach.configurations, tuple(branches), target, tuple(poses))
 
 
-def reach_figure(scene: ReachScene) -> go.Figure:
+def reach_figure(scene: ReachScene) -> dict[str, Any]:
     """All these robots at once, each in its branch's colour with its envelope."""
     surfaces = [anatomy_surface(part) for part in scene.scenario.anatomy]
     traces = [mesh_trace(stand(scene.scenario), looks.PLATE_LOOK.colour, 1.0, looks.PLATE_LOOK.name, shown=False)]
@@ -56,13 +56,13 @@ def reach_figure(scene: ReachScene) -> go.Figure:
             traces.append(mesh_trace(rod.surface(SIDES), colour, 1.0, name, shown=tube == 0))
         traces.append(mesh_trace(shown.envelope.surface(SIDES), colour, 0.15, name, shown=False))
     marker = {"symbol": "diamond", "size": 6, "color": looks.GOAL_LOOK.colour}
-    point = go.Scatter3d(**xyz(scene.target_m[None]), mode="markers", marker=marker, name="the point asked for")
-    figure = go.Figure([*traces, point, *anatomy_traces(scene.scenario, surfaces)])
+    point = line_trace(xyz(scene.target_m[None]), mode="markers", marker=marker, name="the point asked for")
+    traces += [point, *anatomy_traces(scene.scenario, surfaces)]
     robots = [shown.envelope.surface(4).vertices_m for _, shown in scene.poses]
     points = np.concatenate([*robots, scene.target_m[None], stand(scene.scenario).vertices_m])
     solid = np.concatenate([np.empty((0, 3)), *(surface.vertices_m for surface in surfaces)])
-    lay_out(figure, *view_box(points, solid), points, scene.scenario.frame, base_m=scene.scenario.base_position_m)
-    return figure
+    base_m = scene.scenario.base_position_m
+    return laid_out(traces, *view_box(points, solid), points, scene.scenario.frame, base_m=base_m)
 
 
 WORDS = ("branch", "worst-case friction error", "clearance", "stability", "envelope of friction")

@@ -14,7 +14,7 @@ from ctrplan.base.arrays import Array
 from ctrplan.reports import looks
 from ctrplan.reports.html_page import FIGURE_TEXT
 from ctrplan.reports.looks import view_box
-from ctrplan.reports.plan_scene import anatomy_traces, lay_out, xyz
+from ctrplan.reports.plan_scene import anatomy_traces, laid_out, xyz
 from ctrplan.reports.robot_surface import anatomy_surface
 from ctrplan.reports.study_tables import Quantity
 from ctrplan.reports.words import digits
@@ -78,11 +78,10 @@ def map_figure(scenario: Any, table: StudyTable, places: Places, shown: list[Qua
     for k, (_, group) in enumerate(groups):
         for trace in group:
             trace.visible = k == 0
-    traces = [trace for _, group in groups for trace in group]
-    figure = go.Figure([*traces, *anatomy])
-    _choose(figure, groups, len(anatomy))
+    traces = [trace.to_plotly_json() for _, group in groups for trace in group]
     solid = np.concatenate([np.empty((0, 3)), *(surface.vertices_m for surface in surfaces)])
-    lay_out(figure, *view_box(points_m, solid), points_m)
+    figure = go.Figure(laid_out([*traces, *anatomy], *view_box(points_m, solid), points_m))
+    _choose(figure, groups, len(anatomy))
     return figure
 
 

@@ -86,7 +86,7 @@ def test_prediction_is_the_history_of_every_start() -> None:
 def test_search_pays_for_what_no_slip_erases(checker: MotionChecker, turned_last: Array) -> None:
     """A short turn leaves most of what friction was before, a long one or a slide next to nothing.
 
-    Of what is known of a tip, coefficients make a share unknown; joint values are driven to as they are, with all of it.
+    Of what is known, coefficients leave a share unknown; joint values are driven to as they are, with all of it.
     """
     short = checker.along(np.array([GOAL - [0.0, 0.02, 0.0], GOAL]))
     assert 0.9 * short.end_bound_m < short.end_error_m <= short.end_bound_m

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import plotly.graph_objects as go
 import pytest
 
 from ctrplan.anatomy.parts import surface_distance
@@ -42,7 +43,7 @@ def test_the_gap_goes_from_the_tube_to_the_anatomy(plan: Plan, narrowest: Narrow
 def test_the_body_is_coloured_by_its_clearance(narrowest: NarrowestPose) -> None:
     least_m = narrowest.place.clearance_m
     assert least_m - 1e-6 <= narrowest.clearance_m.min() <= least_m + 0.1e-3
-    body, gap, label = narrowest_traces(narrowest)
+    body, gap, label = go.Figure(narrowest_traces(narrowest)).data
     assert len(body.intensity) == len(body.x)
     assert float(min(body.intensity)) == pytest.approx(1e3 * narrowest.clearance_m.min(), rel=1e-5)
     assert millimetres(least_m) in gap.hovertemplate and millimetres(least_m) in label.text[0]

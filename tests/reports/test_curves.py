@@ -58,7 +58,7 @@ def drawn_by_plotly(figure: go.Figure, panel: Panel) -> list[np.ndarray]:
 
 
 def test_both_draw_every_panel_alike(bounded: Plan, picture: Figure) -> None:
-    margins, joints = margins_figure(bounded), joints_figure(bounded)
+    margins, joints = go.Figure(margins_figure(bounded)), go.Figure(joints_figure(bounded))
     pages = [(panel, margins) for panel in (error_panel(bounded), *margin_panels(bounded)[:2])]
     pages += [(panel, joints) for panel in (*position_panels(bounded), speed_panel(bounded))]
     for panel, page in pages:
@@ -76,9 +76,9 @@ def test_both_draw_the_limit_and_the_value_at_the_goal(bounded: Plan, picture: F
     assert at_goal.value == pytest.approx(1e3 * bounded.certificate.goal_bound_m)
     ax = next(ax for ax in picture.axes if ax.get_ylabel() == "error (mm)")
     assert {at_goal.text, allowed.text} <= {text.get_text() for text in ax.texts}
-    dashed = [trace.y for trace in margins_figure(bounded).data if trace.line.dash == "dash"]
+    dashed = [trace.y for trace in go.Figure(margins_figure(bounded)).data if trace.line.dash == "dash"]
     assert [2.0, 2.0] in [list(values) for values in dashed]
-    points = [trace for trace in margins_figure(bounded).data if trace.mode == "markers"]
+    points = [trace for trace in go.Figure(margins_figure(bounded)).data if trace.mode == "markers"]
     assert [point.y[0] for point in points] == [at_goal.value] and points[0].marker.color == looks.GOAL
 
 
@@ -87,7 +87,7 @@ def test_both_shade_the_legs_alike(bounded: Plan, picture: Figure) -> None:
     assert [shade.kind for shade in shades] == [leg.kind for leg in bounded.legs]
     ax = next(ax for ax in picture.axes if ax.get_ylabel() == "error (mm)")
     assert [to_hex(patch.get_facecolor()) for patch in ax.patches] == [shade.colour.lower() for shade in shades]
-    rectangles = margins_figure(bounded).layout.shapes[CURSOR + 1 : CURSOR + 1 + len(shades)]
+    rectangles = go.Figure(margins_figure(bounded)).layout.shapes[CURSOR + 1 : CURSOR + 1 + len(shades)]
     assert [(r.x0, r.x1, r.fillcolor) for r in rectangles] == [(s.start_s, s.end_s, s.colour) for s in shades]
 
 

@@ -11,6 +11,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
+import plotly.graph_objects as go
 import pytest
 from browser import Browser, chromium
 from jinja2 import UndefinedError
@@ -120,7 +121,7 @@ def test_texts_are_no_html(hostile: Plan, scene: PlanScene, content: str) -> Non
 
 
 def test_names_in_plots_are_shown_not_interpreted(hostile: Plan) -> None:
-    names = [trace.name for trace in joints_figure(hostile).data if trace.name]
+    names = [trace.name for trace in go.Figure(joints_figure(hostile)).data if trace.name]
     assert names and all("<" not in name and "&lt;script&gt;" in name for name in names)
 
 
@@ -247,7 +248,7 @@ def test_scene_has_equal_scales_that_stay(scene: PlanScene) -> None:
 
 
 def test_cursor_is_the_shape_that_the_player_moves(plan: Plan) -> None:
-    for figure in (margins_figure(plan), joints_figure(plan)):
+    for figure in (go.Figure(margins_figure(plan)), go.Figure(joints_figure(plan))):
         cursor = figure.layout.shapes[CURSOR]
         assert cursor.type == "line" and cursor.x0 == cursor.x1 == 0
 
@@ -255,7 +256,7 @@ def test_cursor_is_the_shape_that_the_player_moves(plan: Plan) -> None:
 @pytest.mark.parametrize("waypoints", [[[0, 0], [60, -120]], [[0, 0], [0, 0]]])
 def test_free_space_and_rest_are_reported(make_plan: Callable[..., Plan], waypoints: list[list[float]]) -> None:
     plan = make_plan(waypoints, robot="robots/table_1_pair.toml", cost={"max_error_goal_mm": 2.0})
-    titles = [annotation.text for annotation in margins_figure(plan).layout.annotations]
+    titles = [annotation.text for annotation in go.Figure(margins_figure(plan)).layout.annotations]
     assert not any("Clearance" in title for title in titles) and "allowed at the goal" in titles[0]
     assert "free space" in Page(plan_report_html(plan_scene(plan))).text
 

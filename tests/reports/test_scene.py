@@ -6,15 +6,18 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+import plotly.graph_objects as go
 import pytest
 from scipy.spatial.transform import Rotation
 
 from ctrplan.anatomy.patient_frame import Frame
 from ctrplan.plans.plan import Plan
 from ctrplan.plans.planned_motion import joints_at, leg_end_s, sample_time_s
+from ctrplan.reports.live_state import LiveState
 from ctrplan.reports.looks import view_box
-from ctrplan.reports.plan_motion import scene_figure
+from ctrplan.reports.plan_motion import scene_figure, start_figure
 from ctrplan.reports.plan_scene import goal_tip, plan_scene, tip_path
+from ctrplan.reports.reach_page import ReachScene, reach_figure
 from ctrplan.reports.robot_surface import end_ring, plate, pose, tube_surface
 
 TURN = Rotation.from_euler("xyz", [40, -70, 110], degrees=True)
@@ -135,3 +138,14 @@ def test_letters_at_the_axes_say_the_patients_frame(frame: Frame, left: str, bac
     ends = [trace.text[-1] for trace in scene_figure(scene).data if trace.name == "axes"]
     assert [end.split(",")[0] for end in ends] == [left[-1], back[-1], "S"] and ends[0].endswith(" mm")
     assert scene_figure(plan_scene(plan, 2)).layout.scene.xaxis.title.text == "x (mm)"
+
+
+def test_plain_figures_are_figures_of_plotly(plan: Plan) -> None:
+    """Which refuses keys and values that plotly.js would leave out without a word."""
+    scene = plan_scene(plan, 2)
+    branches = ReachScene(plan.scenario, (), (0,), goal_tip(plan), ((0, scene.goal),))
+    for figure in (start_figure(scene), reach_figure(branches), LiveState(plan.scenario).figure()):
+        checked = go.Figure(figure)
+        assert len(checked.data) == len(figure["data"]) and checked.layout.scene.aspectmode == "manual"
+    with pytest.raises(ValueError, match="lightning"):
+        go.Figure({"data": [{"type": "mesh3d", "lightning": {}}]})
