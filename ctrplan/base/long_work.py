@@ -115,7 +115,8 @@ def part_of(progress: Progress | None, part: int, count: int) -> Progress:
 SearchEnd = Literal["count", "time", "interruption", "completion"]
 # Nanoseconds counted for what a search does, about what it takes on one core of 3 GHz.
 SHAPE_NS = 200_000  # a shape in equilibrium with clearance and friction; a state takes one and one for every corner
-ROOM_NS = 40_000  # a zero-clearance shape and its clearance
+ROOM_NS = 15_000  # a zero-clearance shape and its clearance
+EDGE_NS = 120  # a motion of a roadmap, each time that its shortest path is sought
 HEURISTIC_NS = 4_000  # a lower bound of a motion's cost
 ASKED_NS = 20_000  # a question of the planner, whatever the answer
 # Counted seconds may take so many real ones, and a few at least, however slow the machine or dear the robot.

@@ -174,10 +174,10 @@ class MotionChecker:
 
     def _motion(self, a: Array, b: Array) -> Motion:
         corners = self.space.corners(a, b, self.style)
-        return self._refusal(corners) or self.along(corners)
+        return self.refusal(corners) or self.along(corners)
 
-    def _refusal(self, corners: Array) -> Motion | None:
-        """Why a polyline (K, m) is not worth a walk; None if it is.
+    def refusal(self, corners: Array) -> Motion | None:
+        """Why a polyline (K, m) is not worth a walk, by a solve or none; None if it is.
 
         It collides where zero-clearance shapes have least room: by so much that their room tells, or as solved there.
         """

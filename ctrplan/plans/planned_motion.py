@@ -1,7 +1,5 @@
 """Planned motions: legs, the certificate that checked them, the trajectory that plays them, and when it passes which
 place.
-
-leader.
 """
 
 from __future__ import annotations

@@ -17,7 +17,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
 from ctrplan.base.arrays import MM_PER_M, Array
-from ctrplan.base.long_work import ROOM_NS, counted_aside
+from ctrplan.base.long_work import EDGE_NS, ROOM_NS, counted_aside
 from ctrplan.motion.checker import DEFINITE_COLLISION_M, MotionChecker
 from ctrplan.planning.goal_states import Trail
 from ctrplan.planning.search.insertion_chains import SKIPS, Roadmap
@@ -62,6 +62,7 @@ class RoadmapSearch:
         self.hope: Array = np.empty(0)  # share of such motions that are valid; NaN before a look
         self.trust: Array = np.empty(0)  # beside the hope, while any path will do
         self.known: NDArray[np.bool_] = np.empty(0, dtype=bool)
+        self.asked: NDArray[np.bool_] = np.empty(0, dtype=bool)  # where it is narrowest
         self.probed: NDArray[np.bool_] = np.empty(0, dtype=bool)
         self.refused: NDArray[np.int_] = np.empty(0, dtype=int)  # states that are not valid
         self.row: dict[tuple[int, int], int] = {}
@@ -84,6 +85,7 @@ class RoadmapSearch:
         self.cost, self.left = np.concatenate([self.cost, least]), np.concatenate([self.left, left])
         self.least, self.least_left = np.concatenate([self.least, least]), np.concatenate([self.least_left, left])
         self.known = np.concatenate([self.known, np.zeros(len(edges), dtype=bool)])
+        self.asked = np.concatenate([self.asked, np.zeros(len(edges), dtype=bool)])
         self.hope = np.concatenate([self.hope, np.full(len(edges), np.nan)])
         self.trust = np.concatenate([self.trust, np.ones(len(edges))])
 
@@ -196,16 +198,31 @@ class RoadmapSearch:
                 continue
             if self._refuses_a_state(nodes):
                 continue
-            todo = sorted((k for k in edges if not self.known[k]), key=lambda k: self.hope[k])[:AT_ONCE]
+            unknown = sorted((k for k in edges if not self.known[k]), key=lambda k: self.hope[k])
+            if self._refuses_a_motion([k for k in unknown if self.hope[k] < 1 and not self.asked[k]][:AT_ONCE]):
+                continue
+            todo = unknown[:AT_ONCE]
             if not todo:
                 return self.joints[nodes]
             ahead = self._likely_next(price, todo) if is_any_enough and len(todo) < AT_ONCE else []
             self._together([*(partial(self._check, k) for k in todo), *(partial(self._check_ahead, k) for k in ahead)])
-            for k in todo:  # in their order, whichever was done first
-                if not np.isfinite(self.cost[k]):
-                    alike = (self.edges[:, 0] == self.edges[k, 0]) & (self.length >= ALIKE * self.length[k])
-                    self.trust[alike] *= WARNING
+            self._warn([k for k in todo if not np.isfinite(self.cost[k])])
         return None
+
+    def _warn(self, refused: list[int]) -> None:
+        """Trusts motions as long as refused ones from the same state less."""
+        for k in refused:
+            alike = (self.edges[:, 0] == self.edges[k, 0]) & (self.length >= ALIKE * self.length[k])
+            self.trust[alike] *= WARNING
+
+    def _refuses_a_motion(self, doubtful: list[int]) -> bool:
+        """Looks at motions where they are narrowest, before any of their path is walked; whether there were any."""
+        refusals = self._together([partial(self.checker.refusal, self._way(k)) for k in doubtful])
+        refused = [k for k, refusal in zip(doubtful, refusals, strict=True) if refusal]
+        self.asked[doubtful] = True
+        self.known[refused], self.cost[refused] = True, np.inf
+        self._warn(refused)
+        return bool(doubtful)
 
     def _motions(self, nodes: list[int]) -> list[int]:
         """The motions of a path."""
@@ -307,6 +324,7 @@ class RoadmapSearch:
 
         A goal is two nodes, one to pass and one to end at.
         """
+        self.checker.meter.add(EDGE_NS * len(cost))
         is_open, count = np.isfinite(cost), len(self.joints)
         last = is_open & np.isfinite(left)
         (a, b), (a_last, b_last) = self.edges[is_open].T, self.edges[last].T
