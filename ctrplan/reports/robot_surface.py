@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 import igl
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial import cKDTree
 
 from ctrplan.anatomy.surface_file import collapsed
@@ -137,10 +136,16 @@ def _rod(tube: TubeShape, s_m: Array, radius_m: float) -> Rod:
 
 
 def _line(tube: TubeShape, s_m: Array) -> tuple[Array, Array]:
-    """Points and unit tangents (S, 3), (S, 3) of a tube at s_m."""
-    line = CubicHermiteSpline(tube.s_m, tube.centreline_m, tube.frames[:, :, 2])
-    tangent = line(s_m, 1)
-    return line(s_m), tangent / np.linalg.norm(tangent, axis=1, keepdims=True)
+    """Points and unit tangents (S, 3), (S, 3) of a tube at s_m: of the cubic through two nodes with their tangents."""
+    points, tangents, before = tube.centreline_m, tube.frames[:, :, 2], np.searchsorted(tube.s_m, s_m, side="right") - 1
+    k = np.clip(before, 0, len(points) - 2)
+    h = (tube.s_m[k + 1] - tube.s_m[k])[:, None]
+    t = (s_m[:, None] - tube.s_m[k][:, None]) / h
+    way, m, n = points[k + 1] - points[k], h * tangents[k], h * tangents[k + 1]
+    bend, turn = 3 * way - 2 * m - n, m + n - 2 * way
+    tangent = m + t * (2 * bend + 3 * t * turn)
+    line: Array = points[k] + t * (m + t * (bend + t * turn))
+    return line, tangent / np.linalg.norm(tangent, axis=1, keepdims=True)
 
 
 def _envelope(bound: Bound, radii_m: list[float], model_error_m: float) -> Rod:
