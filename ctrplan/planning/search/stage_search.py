@@ -31,10 +31,10 @@ from ctrplan.planning.search.roadmap_search import RoadmapSearch
 from ctrplan.scenario.tip_solver import GoalState
 
 # Shares of the time by which a first path and the cheapest of the roadmap are sought
-FIRST_SHARE, ROADMAP_SHARE = 0.7, 0.6
+FIRST_SHARE, ROADMAP_SHARE = 0.85, 0.6
 POLISH_SHARE = 0.3  # of the time, whenever polish begins: a first path that took all of it is where it gains most
 # Shares by which L-shaped motions are sampled that led to no path, and then simultaneous ones
-SAMPLED_SHARE, FALLBACK_SHARE = 0.9, 1.08
+SAMPLED_SHARE, FALLBACK_SHARE = 0.95, 1.08
 STRAIGHT_HOPE = 0.5  # of motions from the start to a goal, without which chains are made before any is walked
 FIRST_STATES, FIRST_ROUND_S = 100, 0.4  # random states a roadmap first grows by, and after how long; then twice as many
 MOST_STATES = 3000  # of a roadmap
