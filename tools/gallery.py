@@ -81,7 +81,7 @@ class NotMadeError(Exception):
 
 def program(*arguments: str, cwd: Path = ROOT) -> None:
     """Runs ctrplan of this environment. Raises NotMadeError with what it printed last."""
-    command = [sys.executable, "-m", "ctrplan.cli", *arguments]
+    command = [sys.executable, "-m", "ctrplan", *arguments]
     done = subprocess.run(command, cwd=cwd, capture_output=True, text=True, env={**os.environ, "PYTHONPATH": str(ROOT)})
     if done.returncode not in (0, 3):
         raise NotMadeError(done.stderr.strip().splitlines()[-1] if done.stderr.strip() else f"exit {done.returncode}")

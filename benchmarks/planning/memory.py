@@ -122,7 +122,7 @@ def plan_apart(scenario: str, at_least: int) -> tuple[object, ...]:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         triangles = prepare(folder, scenario, at_least)
-        run = "import sys; from ctrplan.cli import main; sys.exit(main(sys.argv[1:]))"
+        run = "import sys; from ctrplan.__main__ import main; sys.exit(main(sys.argv[1:]))"
         command = [
             sys.executable,
             "-c",

@@ -24,7 +24,7 @@ from ctrplan.reports.plan_scene import written_motion
 from ctrplan.reports.render.camera import VIEWS
 from ctrplan.reports.render.film import film
 
-COMMAND = "import sys; from ctrplan.cli import main; sys.exit(main(sys.argv[1:]))"
+COMMAND = "import sys; from ctrplan.__main__ import main; sys.exit(main(sys.argv[1:]))"
 WIDTH, HEIGHT, PICTURES = 960, 720, 6
 MODULES = "import sys; print(sum(name.split('.')[0] == 'ctrplan' for name in sys.modules))"
 

@@ -16,6 +16,7 @@ from claimed_plans import claiming, scene
 from scipy.spatial.transform import Rotation
 from stated_plans import moved_to
 
+from ctrplan.__main__ import main
 from ctrplan.anatomy.parts import AnatomyPart
 from ctrplan.anatomy.shapes.capsule import Capsule
 from ctrplan.anatomy.shapes.sphere import Sphere
@@ -23,7 +24,6 @@ from ctrplan.audit.audited_plan import ALLOWED
 from ctrplan.audit.scene import write_scene
 from ctrplan.audit.verify import Verification, verify
 from ctrplan.certificate.certificate import Certificate
-from ctrplan.cli import main
 from ctrplan.errors import InputError
 from ctrplan.files.plan_file import WrittenPlan
 from ctrplan.files.robot_file import robot_from_dict

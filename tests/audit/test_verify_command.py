@@ -16,7 +16,7 @@ import tomli_w
 from claimed_plans import claiming
 from places import SCENARIOS
 
-from ctrplan.cli import main
+from ctrplan.__main__ import main
 from ctrplan.commands.terminal import ProgressBar
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.files.trajectory_file import trajectory_formats, write_trajectory

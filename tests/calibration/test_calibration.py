@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from measured_data import SIGMA_M, measured, pair_robot, waypoints, without_solutions, write_csv
 
+from ctrplan.__main__ import main
 from ctrplan.calibration.calibrate import calibrate
-from ctrplan.cli import main
 from ctrplan.errors import InputError
 from ctrplan.files.robot_file import load_robot
 from ctrplan.measurement.measurements import Measurements

@@ -10,8 +10,8 @@ import pytest
 from measured_data import SIGMA_M, measured, pair_robot, waypoints, write_csv
 from numpy.typing import NDArray
 
+from ctrplan.__main__ import main
 from ctrplan.calibration.calibrate import Calibration, calibrate
-from ctrplan.cli import main
 from ctrplan.files.robot_file import write_robot
 from ctrplan.measurement.measurements import Measurements
 

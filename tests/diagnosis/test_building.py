@@ -15,8 +15,8 @@ import tomli_w
 from made_up_input import thorough
 from measured_data import SIGMA_M, measured, pair_robot, waypoints
 
+from ctrplan.__main__ import main
 from ctrplan.calibration.residuals import Noise
-from ctrplan.cli import main
 from ctrplan.diagnosis import CATALOGUE, Diagnosis, diagnose, partial_diagnosis, workflow
 from ctrplan.diagnosis import built_term as term_building
 from ctrplan.diagnosis.adequacy import noise_floor

@@ -11,8 +11,8 @@ import pytest
 import tomli_w
 from measured_data import SIGMA_M, SIGMA_RAD, measured, pair_robot, waypoints, write_csv
 
+from ctrplan.__main__ import main
 from ctrplan.calibration.residuals import Noise
-from ctrplan.cli import main
 from ctrplan.diagnosis import CATALOGUE, diagnose
 from ctrplan.diagnosis.next_experiment import Decision, Proposal, decision, proposed_waypoints
 from ctrplan.diagnosis.usable_poses import bench_of, checked_split

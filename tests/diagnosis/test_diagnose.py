@@ -16,7 +16,7 @@ from counted_calls import count_calls
 from measured_data import SIGMA_M, SIGMA_RAD, measured, pair_robot, waypoints, without_solutions, write_csv
 from packed_page import library
 
-from ctrplan.cli import main
+from ctrplan.__main__ import main
 from ctrplan.diagnosis import CATALOGUE, Diagnosis, diagnose
 from ctrplan.diagnosis.gap import localise
 from ctrplan.errors import InputError

@@ -14,7 +14,7 @@ from made_up_input import FUZZ
 from measured_data import measured, pair_robot, waypoints, write_csv
 from unbuilt import build_nothing
 
-from ctrplan.cli import main
+from ctrplan.__main__ import main
 from ctrplan.diagnosis import CATALOGUE, Diagnosis, diagnose, selection
 from ctrplan.diagnosis.adequacy import noise_floor, remains
 from ctrplan.diagnosis.block_evidence import Closing

@@ -14,8 +14,8 @@ from measured_data import measured, pair_robot, waypoints, write_csv
 from places import SCENARIOS
 from scipy.spatial.transform import Rotation
 
+from ctrplan.__main__ import main
 from ctrplan.base.arrays import Array
-from ctrplan.cli import main
 from ctrplan.diagnosis.reading import how_taken, read_again
 from ctrplan.measurement.measurements import Measurements, is_streamed
 

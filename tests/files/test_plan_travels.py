@@ -18,7 +18,7 @@ from made_up_input import FUZZ
 from places import ROBOTS
 
 import ctrplan
-from ctrplan.cli import main
+from ctrplan.__main__ import main
 from ctrplan.commands import view
 from ctrplan.errors import InputError
 from ctrplan.files.plan_inputs import INPUTS, MANIFEST, _packed, unpacked

@@ -12,7 +12,7 @@ from made_up_input import FUZZ
 from measured_data import measured, pair_robot, waypoints, write_csv
 
 import ctrplan
-from ctrplan.cli import main
+from ctrplan.__main__ import main
 from ctrplan.commands.init import CATALOGUE
 from ctrplan.errors import InputError
 from ctrplan.files.robot_file import load_robot, write_robot

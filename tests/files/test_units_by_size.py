@@ -16,8 +16,8 @@ from measured_data import measured, pair_robot, waypoints, write_csv
 from places import ROBOTS, SCENARIOS
 
 import ctrplan
+from ctrplan.__main__ import main
 from ctrplan.base.arrays import are_degrees, are_radians
-from ctrplan.cli import main
 from ctrplan.errors import InputError
 from ctrplan.files.measurement_file import load_measurements
 from ctrplan.files.robot_file import load_robot

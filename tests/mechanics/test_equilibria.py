@@ -17,9 +17,9 @@ from made_up_input import FUZZ
 from places import ROBOTS
 
 import ctrplan
+from ctrplan.__main__ import main
 from ctrplan.base.arrays import Array
 from ctrplan.certificate.other_equilibria import other_start
-from ctrplan.cli import main
 from ctrplan.errors import InputError, SolverError
 from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.mechanics.equilibria import equilibria, is_unique

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ctrplan.__main__ import main
 from ctrplan.base.arrays import Array
-from ctrplan.cli import main
 from ctrplan.files.robot_file import write_robot
 from ctrplan.mechanics.core import Mechanics
 from ctrplan.mechanics.shapes import Status

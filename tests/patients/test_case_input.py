@@ -18,8 +18,8 @@ import trimesh
 from dicom_series import write_series
 
 import ctrplan
+from ctrplan.__main__ import main
 from ctrplan.anatomy.parts import exact_clearance
-from ctrplan.cli import main
 from ctrplan.commands.program import parser
 from ctrplan.errors import CtrplanError, InputError
 from ctrplan.files.slicer_markups import read_markups

@@ -16,8 +16,8 @@ import tomli_w
 from effect_values import effects, pairs_of
 from measured_data import pair_robot
 
+from ctrplan.__main__ import main
 from ctrplan.base.arrays import Array
-from ctrplan.cli import main
 from ctrplan.drive.legs import Collars
 from ctrplan.effects.effect import CATALOGUE
 from ctrplan.files.robot_file import robot_from_dict

@@ -18,12 +18,12 @@ from made_up_input import FUZZ
 from places import SCENARIOS
 
 import ctrplan
+from ctrplan.__main__ import main
 from ctrplan.certificate import arrival as arrivals
 from ctrplan.certificate.arrival import friction_variants
 from ctrplan.certificate.certificate import joined_certificates
 from ctrplan.certificate.certify import certify
 from ctrplan.certificate.other_equilibria import _windings, other_start
-from ctrplan.cli import main
 from ctrplan.commands import plan as plan_command
 from ctrplan.commands.plan import Command, _replanned
 from ctrplan.commands.terminal import ProgressBar

@@ -12,7 +12,7 @@ import pytest
 import trimesh
 from places import SCENARIOS
 
-from ctrplan.cli import main
+from ctrplan.__main__ import main
 from ctrplan.files.scenario_file import scenario_from_dict
 from ctrplan.motion.checker import MotionChecker
 from ctrplan.planning.room import start_trouble

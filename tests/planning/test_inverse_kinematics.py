@@ -12,7 +12,7 @@ import pytest
 from places import SCENARIOS
 
 import ctrplan
-from ctrplan.cli import main
+from ctrplan.__main__ import main
 from ctrplan.errors import NoAnswerError
 from ctrplan.files.robot_file import load_robot, robot_from_dict
 from ctrplan.files.scenario_file import load_robot_or_scenario

@@ -18,7 +18,7 @@ from places import ROBOTS
 from scipy.spatial.transform import Rotation
 
 import ctrplan
-from ctrplan.cli import main
+from ctrplan.__main__ import main
 from ctrplan.errors import InputError, NoAnswerError
 from ctrplan.planning import place as screening
 from ctrplan.planning.base_pose import BaseFrame, BasePose, Patch, base_pose, placed

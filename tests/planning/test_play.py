@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from places import SCENARIOS
 
+from ctrplan.__main__ import main
 from ctrplan.base.arrays import Array
 from ctrplan.certificate.certificate import Certificate
 from ctrplan.certificate.certify import certify
-from ctrplan.cli import main
 from ctrplan.files.robot_file import load_robot
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.motion.checker import search_limits

@@ -14,7 +14,7 @@ from PIL import Image
 from places import ROBOTS, SCENARIOS
 
 import ctrplan
-from ctrplan.cli import main
+from ctrplan.__main__ import main
 from ctrplan.errors import InputError
 from ctrplan.files.robot_file import load_robot, write_robot
 from ctrplan.reports.object_figures import _bent_line, travel_m

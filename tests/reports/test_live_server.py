@@ -26,7 +26,7 @@ from interruptible import INTERRUPTIBLE
 from live_requests import VESSEL_START, ask, get
 from places import SCENARIOS
 
-from ctrplan.cli import main
+from ctrplan.__main__ import main
 from ctrplan.reports.live_server import LiveServer
 
 
@@ -43,7 +43,7 @@ from ctrplan.reports.live_server import LiveServer
         (f"/ik?q={VESSEL_START}&tip=1,2", 400, "must be three finite numbers"),
         ("/pose?q=1_0,2,3,4", 400, "must be numbers"),
         ("/etc/passwd", 404, "there is no"),
-        ("/../ctrplan/cli.py", 404, "there is no"),
+        ("/../ctrplan/__main__.py", 404, "there is no"),
     ],
 )
 def test_bad_requests_are_answered(server: LiveServer, path: str, code: int, words: str) -> None:

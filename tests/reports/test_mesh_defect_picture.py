@@ -13,9 +13,9 @@ import trimesh
 from PIL import Image
 from places import ROBOTS
 
+from ctrplan.__main__ import main
 from ctrplan.anatomy.mesh_repair import MeshDefect
 from ctrplan.base.surface import Surface
-from ctrplan.cli import main
 from ctrplan.reports import plan_picture as mesh_defect_picture
 from ctrplan.reports.plan_picture import mesh_defect_png
 

@@ -11,7 +11,7 @@ import numpy as np
 import pyigtl
 import pytest
 
-from ctrplan.cli import main
+from ctrplan.__main__ import main
 from ctrplan.errors import InputError
 from ctrplan.files.scenario_file import load_robot_or_scenario
 from ctrplan.reports.live_state import LiveState

@@ -12,7 +12,7 @@ from measured_data import measured, pair_robot, waypoints, write_csv
 from packed_page import library
 from places import SCENARIOS
 
-from ctrplan.cli import main
+from ctrplan.__main__ import main
 
 ROBOT = pair_robot()
 PAIR = str(SCENARIOS / "robots" / "table_1_pair.toml")

@@ -13,9 +13,9 @@ import pytest
 from PIL import Image
 from written_plan_files import write_small_plan
 
+from ctrplan.__main__ import main
 from ctrplan.anatomy.patient_frame import Frame
 from ctrplan.base.surface import Surface, capsule
-from ctrplan.cli import main
 from ctrplan.errors import InputError
 from ctrplan.files.plan_file import WrittenPlan
 from ctrplan.plans.plan import Plan

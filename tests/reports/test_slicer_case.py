@@ -13,7 +13,7 @@ import pytest
 import trimesh
 from written_plan_files import write_small_plan
 
-from ctrplan.cli import main
+from ctrplan.__main__ import main
 from ctrplan.files.plan_file import WrittenPlan
 from ctrplan.plans.plan import Plan
 from ctrplan.reports.plan_scene import WrittenMotion, written_motion

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from places import ROBOTS
 
+from ctrplan.__main__ import main
 from ctrplan.base.arrays import Array
-from ctrplan.cli import main
 from ctrplan.files.measurement_file import load_measurements
 from ctrplan.files.robot_file import load_robot
 from ctrplan.pipeline.chain import Chain

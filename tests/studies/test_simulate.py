@@ -10,7 +10,7 @@ import pytest
 import tomli_w
 from places import ROBOTS
 
-from ctrplan.cli import main
+from ctrplan.__main__ import main
 from ctrplan.commands.simulate import start_state
 from ctrplan.errors import InputError
 from ctrplan.files.joint_path_file import load_joint_path

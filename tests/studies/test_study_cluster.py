@@ -18,7 +18,7 @@ import pytest
 from here import Here
 from places import ROBOTS
 
-from ctrplan.cli import main
+from ctrplan.__main__ import main
 from ctrplan.errors import InputError
 from ctrplan.studies.study import engine_dask
 from ctrplan.studies.study.engine import VersionError, do_tasks

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from places import ROBOTS
 
-from ctrplan.cli import main
+from ctrplan.__main__ import main
 from ctrplan.errors import InputError
 from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.mechanics.shapes import Status

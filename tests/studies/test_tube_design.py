@@ -15,7 +15,7 @@ from here import Here
 from places import SCENARIOS
 
 import ctrplan
-from ctrplan.cli import main
+from ctrplan.__main__ import main
 from ctrplan.errors import InputError, NoAnswerError
 from ctrplan.files.design_file import MadeEntry, StockEntry
 from ctrplan.files.robot_file import load_robot

@@ -4,7 +4,7 @@
 # before the command line takes care of it waits until then, which is when it imports its first command.
 INTERRUPTIBLE = """
 import signal, sys
-from ctrplan.cli import main
+from ctrplan.__main__ import main
 
 class Ready:
     def find_spec(self, name, *_):

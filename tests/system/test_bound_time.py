@@ -11,7 +11,7 @@ import pytest
 from hard_robots import content
 from made_up_input import FUZZ
 
-from ctrplan.cli import main
+from ctrplan.__main__ import main
 from ctrplan.commands.bound import FEWEST_TUBES, HARD_S, LONG_S, states_visited
 from ctrplan.files.robot_file import write_robot
 

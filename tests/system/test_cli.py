@@ -21,8 +21,8 @@ from places import ROBOTS, SCENARIOS
 from small_scenarios import NEAR
 
 import ctrplan
+from ctrplan.__main__ import main
 from ctrplan.base.arguments import SEARCH_TIME, SEED
-from ctrplan.cli import main
 from ctrplan.commands import terminal
 from ctrplan.commands.terminal import ProgressBar
 from ctrplan.errors import InputError

@@ -14,7 +14,7 @@ from places import SCENARIOS
 from small_scenarios import NEAR, pair_past_a_sphere
 
 import ctrplan
-from ctrplan.cli import main
+from ctrplan.__main__ import main
 from ctrplan.files.robot_file import load_robot
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.mechanics.core import kernel_name

@@ -27,9 +27,9 @@ from places import SCENARIOS
 from small_scenarios import NEAR
 
 import ctrplan
+from ctrplan.__main__ import main
 from ctrplan.anatomy.shape import CATALOGUE as SHAPES
 from ctrplan.calibration.calibrate import calibrate
-from ctrplan.cli import main
 from ctrplan.drive.trajectory import time_parameterise
 from ctrplan.effects.effect import CATALOGUE as EFFECTS
 from ctrplan.errors import CtrplanError, InputError
@@ -367,7 +367,7 @@ def test_a_standard_stream_that_is_closed_is_no_place_for_anything_else(closed: 
     """The sentence where the result is lost; and the next file that is opened does not take the stream's place."""
     write_robot(tmp_path / "pair.toml", pair_robot().content)
     redirect = {"stdout": ">&-", "stderr": "2>&-", "stdin": "<&-"}[closed]
-    arguments = f"-m ctrplan.cli bound {tmp_path / 'pair.toml'} --theta-deg 0 60 --l-mm 0 -17"
+    arguments = f"-m ctrplan bound {tmp_path / 'pair.toml'} --theta-deg 0 60 --l-mm 0 -17"
     done = subprocess.run(
         ["bash", "-c", f"exec {sys.executable} {arguments} {redirect}"],
         capture_output=True,

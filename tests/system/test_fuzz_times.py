@@ -21,8 +21,8 @@ from made_up_input import FUZZ
 from measured_data import waypoints, write_csv
 from places import SCENARIOS
 
+from ctrplan.__main__ import main
 from ctrplan.base.arrays import Array
-from ctrplan.cli import main
 from ctrplan.files.robot_file import load_robot, write_robot
 from ctrplan.files.scenario_file import load_robot_or_scenario
 from ctrplan.reports.live_state import LiveState

@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 from places import ROOT
 
-from ctrplan.cli import main
+from ctrplan.__main__ import main
 
 GUIDES = ROOT / "docs" / "guides"
 BLOCK = re.compile(

@@ -45,7 +45,7 @@ COMMANDS = {
 }
 RUN = """
 import json, sys
-from ctrplan.cli import main
+from ctrplan.__main__ import main
 for arguments in json.loads(sys.argv[1]):
     main(arguments)
 """

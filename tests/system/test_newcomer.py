@@ -11,7 +11,7 @@ import pytest
 from measured_data import measured, pair_robot, waypoints, write_csv
 from places import ROBOTS, SCENARIOS
 
-from ctrplan.cli import main
+from ctrplan.__main__ import main
 from ctrplan.files.robot_file import write_robot
 
 

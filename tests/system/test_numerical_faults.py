@@ -11,10 +11,10 @@ import pytest
 from places import SCENARIOS
 
 import ctrplan
+from ctrplan.__main__ import main
 from ctrplan.anatomy.clearance_grid import build_field, field_bounds
 from ctrplan.anatomy.parts import AnatomyPart
 from ctrplan.anatomy.shapes.sphere import Sphere
-from ctrplan.cli import main
 from ctrplan.drive.trajectory import time_parameterise
 from ctrplan.errors import InputError, NoAnswerError
 from ctrplan.files.robot_file import load_robot, robot_from_dict

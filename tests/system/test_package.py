@@ -37,7 +37,7 @@ def imported(code: str) -> set[str]:
     return set(subprocess.run([sys.executable, "-c", shown], capture_output=True, text=True).stderr.split())
 
 
-@pytest.mark.parametrize("module", ["ctrplan", "ctrplan.cli", "ctrplan.commands.program"])
+@pytest.mark.parametrize("module", ["ctrplan", "ctrplan.__main__", "ctrplan.commands.program"])
 def test_import_loads_nothing_heavy(module: str) -> None:
     modules = imported(f"import {module}")
     assert module in modules and not HEAVY & modules
@@ -46,6 +46,6 @@ def test_import_loads_nothing_heavy(module: str) -> None:
 @pytest.mark.parametrize("command", [None, *COMMANDS])
 def test_help_imports_the_command_alone(command: str | None) -> None:
     arguments = [command, "--help"] if command else ["--help"]
-    modules = imported(f"from ctrplan.cli import main\ntry:\n    main({arguments})\nexcept SystemExit:\n    pass")
+    modules = imported(f"from ctrplan.__main__ import main\ntry:\n    main({arguments})\nexcept SystemExit:\n    pass")
     own = {f"ctrplan.commands.{name}" for name in COMMANDS} & modules
     assert own == ({f"ctrplan.commands.{command}"} if command else set()) and not HEAVY & modules

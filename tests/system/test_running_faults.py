@@ -22,8 +22,8 @@ from measured_data import measured, pair_robot, waypoints, write_csv
 from places import SCENARIOS
 from small_scenarios import NEAR
 
+from ctrplan.__main__ import main
 from ctrplan.anatomy.clearance_grid import SignedDistanceField
-from ctrplan.cli import main
 from ctrplan.diagnosis import diagnose
 from ctrplan.files.measurement_file import load_measurements
 from ctrplan.files.robot_file import load_robot, write_robot
@@ -190,7 +190,7 @@ def in_a_small_world(
     disk = tmp_path / "disk"
     disk.mkdir()
     mount = f"mount -t tmpfs -o size=200k none '{disk}' && echo old > '{disk}/plan.json'"
-    script = f"{mount} && mount -o remount,{options} '{disk}' && '{sys.executable}' -m ctrplan.cli {arguments}; "
+    script = f"{mount} && mount -o remount,{options} '{disk}' && '{sys.executable}' -m ctrplan {arguments}; "
     script += f"echo exit $?; ls -A '{disk}'; cat '{disk}/plan.json'; {after}"
     environment = {**os.environ, "CTRPLAN_CACHE_DIR": str(disk / "cache"), "MPLCONFIGDIR": str(tmp_path / "matplotlib")}
     return subprocess.run(["unshare", "-rm", "sh", "-c", script], capture_output=True, text=True, env=environment)
@@ -211,7 +211,7 @@ def test_files_that_may_not_grow_leave_the_old_plan_and_nothing_else(tmp_path: P
     folder.mkdir()
     (folder / "plan.json").write_text("old")
     arguments = f"{PLAN} -o '{folder}'"
-    command = f"ulimit -f 200; '{sys.executable}' -m ctrplan.cli {arguments}"
+    command = f"ulimit -f 200; '{sys.executable}' -m ctrplan {arguments}"
     done = subprocess.run(["sh", "-c", command], capture_output=True, text=True)
     assert done.returncode == 1, done.stderr
     assert "File too large" in done.stderr and "Traceback" not in done.stderr
@@ -246,7 +246,7 @@ def test_a_cache_without_room_or_permission_is_no_error_to_those_who_only_use_it
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="has no /dev/full")
 def test_results_that_can_not_be_printed_are_reported() -> None:
-    command = [sys.executable, "-m", "ctrplan.cli", "bound", PAIR, "--theta-deg", "0", "90", "--l-mm", "0", "-17"]
+    command = [sys.executable, "-m", "ctrplan", "bound", PAIR, "--theta-deg", "0", "90", "--l-mm", "0", "-17"]
     with open("/dev/full", "w") as full:
         done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True)
     assert done.returncode == 1 and "could not print the result: No space left on device" in done.stderr

@@ -15,7 +15,7 @@ from measured_data import measured, pair_robot, waypoints, write_csv
 from places import SCENARIOS
 
 import ctrplan
-from ctrplan.cli import main
+from ctrplan.__main__ import main
 from ctrplan.diagnosis import CATALOGUE
 from ctrplan.errors import InputError
 from ctrplan.files.robot_file import write_robot
@@ -32,7 +32,7 @@ def refuse(*arguments, **keys):
     os._exit(99)
 socket.socket.connect = socket.socket.connect_ex = socket.socket.sendto = socket.socket.bind = refuse
 socket.create_connection = socket.getaddrinfo = socket.gethostbyname = refuse
-from ctrplan.cli import main
+from ctrplan.__main__ import main
 sys.exit(main(sys.argv[1:]))
 """
 

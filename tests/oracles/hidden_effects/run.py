@@ -12,7 +12,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-COMMAND = [sys.executable, "-c", "import sys; from ctrplan.cli import main; sys.exit(main())", "diagnose"]
+COMMAND = [sys.executable, "-c", "import sys; from ctrplan.__main__ import main; sys.exit(main())", "diagnose"]
 LONGEST_S = 900
 
 
