@@ -32,6 +32,7 @@ from ctrplan.scenario.tip_solver import GoalState
 
 # Shares of the time by which a first path and the cheapest of the roadmap are sought
 FIRST_SHARE, ROADMAP_SHARE = 0.85, 0.6
+WORTH_A_CERTIFICATE = 5e-3  # of the cost: less gain than that is not worth a certificate, which takes longer
 POLISH_SHARE = 0.3  # of the time, whenever polish begins: a first path that took all of it is where it gains most
 # Shares by which L-shaped motions are sampled that led to no path, and then simultaneous ones
 SAMPLED_SHARE, FALLBACK_SHARE = 0.95, 1.08
@@ -63,6 +64,7 @@ class Candidate:
     found_by: str
     reordered: Reordered | None = None  # in order, and compared with other orders
     progress: Callable[[float], None] | None = None  # of the certificate
+    as_driven_mm: float | None = None  # the cost beside others', where it is known how compensation will change both
 
     @cached_property
     def result(self) -> Reordered:
@@ -72,6 +74,8 @@ class Candidate:
     @cached_property
     def cost_mm(self) -> float:
         """The cost of a path by its certificate's samples, the scenario's own terms included."""
+        if self.as_driven_mm is not None:
+            return self.as_driven_mm
         return self.walk.cost_mm + sum(self.checker.terms_mm(self.corners))
 
     @cached_property
@@ -141,14 +145,21 @@ class StageSearch:
         if self.clock.timed:
             until = min(until, self.budget)
         work = Polish(checker, corners, self.seed, moves_goal=self.moves_goal)
+        begun_mm = work.cost_mm
         with self._ending(until):
             work.run(lambda: self._is_over(until))
-        if np.array_equal(work.corners, corners):
+        polished, cost_mm, reached_mm = work.corners, None, work.cost_mm
+        if checker is not before.checker and begun_mm - reached_mm > WORTH_A_CERTIFICATE * begun_mm:
+            back = brought_to_goal(before.checker, work.corners)
+            if back is None:
+                return
+            polished, (there, moved) = back, aimed(before.checker, back)  # from there compensation goes another way
+            reached_mm = there.cost_mm(there.along(moved), ends_at_goal=True)
+            cost_mm = before.cost_mm - (begun_mm - reached_mm)
+        if not begun_mm - reached_mm > WORTH_A_CERTIFICATE * begun_mm:
             return
-        polished = work.corners if checker is before.checker else brought_to_goal(before.checker, work.corners)
-        if polished is None:
-            return
-        if self._tidied(before.checker, polished, before.found_by) and len(polished) == len(before.result.after):
+        failed = self._tidied(before.checker, polished, before.found_by, as_driven_mm=cost_mm)
+        if failed and len(polished) == len(before.result.after):
             self._tidied(before.checker, (polished + before.result.after) / 2, before.found_by)
 
     def _without_reserve(self) -> None:
@@ -328,8 +339,13 @@ class StageSearch:
         self._keep(Candidate(checker, way, walk, found_s, time.monotonic() - self.began, found_by))
         return ""
 
-    def _tidied(self, checker: MotionChecker, corners: Array, found_by: str) -> str:
-        """Reorders and certifies a path (K, m), keeps it if it is the best; why it failed, empty if it did not."""
+    def _tidied(
+        self, checker: MotionChecker, corners: Array, found_by: str, *, as_driven_mm: float | None = None
+    ) -> str:
+        """Reorders and certifies a path (K, m), keeps it if it is the best; why it failed, empty if it did not.
+
+        `as_driven_mm` is what it costs beside others if it stays as it is.
+        """
         found_s = time.monotonic() - self.began
         result = least_error_order(checker, merge_legs(corners))
         if self.best is not None and np.array_equal(result.after, self.best.corners):
@@ -343,7 +359,10 @@ class StageSearch:
             self.failure, self.failed = walk.failure, walk
             return self.failure
         certified_s = time.monotonic() - self.began
-        self._keep(Candidate(checker, result.after, walk, found_s, certified_s, found_by, result))
+        candidate = Candidate(checker, result.after, walk, found_s, certified_s, found_by, result)
+        if np.array_equal(result.after, corners):
+            candidate = replace(candidate, as_driven_mm=as_driven_mm)
+        self._keep(candidate)
         return ""
 
     def _walked(self, checker: MotionChecker, corners: Array) -> WalkedLegs:
