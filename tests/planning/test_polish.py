@@ -12,9 +12,11 @@ from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.drive.legs import merge_legs
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.motion.checker import MotionChecker
+from ctrplan.planning.compensate import CLOSE_M, aimed, brought_to_goal
 from ctrplan.planning.goal_states import goal_state
 from ctrplan.planning.search.polish import Polish
 from ctrplan.scenario.joint_space import bare_scenario
+from ctrplan.scenario.prediction import predict_end, start_states
 from ctrplan.scenario.scenario import Goal, Scenario
 
 START, GOAL = np.radians([0, 0, 0, 0]), np.append(np.radians([20.0, 80.0, 130.0]), -20e-3)
@@ -101,3 +103,24 @@ def test_a_path_that_is_over_at_once_stays_as_it_is(checker: MotionChecker) -> N
     polish = Polish(checker, roundabout(), 0)
     polish.run(lambda: True)
     np.testing.assert_array_equal(polish.corners, merge_legs(roundabout()))
+
+
+def test_a_path_is_polished_where_compensation_will_bring_it(case: Scenario, checker: MotionChecker) -> None:
+    """The tip with friction arrives from there, the frictionless one from where it is brought back to."""
+    robot, target = case.robot, case.goal.tip_m
+    assert target is not None
+    path = roundabout()[:-1]  # ends with a turn, which leaves friction
+    path[-1] = GOAL
+    other, moved = aimed(checker, path)
+
+    def off_mm(corners: Array) -> float:
+        middle = predict_end(robot, corners, start_states(case))[0].end_middle_m
+        return float(np.linalg.norm(middle - target)) * MM_PER_M
+
+    assert other is not checker and off_mm(path) > 0.2 and off_mm(moved) < 0.2 * off_mm(path)
+    back = brought_to_goal(checker, moved)
+    assert back is not None
+    tip = robot.mechanics.tips_with_friction(*robot.drive.collars(back[-1:]), np.zeros((1, robot.n - 1))).position_m[0]
+    assert np.linalg.norm(tip - target) < CLOSE_M
+    to_joints = MotionChecker(replace(case, goal=replace(case.goal, tip_m=None, joints=GOAL)))
+    assert aimed(to_joints, path) == (to_joints, path)
