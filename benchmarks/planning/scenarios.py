@@ -14,7 +14,6 @@ choice: how much choice the scenarios' goals leave: goal configurations, their b
 import os
 import subprocess
 import sys
-import threading
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -144,23 +143,22 @@ def costs(paths: list[Path], time_s: float, seeds: int, against: Path | None) ->
 COST_COLUMNS = ("planned", "cost", "bound at the goal", "processor")
 
 
+def ended_by_a_path(progress: Progress) -> None:
+    """Raises StopIteration once a path is certified."""
+    if progress.stage == "search" and progress.best_cost_mm is not None:
+        raise StopIteration
+
+
 def success(paths: list[Path], time_s: float, seeds: int) -> None:
     """A row for each scenario; searches end by their count alone, so that a busy machine has the same rows."""
     rows = list[tuple[str, ...]]()
     for path in paths:
         scenario, took, planned = ctrplan.load_scenario(path, [f"planner.time_s={time_s}"]), list[float](), 0
-        is_tour = bool(scenario.via)
+        told = None if scenario.via else ended_by_a_path  # a tour is planned to its end
         for seed in range(seeds):
-            has_path, began = threading.Event(), time.process_time()
-
-            def told(progress: Progress, has_path: threading.Event = has_path, is_tour: bool = is_tour) -> None:
-                if progress.stage == "search" and progress.best_cost_mm is not None:
-                    if not is_tour:
-                        raise StopIteration  # certified: what follows is no search
-                    has_path.set()
-
+            began = time.process_time()
             try:
-                planned += ctrplan.plan(scenario, seed=seed, progress=told, interrupted=has_path).certificate.valid
+                planned += ctrplan.plan(scenario, seed=seed, progress=told).certificate.valid
             except StopIteration:
                 planned += 1
             except ctrplan.CtrplanError as error:
