@@ -5,7 +5,8 @@ corner has a second equilibrium, far from it, an approach may end there and brea
 all pairs turned by APPROACH_DEG at once, from either side each, which loads friction fully. Where whole turns of joints
 before the start are not known, the robot may be wound up: every stable equilibrium without clearance and friction is
 enumerated (`ctrplan.mechanics.equilibria`), and those that turns within the joints' limits lead to are not walked to.
-Of robots that are not enumerated, whole turns are simulated.
+Of robots that are not enumerated, whole turns are simulated. Where turns count, rotations straight from home lead to
+the start, and have to end in the shape that is walked from.
 
 Corners of friction are solved from the frictionless shape. A robot may come to the same corner from another one, or by
 a turn, and stand elsewhere. Along the path each corner is solved from the shapes of all others. At the ends of legs it
@@ -29,7 +30,7 @@ from ctrplan.base.long_work import cores
 from ctrplan.certificate.friction_states import BEYOND_BOUND_M
 from ctrplan.certificate.walked_piece import Piece
 from ctrplan.errors import InputError, SolverError
-from ctrplan.mechanics.equilibria import SAME_SHAPE_M
+from ctrplan.mechanics.equilibria import SAME_SHAPE_M, is_unique
 from ctrplan.mechanics.shapes import Status
 from ctrplan.mechanics.walk import PathDensity
 from ctrplan.robot.robot import Robot
@@ -37,7 +38,7 @@ from ctrplan.robot.robot import Robot
 if TYPE_CHECKING:
     from ctrplan.mechanics.equilibria import Equilibria
     from ctrplan.mechanics.shapes import Bound
-    from ctrplan.scenario.scenario import Scenario
+    from ctrplan.scenario.scenario import Scenario, StartTurns
 
 APPROACH_DEG = 90.0  # of Section V of Ha et al. 2019
 MOST_TURNS = 2  # of a joint before the start
@@ -55,13 +56,13 @@ def other_start(scenario: Scenario, joints: Array) -> str:
     robot = scenario.robot
     is_loaded = scenario.start_friction not in ("released", "oscillated")
     known = _KNOWN.setdefault(robot, {})
-    key = joints.tobytes() + bytes([is_loaded, scenario.start_turns == "absolute"])
+    key = joints.tobytes() + bytes([is_loaded]) + scenario.start_turns.encode()
     if key not in known:
-        known[key] = _other_start(robot, joints, is_loaded, scenario.start_turns == "absolute")
+        known[key] = _other_start(robot, joints, is_loaded, scenario.start_turns)
     return known[key]
 
 
-def _other_start(robot: Robot, joints: Array, is_loaded: bool, is_absolute: bool) -> str:
+def _other_start(robot: Robot, joints: Array, is_loaded: bool, turns: StartTurns) -> str:
     theta_b, l_b = robot.drive.collars(joints)
     if robot.n == 1:
         return ""
@@ -69,7 +70,9 @@ def _other_start(robot: Robot, joints: Array, is_loaded: bool, is_absolute: bool
     if not np.isfinite(bound.position_m):
         return ""
     approaches = [*_approaches(robot.n - 1)] if is_loaded and robot.friction.any() else []
-    if not is_absolute:
+    if turns == "absolute" and (turned := _turned_from_home(robot, joints, bound)):
+        return turned
+    if turns == "unknown":
         try:
             if wound := _wound(robot, joints, robot.equilibria(theta_b, l_b), bound):
                 return wound
@@ -101,6 +104,27 @@ def _other_start(robot: Robot, joints: Array, is_loaded: bool, is_absolute: bool
     return (
         f"The start has another equilibrium: approached by relative turns of ({turned}) deg the tip stands "
         f"{away_mm:.1f} mm beyond what friction does there ({bound_mm:.2f} mm)"
+    )
+
+
+def _turned_from_home(robot: Robot, joints: Array, bound: Bound) -> str:
+    """A sentence if rotations straight from home, at the start's translations, end in another shape; empty if not."""
+    home = np.where(robot.drive.is_rotation, 0.0, joints)
+    theta_b, l_b = robot.drive.collars(np.array([home, joints]))
+    if np.allclose(np.diff(np.diff(theta_b), axis=0), 0.0) or is_unique(robot, l_b[-1]):
+        return ""
+    history = robot.history()
+    try:
+        history.follow(theta_b, l_b)
+        let_go = history.tip_beside(np.zeros(robot.n - 1))
+    except SolverError:  # there is no equilibrium to come from
+        return ""
+    away = float(np.linalg.norm(let_go - bound.frictionless.tip_m))
+    if not away > SAME_SHAPE_M:
+        return ""
+    return (
+        f"The start has another stable equilibrium, where rotations straight from home end: the tip stands "
+        f"{away * MM_PER_M:.1f} mm away there; start within half a turn of home, or where there is one equilibrium"
     )
 
 

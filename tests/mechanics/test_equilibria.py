@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from made_up_input import FUZZ
 from places import ROBOTS
+from stated_plans import in_si, rvim
 
 import ctrplan
 from ctrplan.base.arrays import Array
@@ -110,6 +111,21 @@ def test_a_start_that_may_be_wound_is_refused_with_the_way_to_unwind_it() -> Non
     ends = {"min_deg": -180, "max_deg": 180}
     held = bare_scenario(bent(2.5, **ends))
     assert "to unwind" not in other_start(replace(held, start_friction="released"), at)
+
+
+def test_turns_that_count_lead_from_home_to_the_shape_that_is_walked_from() -> None:
+    """The inner tube at -314.9 deg is wound up when it was turned there; at 45.1 deg, the same place, it is not."""
+    robot = rvim()
+    unwound = in_si(robot, [0, 68.2221, 45.0959, -129.4931, -174.9751, -203.5571])
+    wound = unwound - [0, 0, 2 * np.pi, 0, 0, 0]
+    for at, is_refused in ((unwound, False), (wound, True)):
+        scenario = replace(bare_scenario(robot), start=at, start_turns="absolute", start_friction="released")
+        assert ("straight from home" in other_start(scenario, at)) == is_refused
+        theta, l = robot.drive.collars(np.array([np.where(robot.drive.is_rotation, 0.0, at), at]))  # noqa: E741
+        end = robot.history().follow(theta, l).position_m[-1]
+        bound = robot.bound(theta[-1], l[-1])
+        assert (np.linalg.norm(end - bound.frictionless.tip_m) > bound.position_m + 5e-3) == is_refused
+        assert not other_start(replace(scenario, start_turns="followed"), at)
 
 
 def test_robots_of_another_kind_are_refused_in_one_sentence() -> None:
