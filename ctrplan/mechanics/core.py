@@ -39,7 +39,7 @@ from ctrplan.mechanics.core_arrays import (
 from ctrplan.mechanics.friction import SPACING, FrictionStates, corner_signs
 from ctrplan.mechanics.gradients import bound_gradients, directions, with_gradient
 from ctrplan.mechanics.loaded_shape import LoadedRobot, is_beyond_standard
-from ctrplan.mechanics.shapes import Accuracy, Bound, Bounds, FrictionBodies, Shape, Status, Tips, input_errors
+from ctrplan.mechanics.shapes import Accuracy, Bound, Bounds, Branched, FrictionBodies, Shape, Status, Tips, input_errors
 from ctrplan.mechanics.tube import RANGES, SECTION_RANGES, Loads, nests
 from ctrplan.mechanics.walk import (
     Field,
@@ -401,6 +401,17 @@ class Mechanics:
     ) -> FrictionBodies:
         """Bodies in friction states phi of one configuration, asked for once: see `FrictionStates.bodies`."""
         return self.friction_states(theta_b, l_b, accuracy=accuracy).bodies(phi, spacing_m=spacing_m)
+
+    def solve_from(
+        self, theta_b: Array, l_b: Array, phi: Array, s_m: Array, angles: Array, accuracy: Accuracy
+    ) -> Branched:
+        """S friction states phi (S, n - 1), each solved from a given shape, on whatever branch that lies.
+
+        angles (S, n, K) [rad] of every tube at arc lengths s_m (K,) that ascend, beyond its ends as there.
+        """
+        given = [np.ascontiguousarray(values) for values in (phi, s_m, angles)]
+        with input_errors():
+            return Branched(*self._model.solve_from(*self._collars(theta_b, l_b), *given, accuracy))
 
     @checked(accuracy=ACCURACY)
     def corners_apart(self, theta_b: ArrayLike, l_b: ArrayLike, *, accuracy: Accuracy = "search") -> Array:

@@ -14,6 +14,7 @@ An equilibrium is stable where the determinant of the integrated derivatives kee
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -25,10 +26,13 @@ from ctrplan.base.arrays import Array
 from ctrplan.base.package import shown
 from ctrplan.errors import InputError
 from ctrplan.mechanics.core_arrays import joint_row
+from ctrplan.mechanics.friction import corner_signs
 from ctrplan.mechanics.tube import Loads
 
 if TYPE_CHECKING:
+    from ctrplan.mechanics.shapes import Accuracy
     from ctrplan.mechanics.tube import Tube
+    from ctrplan.robot.robot import Robot
 
 
 class Tubes(Protocol):
@@ -126,6 +130,150 @@ def other_shapes(robot: Tubes, theta_b: ArrayLike, l_b: ArrayLike, tip_m: Array)
         return []
 
 
+@dataclass(frozen=True, eq=False)
+class Branch:
+    """A stable shape with clearance, and where friction moves it: it counts as soon as one of its states is solved."""
+
+    tip_m: Array  # (1 + C, 3) robot frame, without friction and in the sign corners; NaN where it has no equilibrium
+    twist_rad: Array  # (1 + C, n - 1) of each pair from tip to collar
+    angles_rad: Array  # (1 + C, n, K) of every tube
+
+    @property
+    def solved(self) -> NDArray[np.bool_]:
+        """(1 + C,) where it has an equilibrium."""
+        return np.asarray(np.isfinite(self.tip_m[:, 0]))
+
+
+@dataclass(frozen=True, eq=False)
+class Branches:
+    """All that were reached at one configuration from the equilibria without clearance there and around."""
+
+    phi: Array  # (1 + C, n - 1) friction states
+    each: tuple[Branch, ...]
+
+
+NEAR_RAD = 0.2  # of angles at the tips, within which a root leads to a solution that is known
+
+
+def branches(robot: Robot, theta_b: ArrayLike, l_b: ArrayLike, accuracy: Accuracy = "search") -> Branches:
+    """Stable shapes with clearance and friction at collars (n,) [rad], (n,) [m].
+
+    Every stable equilibrium without clearance is what the frictionless robot and each sign corner of friction are
+    solved from. Friction turns the tips as if the collars stood elsewhere: the equilibria there are begun from as well.
+    """
+    theta, l = joint_row(theta_b, len(robot.tubes)), joint_row(l_b, len(robot.tubes))  # noqa: E741
+    _refuse(robot)
+    looked = _Looked(robot, theta, l, accuracy)
+    roots, _ = looked.torus.roots(np.diff(theta), float(theta[0]))
+    looked.begin([root.tip_angles_rad for root in roots if root.is_stable], np.zeros(robot.n - 1))
+    looked.extend()
+    looked.look_beside()
+    return Branches(looked.phi, tuple(looked.result()))
+
+
+class _Looked:
+    """Solutions by friction state and branch."""
+
+    def __init__(self, robot, theta, l, accuracy) -> None:
+        self.robot, self.theta, self.l, self.accuracy = robot, theta, l, accuracy
+        self.torus = Torus(robot.tubes, l)
+        pairs = robot.n - 1
+        self.phi = np.vstack([np.zeros(pairs), corner_signs(pairs)])
+        self.tips: list[Array] = []
+        self.angles: list[Array] = []
+
+    def shapes(self, psi: Array, off: Array) -> Array:
+        """(G, n, K)"""
+        outermost = np.full(len(psi), self.theta[0])
+        self.s_m, angles = self.torus.shapes(psi, outermost)
+        collar = self.theta + np.concatenate([[0.0], np.cumsum(off)])
+        whole = np.round((collar - angles[:, :, 0]) / (2 * np.pi))
+        return angles + 2 * np.pi * whole[:, :, None]
+
+    def solve(self, states, angles):
+        return self.robot.mechanics.solve_from(self.theta, self.l, self.phi[states], self.s_m, angles, self.accuracy)
+
+    def known(self, state: int, tip: Array, angles: Array) -> bool:
+        return any(np.linalg.norm(tips[state] - tip) < SAME_SHAPE_M for tips in self.tips)
+
+    def begin(self, psi: list[Array], off: Array) -> None:
+        if not psi:
+            return
+        S = len(self.phi)
+        guess = self.shapes(np.array(psi), off)
+        rows = self.solve(np.tile(np.arange(S), len(psi)), np.repeat(guess, S, axis=0))
+        for g in range(len(psi)):
+            self.add(rows, range(g * S, (g + 1) * S), range(S))
+
+    def add(self, rows, numbers, states) -> None:
+        S = len(self.phi)
+        tips = np.full((S, 3), np.nan)
+        angles = np.full((S, self.robot.n, len(self.s_m)), np.nan)
+        for k, state in zip(numbers, states):
+            if rows.status[k] == 0 and not self.known(state, rows.tip_m[k], rows.angles_rad[k]):
+                tips[state], angles[state] = rows.tip_m[k], rows.angles_rad[k]
+        if np.isfinite(tips).any():
+            self.tips.append(tips)
+            self.angles.append(angles)
+
+    def extend(self) -> None:
+        for tips, angles in zip(self.tips, self.angles):
+            while True:
+                solved = np.isfinite(tips[:, 0])
+                missing = np.flatnonzero(~solved)
+                if not len(missing) or not solved.any():
+                    break
+                there = np.flatnonzero(solved)
+                apart = np.abs(self.phi[missing][:, None] - self.phi[there]).sum(axis=2)
+                rows = self.solve(missing, angles[there[apart.argmin(axis=1)]])
+                new = [k for k in range(len(missing)) if rows.status[k] == 0 and not self.known(missing[k], rows.tip_m[k], rows.angles_rad[k])]
+                for k in new:
+                    tips[missing[k]], angles[missing[k]] = rows.tip_m[k], rows.angles_rad[k]
+                if not new:
+                    break
+
+    def look_beside(self) -> None:
+        alpha = np.diff(self.theta)
+        wanted = []
+        for tips, angles in zip(self.tips, self.angles):
+            for state in np.flatnonzero(np.isfinite(tips[:, 0])):
+                psi = np.diff(angles[state][:, -1])
+                _, shape = self.torus.shapes(psi[None], [self.theta[0]])
+                off = np.diff(shape[0, :, 0]) - alpha
+                off -= 2 * np.pi * np.round(off / (2 * np.pi))
+                wanted.append((int(state), off))
+        if not wanted:
+            return
+        every = self.torus.all_roots(alpha + np.array([off for _, off in wanted]), [self.theta[0]] * len(wanted))
+        states, guesses = [], []
+        for (state, off), (roots, _) in zip(wanted, every):
+            for root in roots:
+                if not root.is_stable:
+                    continue
+                psi = root.tip_angles_rad
+                close = any(
+                    np.abs(np.remainder(np.diff(angles[state][:, -1]) - psi + np.pi, 2 * np.pi) - np.pi).max() < NEAR_RAD
+                    for tips, angles in zip(self.tips, self.angles)
+                    if np.isfinite(tips[state, 0])
+                )
+                if not close:
+                    states.append(state)
+                    guesses.append(self.shapes(psi[None], off)[0])
+        if not states:
+            return
+        rows = self.solve(np.array(states), np.array(guesses))
+        before = len(self.tips)
+        for k, state in enumerate(states):
+            self.add(rows, [k], [state])
+        if len(self.tips) > before:
+            self.extend()
+
+    def result(self):
+        for tips, angles in zip(self.tips, self.angles):
+            twist = angles[:, :, -1] - angles[:, :, 0]
+            yield Branch(tips, -np.diff(twist, axis=1), angles)
+
+
 def is_unique(robot: Tubes, l_b: ArrayLike) -> bool:
     """Whether there is one equilibrium at every rotation of the collars, at translations (n,) [m].
 
@@ -199,17 +347,36 @@ class Torus:
         Newton's method begins where the grid's derivatives lead into the cell around; from everywhere on a denser grid
         if the signs of what that finds do not add up.
         """
-        rows: list[Any] = []
+        return self.all_roots(alpha[None], [outermost_rad])[0]
+
+    def all_roots(self, alpha: Array, outermost_rad: Sequence[float]) -> list[tuple[list[Equilibrium], int]]:
+        """The same at each of relative collar angles (A, n - 1); the grid is looked at once."""
+        results: list[Any] = [None] * len(alpha)
+        left = list(range(len(alpha)))
         for times, cells in ((1, NEAR_CELLS), (DENSER, np.inf)):
             reach_rad = cells * 2 * np.pi / GRID[max(self.pairs, 1)]
-            rows = self._core.roots(self.grid(times), alpha.tolist(), outermost_rad, reach_rad, SAME_RAD, STEP_M)
-            if sum(row[2] for row in rows) == 1:
+            turned = np.ascontiguousarray(alpha[left]), [float(outermost_rad[k]) for k in left]
+            found = self._core.roots(self.grid(times), *turned, reach_rad, SAME_RAD, STEP_M)
+            for k, rows in zip(left, found, strict=True):
+                results[k] = rows
+            left = [k for k in left if sum(row[2] for row in results[k]) != 1]
+            if not left:
                 break
-        each = [
-            Equilibrium(tip_m, np.remainder(psi, 2 * np.pi), twist, energy_J, is_stable)
-            for psi, twist, _, is_stable, energy_J, tip_m in rows
+        return [
+            (
+                [
+                    Equilibrium(tip_m, np.remainder(psi, 2 * np.pi), twist, energy_J, is_stable)
+                    for psi, twist, _, is_stable, energy_J, tip_m in rows
+                ],
+                sum(row[2] for row in rows),
+            )
+            for rows in results
         ]
-        return each, sum(row[2] for row in rows)
+
+    def shapes(self, tip_angles_rad: Array, outermost_rad: Sequence[float]) -> tuple[Array, Array]:
+        """Arc lengths (K,) [m], and angles (G, n, K) of every tube there where the tips stand at (G, n - 1)."""
+        s_m, theta = self._core.shapes(np.ascontiguousarray(tip_angles_rad), list(outermost_rad), STEP_M)
+        return np.asarray(s_m), np.asarray(theta)
 
 
 def _stretches(tubes: tuple[Tube, ...], l_b: Array) -> list[_Stretch]:

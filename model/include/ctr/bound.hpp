@@ -23,6 +23,13 @@ struct FrictionStates {
     int sections;
 };
 
+// Shapes that solves begin from, theta [row][tube][count] at arc lengths s [count], and the friction states phi [row][pair] that
+// they are solved for, outermost first.
+struct GivenShapes {
+    const double *s, *theta, *phi;
+    std::size_t count, rows;
+};
+
 // What all friction states of a configuration share, for whoever asks for more of them later: the frictionless robot, and the
 // iterate where the states part from it.
 struct FrictionlessStart {
@@ -63,6 +70,9 @@ class BoundSolver {
     FrictionlessStart begin_states(const Configuration& q, const Accuracy& accuracy);
     void solve_states(const FrictionlessStart& start, const FrictionStates& states,
                       const std::function<void(std::size_t row, const FrictionShape&)>& show);
+    // Solves from given shapes, on whatever branch they lie; shows also the angles [tube][count] as they were given.
+    void solve_from(const Configuration& q, const Accuracy& accuracy, const GivenShapes& given,
+                    const std::function<void(const FrictionShape&, std::vector<double>&& theta)>& show);
     // Solves from scratch, then every corner from every other one: how far [m] a stable equilibrium found so lies from the
     // corner's own, the largest per corner; 0 where all agree, inf where a corner was not solved.
     std::vector<double> corners_apart(const Configuration& q, const Accuracy& accuracy);
