@@ -1,4 +1,4 @@
-"""All equilibria of a robot without clearance and friction at given collars, by the torus of its tips' angles.
+"""All equilibria of a robot at given collars, by the torus of its tips' angles without clearance and friction.
 
 At their ends tubes carry no torsion. Angles there, relative to the tube around, are all that an equilibrium depends on:
 from them the torsion equations (Rucker et al. 2010, eq. (3) of Ha et al. 2019 without clearance) are integrated towards
@@ -9,13 +9,17 @@ whole turns, is an equilibrium at relative collar angles alpha.
 R has degree one: signs of its determinant, summed over all equilibria, make 1. Where a sum is another, one was missed.
 An equilibrium is stable where the determinant of the integrated derivatives keeps its sign from the tips to the collars
 (no conjugate point). Where R's determinant is positive on the whole torus there is one equilibrium at any rotation.
+
+Clearance and friction remove some and add others. The robot with them is solved from the shapes without: what converges
+to a stable shape is a branch.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -27,12 +31,14 @@ from ctrplan.base.package import shown
 from ctrplan.errors import InputError
 from ctrplan.mechanics.core_arrays import joint_row
 from ctrplan.mechanics.friction import corner_signs
+from ctrplan.mechanics.shapes import Status
 from ctrplan.mechanics.tube import Loads
 
 if TYPE_CHECKING:
+    from ctrplan.mechanics.core import Mechanics
+    from ctrplan.mechanics.friction import Branched
     from ctrplan.mechanics.shapes import Accuracy
     from ctrplan.mechanics.tube import Tube
-    from ctrplan.robot.robot import Robot
 
 
 class Tubes(Protocol):
@@ -53,11 +59,18 @@ class Tubes(Protocol):
         """For messages."""
         ...
 
+    @property
+    def mechanics(self) -> Mechanics:
+        """What solves with clearance and friction."""
+        ...
+
 
 STEP_M = 4e-3  # of the integration from the tips, of fourth order: angles are within 1e-6 rad of shorter ones
 GRID = {1: 12, 2: 12, 3: 6, 4: 6}  # angles along each pair: none of 120 random configurations had one between them
 NEAR_CELLS, DENSER = 1.5, 4  # of the grid, within which the first step has to lead; else so many times as dense
 SAME_RAD = 1e-4  # between angles of one equilibrium
+BEYOND = (1.0, 2.0, 4.0)  # of what friction turns the tips by: it holds more on a branch that is wound up farther
+NEAR_RAD = 0.2  # of angles at the tips, within which a root without clearance leads to a solution that is known
 SAME_SHAPE_M = 0.5e-3  # between solutions of one shape: walked to or found afresh, with clearance or without
 
 
@@ -87,6 +100,12 @@ class Equilibria:
 
     each: tuple[Equilibrium, ...]
     degree: int  # sum of signs, 1 unless some were missed
+    look: Callable[[], tuple[Branch, ...]] = field(repr=False)
+
+    @cached_property
+    def branches(self) -> tuple[Branch, ...]:
+        """The stable shapes with clearance and friction that these lead to, solved when somebody asks."""
+        return self.look()
 
     @property
     def is_complete(self) -> bool:
@@ -97,13 +116,6 @@ class Equilibria:
     def stable(self) -> tuple[Equilibrium, ...]:
         """Those in which the robot can stay."""
         return tuple(equilibrium for equilibrium in self.each if equilibrium.is_stable)
-
-    def others(self, tip_m: Array) -> list[tuple[float, Equilibrium]]:
-        """Stable ones beside the one whose tip is nearest to a tip (3,), and how far [m] from it theirs are."""
-        apart = sorted(
-            ((float(np.linalg.norm(shape.tip_m - tip_m)), shape) for shape in self.stable), key=lambda pair: pair[0]
-        )
-        return [(distance, shape) for distance, shape in apart[1:] if distance > apart[0][0] + SAME_SHAPE_M]
 
     def headline(self) -> str:
         """How many, as it shows itself."""
@@ -119,159 +131,69 @@ def equilibria(robot: Tubes, theta_b: ArrayLike, l_b: ArrayLike) -> Equilibria:
     theta, l = joint_row(theta_b, len(robot.tubes)), joint_row(l_b, len(robot.tubes))  # noqa: E741 (as in the equations)
     _refuse(robot)
     each, degree = Torus(robot.tubes, l).roots(np.diff(theta), float(theta[0]))
-    return Equilibria(tuple(sorted(each, key=lambda equilibrium: equilibrium.energy_J)), degree)
+    in_order = tuple(sorted(each, key=lambda equilibrium: equilibrium.energy_J))
+    return Equilibria(in_order, degree, partial(branches, robot, theta, l))
 
 
-def other_shapes(robot: Tubes, theta_b: ArrayLike, l_b: ArrayLike, tip_m: Array) -> list[tuple[float, Equilibrium]]:
-    """Other stable equilibria than the one with a tip (3,), and how far [m] from it; none where they are refused."""
-    try:
-        return equilibria(robot, theta_b, l_b).others(tip_m)
-    except InputError:
-        return []
-
-
+@shown
 @dataclass(frozen=True, eq=False)
 class Branch:
-    """A stable shape with clearance, and where friction moves it: it counts as soon as one of its states is solved."""
+    """A stable shape with clearance, without friction and in the C sign corners of friction: states where it exists.
 
-    tip_m: Array  # (1 + C, 3) robot frame, without friction and in the sign corners; NaN where it has no equilibrium
+    It counts as soon as one of its states is solved.
+    """
+
+    tip_m: Array  # (1 + C, 3) robot frame; NaN where it has no equilibrium
     twist_rad: Array  # (1 + C, n - 1) of each pair from tip to collar
-    angles_rad: Array  # (1 + C, n, K) of every tube
+    angles_rad: Array  # (1 + C, n, K) of every tube along the robot
+    energy_J: float  # of the equilibrium without clearance that it was begun from
 
     @property
     def solved(self) -> NDArray[np.bool_]:
         """(1 + C,) where it has an equilibrium."""
-        return np.asarray(np.isfinite(self.tip_m[:, 0]))
+        return np.isfinite(self.tip_m[:, 0])
+
+    @property
+    def first(self) -> int:
+        """The state that stands for it: the frictionless one where there is one."""
+        return int(np.argmax(self.solved))
+
+    def headline(self) -> str:
+        """What it is, as it shows itself."""
+        at = ", ".join(f"{x * 1e3:.2f}" for x in self.tip_m[self.first])
+        wound = ", ".join(f"{np.degrees(x):+.0f}" for x in self.twist_rad[self.first])
+        kind = "stable shape" if self.solved[0] else "shape that friction holds"
+        return f"{kind}, tip at ({at}) mm, pairs twisted by ({wound}) deg, {self.energy_J * 1e3:.2f} mJ"
 
 
-@dataclass(frozen=True, eq=False)
-class Branches:
-    """All that were reached at one configuration from the equilibria without clearance there and around."""
+def branches(robot: Tubes, theta_b: ArrayLike, l_b: ArrayLike, *, accuracy: Accuracy = "search") -> tuple[Branch, ...]:
+    """Stable shapes with clearance and friction at collars (n,) [rad], (n,) [m], those without clearance first.
 
-    phi: Array  # (1 + C, n - 1) friction states
-    each: tuple[Branch, ...]
-
-
-NEAR_RAD = 0.2  # of angles at the tips, within which a root leads to a solution that is known
-
-
-def branches(robot: Robot, theta_b: ArrayLike, l_b: ArrayLike, accuracy: Accuracy = "search") -> Branches:
-    """Stable shapes with clearance and friction at collars (n,) [rad], (n,) [m].
-
-    Every stable equilibrium without clearance is what the frictionless robot and each sign corner of friction are
-    solved from. Friction turns the tips as if the collars stood elsewhere: the equilibria there are begun from as well.
+    The frictionless robot and each sign corner of friction are solved from every stable equilibrium without clearance.
+    Friction turns the tips as if the collars stood elsewhere: the equilibria there are begun from as well. Raises
+    InputError as `equilibria` does.
     """
     theta, l = joint_row(theta_b, len(robot.tubes)), joint_row(l_b, len(robot.tubes))  # noqa: E741
     _refuse(robot)
     looked = _Looked(robot, theta, l, accuracy)
-    roots, _ = looked.torus.roots(np.diff(theta), float(theta[0]))
-    looked.begin([root.tip_angles_rad for root in roots if root.is_stable], np.zeros(robot.n - 1))
-    looked.extend()
-    looked.look_beside()
-    return Branches(looked.phi, tuple(looked.result()))
+    looked.begin()
+    looked.begin_beside()
+    return tuple(looked.branches())
 
 
-class _Looked:
-    """Solutions by friction state and branch."""
+def other_shapes(robot: Tubes, theta_b: ArrayLike, l_b: ArrayLike, tip_m: Array) -> list[tuple[float, Branch]]:
+    """Other branches than the one with a frictionless tip (3,), and how far [m] from it they are, the nearest first.
 
-    def __init__(self, robot, theta, l, accuracy) -> None:
-        self.robot, self.theta, self.l, self.accuracy = robot, theta, l, accuracy
-        self.torus = Torus(robot.tubes, l)
-        pairs = robot.n - 1
-        self.phi = np.vstack([np.zeros(pairs), corner_signs(pairs)])
-        self.tips: list[Array] = []
-        self.angles: list[Array] = []
-
-    def shapes(self, psi: Array, off: Array) -> Array:
-        """(G, n, K)"""
-        outermost = np.full(len(psi), self.theta[0])
-        self.s_m, angles = self.torus.shapes(psi, outermost)
-        collar = self.theta + np.concatenate([[0.0], np.cumsum(off)])
-        whole = np.round((collar - angles[:, :, 0]) / (2 * np.pi))
-        return angles + 2 * np.pi * whole[:, :, None]
-
-    def solve(self, states, angles):
-        return self.robot.mechanics.solve_from(self.theta, self.l, self.phi[states], self.s_m, angles, self.accuracy)
-
-    def known(self, state: int, tip: Array, angles: Array) -> bool:
-        return any(np.linalg.norm(tips[state] - tip) < SAME_SHAPE_M for tips in self.tips)
-
-    def begin(self, psi: list[Array], off: Array) -> None:
-        if not psi:
-            return
-        S = len(self.phi)
-        guess = self.shapes(np.array(psi), off)
-        rows = self.solve(np.tile(np.arange(S), len(psi)), np.repeat(guess, S, axis=0))
-        for g in range(len(psi)):
-            self.add(rows, range(g * S, (g + 1) * S), range(S))
-
-    def add(self, rows, numbers, states) -> None:
-        S = len(self.phi)
-        tips = np.full((S, 3), np.nan)
-        angles = np.full((S, self.robot.n, len(self.s_m)), np.nan)
-        for k, state in zip(numbers, states):
-            if rows.status[k] == 0 and not self.known(state, rows.tip_m[k], rows.angles_rad[k]):
-                tips[state], angles[state] = rows.tip_m[k], rows.angles_rad[k]
-        if np.isfinite(tips).any():
-            self.tips.append(tips)
-            self.angles.append(angles)
-
-    def extend(self) -> None:
-        for tips, angles in zip(self.tips, self.angles):
-            while True:
-                solved = np.isfinite(tips[:, 0])
-                missing = np.flatnonzero(~solved)
-                if not len(missing) or not solved.any():
-                    break
-                there = np.flatnonzero(solved)
-                apart = np.abs(self.phi[missing][:, None] - self.phi[there]).sum(axis=2)
-                rows = self.solve(missing, angles[there[apart.argmin(axis=1)]])
-                new = [k for k in range(len(missing)) if rows.status[k] == 0 and not self.known(missing[k], rows.tip_m[k], rows.angles_rad[k])]
-                for k in new:
-                    tips[missing[k]], angles[missing[k]] = rows.tip_m[k], rows.angles_rad[k]
-                if not new:
-                    break
-
-    def look_beside(self) -> None:
-        alpha = np.diff(self.theta)
-        wanted = []
-        for tips, angles in zip(self.tips, self.angles):
-            for state in np.flatnonzero(np.isfinite(tips[:, 0])):
-                psi = np.diff(angles[state][:, -1])
-                _, shape = self.torus.shapes(psi[None], [self.theta[0]])
-                off = np.diff(shape[0, :, 0]) - alpha
-                off -= 2 * np.pi * np.round(off / (2 * np.pi))
-                wanted.append((int(state), off))
-        if not wanted:
-            return
-        every = self.torus.all_roots(alpha + np.array([off for _, off in wanted]), [self.theta[0]] * len(wanted))
-        states, guesses = [], []
-        for (state, off), (roots, _) in zip(wanted, every):
-            for root in roots:
-                if not root.is_stable:
-                    continue
-                psi = root.tip_angles_rad
-                close = any(
-                    np.abs(np.remainder(np.diff(angles[state][:, -1]) - psi + np.pi, 2 * np.pi) - np.pi).max() < NEAR_RAD
-                    for tips, angles in zip(self.tips, self.angles)
-                    if np.isfinite(tips[state, 0])
-                )
-                if not close:
-                    states.append(state)
-                    guesses.append(self.shapes(psi[None], off)[0])
-        if not states:
-            return
-        rows = self.solve(np.array(states), np.array(guesses))
-        before = len(self.tips)
-        for k, state in enumerate(states):
-            self.add(rows, [k], [state])
-        if len(self.tips) > before:
-            self.extend()
-
-    def result(self):
-        for tips, angles in zip(self.tips, self.angles):
-            twist = angles[:, :, -1] - angles[:, :, 0]
-            yield Branch(tips, -np.diff(twist, axis=1), angles)
+    None where robots are of a kind that `equilibria` refuses.
+    """
+    if is_unique(robot, l_b):
+        return []
+    try:
+        each = branches(robot, theta_b, l_b)
+    except InputError:
+        return []
+    away = [(float(np.linalg.norm(one.tip_m[one.first] - tip_m)), one) for one in each]
+    return sorted((pair for pair in away if pair[0] > SAME_SHAPE_M), key=lambda pair: pair[0])
 
 
 def is_unique(robot: Tubes, l_b: ArrayLike) -> bool:
@@ -377,6 +299,110 @@ class Torus:
         """Arc lengths (K,) [m], and angles (G, n, K) of every tube there where the tips stand at (G, n - 1)."""
         s_m, theta = self._core.shapes(np.ascontiguousarray(tip_angles_rad), list(outermost_rad), STEP_M)
         return np.asarray(s_m), np.asarray(theta)
+
+
+class _Looked:
+    """What was solved at one configuration, branch by branch."""
+
+    def __init__(self, robot: Tubes, theta: Array, l: Array, accuracy: Accuracy) -> None:  # noqa: E741
+        """Nothing yet, at collars (n,) [rad], (n,) [m]."""
+        self.mechanics, self.theta, self.l, self.accuracy = robot.mechanics, theta, l, accuracy
+        self.torus = Torus(robot.tubes, l)
+        self.phi = np.vstack([np.zeros(len(theta) - 1), corner_signs(len(theta) - 1)])
+        self.tips, self.angles, self.energy = list[Array](), list[Array](), list[float]()
+        self.s_m = np.zeros(0)
+
+    def begin(self) -> None:
+        """Every state from every stable equilibrium without clearance."""
+        roots = [root for root in self.torus.roots(np.diff(self.theta), float(self.theta[0]))[0] if root.is_stable]
+        states = range(len(self.phi))
+        for root in roots:
+            shape = self._shape(root, np.zeros(len(self.theta) - 1))
+            self._add(states, self._solve(np.array(states), np.repeat(shape[None], len(states), axis=0)), root.energy_J)
+
+    def _extend(self, tips: Array, angles: Array) -> None:
+        """States that a branch lacks, from those that it has."""
+        while len(missing := np.flatnonzero(np.isnan(tips[:, 0]))):
+            there = np.flatnonzero(np.isfinite(tips[:, 0]))
+            apart = np.abs(self.phi[missing, None] - self.phi[there]).sum(axis=2)
+            rows = self._solve(missing, angles[there[apart.argmin(axis=1)]])
+            new = [k for k, state in enumerate(missing.tolist()) if self._is_new(state, rows, k)]
+            if not new:
+                break
+            tips[missing[new]], angles[missing[new]] = rows.tip_m[new], rows.angles_rad[new]
+
+    def begin_beside(self) -> None:
+        """States from equilibria without clearance at collars that would turn the tips as far as friction does, and so
+        many times as far as BEYOND says. Friction the other way turns them back, where no more is known of a state.
+        """
+        known = [(state, np.diff(angles[state, :, -1])) for angles in self.angles for state in _states(angles)]
+        if not known:
+            return
+        turned = self.torus.shapes(np.array([psi for _, psi in known]), [0.0] * len(known))[1][:, :, 0]
+        alpha = np.diff(self.theta)
+        off = list(zip([state for state, _ in known], _principal(np.diff(turned, axis=1) - alpha), strict=True))
+        has = {state for state, _ in known}
+        off += [(len(self.phi) - state, -by) for state, by in off if state and len(self.phi) - state not in has]
+        beside = [(state, factor * by) for factor in BEYOND for state, by in off]
+        every = self.torus.all_roots(alpha + np.array([by for _, by in beside]), [float(self.theta[0])] * len(beside))
+        guesses = list[tuple[int, Array, float]]()
+        for (state, by), (roots, _) in zip(beside, every, strict=True):
+            for root in roots:
+                near = (
+                    np.abs(_principal(psi - root.tip_angles_rad)).max() < NEAR_RAD for k, psi in known if k == state
+                )
+                if root.is_stable and not any(near):
+                    known.append((state, root.tip_angles_rad))
+                    guesses.append((state, self._shape(root, by), root.energy_J))
+        if guesses:
+            rows = self._solve(np.array([state for state, *_ in guesses]), np.array([shape for _, shape, _ in guesses]))
+            for k, (state, _, energy_J) in enumerate(guesses):
+                self._add([state], rows, energy_J, k)
+
+    def branches(self) -> Iterator[Branch]:
+        """All of them."""
+        for tips, angles, energy_J in zip(self.tips, self.angles, self.energy, strict=True):
+            twist = np.diff(angles[:, :, 0] - angles[:, :, -1], axis=1)
+            yield Branch(tips, twist, angles, energy_J)
+
+    def _shape(self, root: Equilibrium, beside: Array) -> Array:
+        """(n, K) angles of a root for collars that stand `beside` (n - 1,), with the whole turns of the collars."""
+        self.s_m, angles = self.torus.shapes(root.tip_angles_rad[None], [float(self.theta[0])])
+        collar = self.theta + np.append(0.0, np.cumsum(beside))
+        whole = np.round((collar - angles[0, :, 0]) / (2 * np.pi))
+        return np.asarray(angles[0] + 2 * np.pi * whole[:, None])
+
+    def _solve(self, states: NDArray[np.intp], angles: Array) -> Branched:
+        phi = self.phi[states]
+        return self.mechanics.solve_from(self.theta, self.l, phi, self.s_m, angles, self.accuracy)
+
+    def _is_new(self, state: int, rows: Branched, row: int) -> bool:
+        if rows.status[row] != Status.CONVERGED:
+            return False
+        return not any(np.linalg.norm(tips[state] - rows.tip_m[row]) < SAME_SHAPE_M for tips in self.tips)
+
+    def _add(self, states: Iterable[int], rows: Branched, energy_J: float, first: int = 0) -> None:
+        """A branch of states that are new, solved in rows from a first one on, and of what is reached from there."""
+        tips = np.full((len(self.phi), 3), np.nan)
+        angles = np.full((len(self.phi), len(self.theta), len(self.s_m)), np.nan)
+        for k, state in enumerate(states, start=first):
+            if self._is_new(state, rows, k):
+                tips[state], angles[state] = rows.tip_m[k], rows.angles_rad[k]
+        if np.isfinite(tips).any():
+            self._extend(tips, angles)
+            self.tips.append(tips)
+            self.angles.append(angles)
+            self.energy.append(energy_J)
+
+
+def _states(angles: Array) -> list[int]:
+    """Those that a branch with angles (1 + C, n, K) has."""
+    return [int(state) for state in np.flatnonzero(np.isfinite(angles[:, 0, 0]))]
+
+
+def _principal(angle: Array) -> Array:
+    """Angles [rad] less whole turns, from -pi to pi."""
+    return np.asarray(angle - 2 * np.pi * np.round(angle / (2 * np.pi)))
 
 
 def _stretches(tubes: tuple[Tube, ...], l_b: Array) -> list[_Stretch]:

@@ -340,17 +340,6 @@ class FrictionBodies:
     stability: Array  # (S,) eigenvalue of the Newton matrix nearest to zero over GJ / L^2, friction included
 
 
-@dataclass(frozen=True, eq=False)
-class Branched:
-    """S friction states solved from given shapes."""
-
-    tip_m: Array  # (S, 3)
-    tangent: Array  # (S, 3)
-    status: NDArray[np.int_]  # (S,) Status; UNSTABLE: the robot would turn away from the solution
-    stability: Array  # (S,) as that of FrictionBodies
-    angles_rad: Array  # (S, n, K) of every tube where the shapes were given
-
-
 SMALL_RAD = 1e-4  # rotations below which series take the place of quotients
 
 

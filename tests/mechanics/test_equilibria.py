@@ -152,8 +152,7 @@ def test_ik_and_view_say_that_there_are_others(tmp_path: Path, capsys: pytest.Ca
     assert main(["ik", str(file), "--tip-mm", *texts, "--tolerance-mm", "2", "--starts", "60", "--json"]) == 0
     rows = json.loads(capsys.readouterr().out)["configurations"]
     assert any(row["other_shape_mm"] and row["other_shape_mm"] > 5 for row in rows)
-    mild = bent(0.5).equilibria([0.0, 1.0], [0.0, -90e-3])
-    assert mild.others(mild.each[0].tip_m) == []
+    assert len(bent(0.5).equilibria([0.0, 1.0], [0.0, -90e-3]).branches) == 1
 
 
 @pytest.mark.parametrize("name", ["table_5_pair", "three_tube", "bent"])
