@@ -22,8 +22,10 @@ from ctrplan.base.arrays import Array
 from ctrplan.certificate.other_equilibria import other_start
 from ctrplan.cli import main
 from ctrplan.errors import InputError, SolverError
-from ctrplan.files.robot_file import robot_from_dict
-from ctrplan.mechanics.equilibria import equilibria, is_unique
+from ctrplan.files.robot_file import load_robot, robot_from_dict
+from ctrplan.mechanics.equilibria import SAME_SHAPE_M, Torus, equilibria, is_unique
+from ctrplan.mechanics.friction import corner_signs
+from ctrplan.mechanics.shapes import Status
 from ctrplan.reports.live_state import LiveState
 from ctrplan.robot.robot import Robot
 from ctrplan.scenario.joint_space import JointSpace, bare_scenario
@@ -153,6 +155,53 @@ def test_ik_and_view_say_that_there_are_others(tmp_path: Path, capsys: pytest.Ca
     rows = json.loads(capsys.readouterr().out)["configurations"]
     assert any(row["other_shape_mm"] and row["other_shape_mm"] > 5 for row in rows)
     assert len(bent(0.5).equilibria([0.0, 1.0], [0.0, -90e-3]).branches) == 1
+
+
+@pytest.mark.parametrize("name", ["rvim", "bent", "three_tube"])
+def test_histories_with_friction_end_on_branches_that_are_known(name: str) -> None:
+    """From whole turns of every pair, and from a side; in each friction state that the end of a history goes on to."""
+    three = load_robot(ROBOTS / "three_tube.toml")
+    robot = rvim() if name == "rvim" else bent(2.5) if name == "bent" else three
+    states, several, complete = np.vstack([np.zeros(robot.n - 1), corner_signs(robot.n - 1)]), 0, list[bool]()
+    for theta, l in collars(robot, 500 if FUZZ else 3, 11):  # noqa: E741 (as in the equations)
+        known = robot.equilibria(theta, l).branches
+        several += len(known) > 1
+        assert len(known) == 1 or not is_unique(robot, l)
+        complete.append(True)
+        for turns in itertools.product((-1, 0, 1), repeat=robot.n - 1):
+            before = 2 * np.pi * np.array(turns) if any(turns) else np.full(robot.n - 1, 1.5)
+            begin, history = theta - np.append(0, np.cumsum(before)), robot.history()
+            with suppress(SolverError):
+                if history.follow(np.array([begin, theta]), np.array([l, l])).status[-1] != Status.CONVERGED:
+                    continue
+                tips = np.array([history.tip_beside(phi) for phi in states])
+                apart = np.array([np.linalg.norm(branch.tip_m - tips, axis=1) for branch in known])
+                nearest = np.min(apart, axis=0, where=np.isfinite(apart), initial=np.inf)
+                assert nearest.min() < SAME_SHAPE_M
+                complete[-1] &= bool(np.all(nearest[np.isfinite(tips[:, 0])] < SAME_SHAPE_M))
+    print(f"{name}: {sum(complete)} of {len(complete)} complete, {several} with several branches")
+    assert (several > 0) == (name != "three_tube" or FUZZ) and sum(complete) >= 0.98 * len(complete)
+
+
+def test_a_shape_is_solved_again_from_itself_and_turns_with_its_collars() -> None:
+    """Each state is a fixed point but beside folds, where friction alone holds a shape; whole turns change nothing."""
+    robot = rvim()
+    theta, l = collars(robot, 1, 11)[0]  # noqa: E741
+    looked = [branch for branch in robot.equilibria(theta, l).branches if branch.solved[0]]
+    assert len(looked) > 1
+    s_m = Torus(robot.tubes, l).shapes(np.zeros((1, 2)), [0.0])[0]
+    states = np.vstack([np.zeros(2), corner_signs(2)])
+    for branch in looked:
+        for turn in (np.zeros(3), 2 * np.pi * np.array([1, 0, -1])):
+            has = branch.solved
+            shapes = branch.angles_rad[has] + turn[:, None]
+            again = robot.mechanics.solve_from(theta + turn, l, states[has], s_m, shapes, "search")
+            np.testing.assert_array_equal(again.status, Status.CONVERGED)
+            np.testing.assert_allclose(again.tip_m, branch.tip_m[has], atol=2e-6)
+            assert np.all(again.stability > 0)
+    own = min(looked, key=lambda one: abs(one.twist_rad[one.first]).sum())
+    bound = robot.bound(theta, l)
+    np.testing.assert_allclose(own.tip_m, [shape.tip_m for shape in (bound.frictionless, *bound.corners)], atol=2e-6)
 
 
 @pytest.mark.parametrize("name", ["table_5_pair", "three_tube", "bent"])
