@@ -131,7 +131,7 @@ class BoundSolver {
     void grant_far_steps(double share);
     void reach_far(LaneState& state, double level, Convergence& result);
     void reach_corner(std::size_t batch, int lane);
-    bool reach_from_neighbour(int corner, Convergence& result);
+    bool reach_from_neighbour(int corner, Convergence& result, bool only_far = false);
     void set_trial(int corner);
     void keep_trial(int corner);
     void reach_rest();
@@ -158,6 +158,7 @@ class BoundSolver {
     std::vector<LaneState*> states_;  // frictionless, then the batches
     Convergence frictionless_convergence_;
     std::vector<Convergence> corner_convergence_;
+    std::vector<bool> is_far_;  // corners that Newton's method did not reach by itself
     double stability_ = 0;
     int negative_ = 0;
     bool multiple_ = false;
