@@ -263,16 +263,31 @@ class Torus:
         """(Q,) signs of the determinant of R's derivatives on the grid."""
         return np.asarray(self._core.signs(self.grid(), STEP_M))
 
+    def several(self, alpha: Array) -> NDArray[np.bool_]:
+        """(A,) whether relative collar angles (A, n - 1) have more than one root: then one has a negative sign.
+
+        Newton's method begins where the grid's determinants are not positive, and beside.
+        """
+        folded = (self.signs() <= 0).reshape((GRID[max(self.pairs, 1)],) * self.pairs)
+        for axis in range(self.pairs):
+            folded = folded | np.roll(folded, 1, axis) | np.roll(folded, -1, axis)
+        begin = np.ascontiguousarray(self.grid()[folded.ravel()])
+        if not len(begin):
+            return np.zeros(len(alpha), dtype=bool)
+        reach_rad = NEAR_CELLS * 2 * np.pi / GRID[self.pairs]
+        every = self._core.roots(begin, alpha, [0.0] * len(alpha), reach_rad, SAME_RAD, STEP_M)
+        return np.array([any(row[2] < 0 for row in rows) for rows in every])
+
     def roots(self, alpha: Array, outermost_rad: float) -> tuple[list[Equilibrium], int]:
-        """Equilibria at relative collar angles (n - 1,), the outermost collar at an angle, and the sum of their signs.
+        """Equilibria at relative collar angles (n - 1,), the outermost collar at an angle, and their signs' sum."""
+        return self.all_roots(alpha[None], [outermost_rad])[0]
+
+    def all_roots(self, alpha: Array, outermost_rad: Sequence[float]) -> list[tuple[list[Equilibrium], int]]:
+        """The same at each of relative collar angles (A, n - 1).
 
         Newton's method begins where the grid's derivatives lead into the cell around; from everywhere on a denser grid
         if the signs of what that finds do not add up.
         """
-        return self.all_roots(alpha[None], [outermost_rad])[0]
-
-    def all_roots(self, alpha: Array, outermost_rad: Sequence[float]) -> list[tuple[list[Equilibrium], int]]:
-        """The same at each of relative collar angles (A, n - 1); the grid is looked at once."""
         results: list[Any] = [None] * len(alpha)
         left = list(range(len(alpha)))
         for times, cells in ((1, NEAR_CELLS), (DENSER, np.inf)):
@@ -335,7 +350,8 @@ class _Looked:
         """States from equilibria without clearance at collars that would turn the tips as far as friction does, and so
         many times as far as BEYOND says. Friction the other way turns them back, where no more is known of a state.
         """
-        known = [(state, np.diff(angles[state, :, -1])) for angles in self.angles for state in _states(angles)]
+        tips = [(state, angles[state]) for angles in self.angles for state in range(len(self.phi))]
+        known = [(state, np.diff(angles[:, -1])) for state, angles in tips if np.isfinite(angles[0, 0])]
         if not known:
             return
         turned = self.torus.shapes(np.array([psi for _, psi in known]), [0.0] * len(known))[1][:, :, 0]
@@ -344,14 +360,16 @@ class _Looked:
         has = {state for state, _ in known}
         off += [(len(self.phi) - state, -by) for state, by in off if state and len(self.phi) - state not in has]
         beside = [(state, factor * by) for factor in BEYOND for state, by in off]
+        several = self.torus.several(alpha + np.array([by for _, by in beside]))
+        beside = [pair for pair, is_folded in zip(beside, several.tolist(), strict=True) if is_folded]
+        if not beside:
+            return
         every = self.torus.all_roots(alpha + np.array([by for _, by in beside]), [float(self.theta[0])] * len(beside))
         guesses = list[tuple[int, Array, float]]()
         for (state, by), (roots, _) in zip(beside, every, strict=True):
             for root in roots:
-                near = (
-                    np.abs(_principal(psi - root.tip_angles_rad)).max() < NEAR_RAD for k, psi in known if k == state
-                )
-                if root.is_stable and not any(near):
+                away = [np.abs(_principal(psi - root.tip_angles_rad)).max() for k, psi in known if k == state]
+                if root.is_stable and min(away, default=np.inf) > NEAR_RAD:
                     known.append((state, root.tip_angles_rad))
                     guesses.append((state, self._shape(root, by), root.energy_J))
         if guesses:
@@ -393,11 +411,6 @@ class _Looked:
             self.tips.append(tips)
             self.angles.append(angles)
             self.energy.append(energy_J)
-
-
-def _states(angles: Array) -> list[int]:
-    """Those that a branch with angles (1 + C, n, K) has."""
-    return [int(state) for state in np.flatnonzero(np.isfinite(angles[:, 0, 0]))]
 
 
 def _principal(angle: Array) -> Array:
