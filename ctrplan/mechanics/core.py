@@ -400,13 +400,13 @@ class Mechanics:
     def solve_from(
         self, theta_b: Array, l_b: Array, phi: Array, s_m: Array, angles: Array, accuracy: Accuracy
     ) -> Branched:
-        """S friction states phi (S, n - 1), each solved from a given shape, on whatever branch that lies.
+        """S rotations theta_b (S, n) and friction states phi (S, n - 1) at one l_b (n,), each from a given shape.
 
         angles (S, n, K) [rad] of every tube at arc lengths s_m (K,) that ascend, beyond its ends as there.
         """
-        states, places, shapes = (np.ascontiguousarray(values) for values in (phi, s_m, angles))
+        turned, states, places, shapes = (np.ascontiguousarray(values) for values in (theta_b, phi, s_m, angles))
         with input_errors():
-            return Branched(*self._model.solve_from(*self._collars(theta_b, l_b), states, places, shapes, accuracy))
+            return Branched(*self._model.solve_from(turned, joint_row(l_b, self.n), states, places, shapes, accuracy))
 
     @checked(accuracy=ACCURACY)
     def corners_apart(self, theta_b: ArrayLike, l_b: ArrayLike, *, accuracy: Accuracy = "search") -> Array:

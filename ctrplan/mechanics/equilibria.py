@@ -16,7 +16,6 @@ to a stable shape is a branch.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
@@ -32,7 +31,7 @@ from ctrplan.errors import InputError
 from ctrplan.mechanics.core_arrays import joint_row
 from ctrplan.mechanics.friction import corner_signs
 from ctrplan.mechanics.shapes import Status
-from ctrplan.mechanics.tube import Loads
+from ctrplan.mechanics.tube import Loads, stretches
 
 if TYPE_CHECKING:
     from ctrplan.mechanics.core import Mechanics
@@ -69,7 +68,8 @@ STEP_M = 4e-3  # of the integration from the tips, of fourth order: angles are w
 GRID = {1: 12, 2: 12, 3: 6, 4: 6}  # angles along each pair: none of 120 random configurations had one between them
 NEAR_CELLS, DENSER = 1.5, 4  # of the grid, within which the first step has to lead; else so many times as dense
 SAME_RAD = 1e-4  # between angles of one equilibrium
-BEYOND = (1.0, 2.0, 4.0)  # of what friction turns the tips by: it holds more on a branch that is wound up farther
+BEYOND = (0.8, 1.0, 1.25, 2.0, 4.0)  # of what friction turns the tips by: on another branch it may hold less or more
+LEFT = (0.75, 0.5, 0.25, 0.0)  # of the way from collars that stand elsewhere, without friction
 NEAR_RAD = 0.2  # of angles at the tips, within which a root without clearance leads to a solution that is known
 SAME_SHAPE_M = 0.5e-3  # between solutions of one shape: walked to or found afresh, with clearance or without
 
@@ -220,17 +220,6 @@ def _refuse(robot: Tubes) -> None:
         raise InputError(rule, file=robot.path, key="tube")
 
 
-@dataclass(frozen=True)
-class _Stretch:
-    """A stretch along which the same tubes, the inner ones from `first` on, have smooth precurvature."""
-
-    begin: float
-    end: float
-    first: int
-    u: Array  # (n, 2) precurvature at its begin [1/m]
-    slope: Array  # (n, 2) per m
-
-
 class Torus:
     """Angles at the tips of a robot with collars at translations (n,) [m], and where they lead to."""
 
@@ -239,16 +228,16 @@ class Torus:
         self.pairs = len(tubes) - 1
         EI = np.array([tube.bending_stiffness_Nm2 for tube in tubes])
         GJ = EI / (1 + np.array([tube.poisson_ratio for tube in tubes]))
-        stretches = _stretches(tubes, l_b)
+        parts = stretches(tubes, l_b)
         self._core = _model.TorusTubes(
             EI=EI.tolist(),
             GJ=GJ.tolist(),
             behind=(l_b - GJ * [tube.shaft_compliance_rad_per_Nm for tube in tubes]).tolist(),
-            begin=[part.begin for part in stretches],
-            end=[part.end for part in stretches],
-            first=[part.first for part in stretches],
-            u=np.array([part.u for part in stretches]).reshape(-1, len(tubes), 2),
-            slope=np.array([part.slope for part in stretches]).reshape(-1, len(tubes), 2),
+            begin=[part.begin for part in parts],
+            end=[part.end for part in parts],
+            first=[part.first for part in parts],
+            u=np.array([part.u for part in parts]).reshape(-1, len(tubes), 2),
+            slope=np.array([part.slope for part in parts]).reshape(-1, len(tubes), 2),
         )
 
     def grid(self, times: int = 1) -> Array:
@@ -365,17 +354,25 @@ class _Looked:
         if not beside:
             return
         every = self.torus.all_roots(alpha + np.array([by for _, by in beside]), [float(self.theta[0])] * len(beside))
-        guesses = list[tuple[int, Array, float]]()
+        guesses = list[tuple[int, Array, Array, float]]()
         for (state, by), (roots, _) in zip(beside, every, strict=True):
             for root in roots:
                 away = [np.abs(_principal(psi - root.tip_angles_rad)).max() for k, psi in known if k == state]
                 if root.is_stable and min(away, default=np.inf) > NEAR_RAD:
                     known.append((state, root.tip_angles_rad))
-                    guesses.append((state, self._shape(root, by), root.energy_J))
-        if guesses:
-            rows = self._solve(np.array([state for state, *_ in guesses]), np.array([shape for _, shape, _ in guesses]))
-            for k, (state, _, energy_J) in enumerate(guesses):
-                self._add([state], rows, energy_J, k)
+                    guesses.append((state, self._shape(root, by), by, root.energy_J))
+        if not guesses:
+            return
+        states, energy = np.array([state for state, *_ in guesses]), [energy_J for *_, energy_J in guesses]
+        angles, back = np.array([shape for _, shape, *_ in guesses]), np.array([by for *_, by, _ in guesses])
+        # At once, and once more while friction grows and the collars turn back: shapes stay much as they are then.
+        for way in ((0.0,), LEFT):
+            at = angles
+            for left in way:
+                rows = self._solve(states, at, back, left)
+                at = rows.angles_rad
+            for k, state in enumerate(states.tolist()):
+                self._add([state], rows, energy[k], k)
 
     def branches(self) -> Iterator[Branch]:
         """All of them."""
@@ -390,9 +387,13 @@ class _Looked:
         whole = np.round((collar - angles[0, :, 0]) / (2 * np.pi))
         return np.asarray(angles[0] + 2 * np.pi * whole[:, None])
 
-    def _solve(self, states: NDArray[np.intp], angles: Array) -> Branched:
-        phi = self.phi[states]
-        return self.mechanics.solve_from(self.theta, self.l, phi, self.s_m, angles, self.accuracy)
+    def _solve(self, states: NDArray[np.intp], angles: Array, off: Array | None = None, left: float = 0.0) -> Branched:
+        """Friction states from angles; a share `left` of friction is missing, and collars stand as much of `off` on."""
+        theta = np.broadcast_to(self.theta, (len(states), len(self.theta)))
+        if off is not None:
+            theta = theta + left * np.cumsum(np.insert(off, 0, 0.0, axis=1), axis=1)
+        phi = (1 - left) * self.phi[states]
+        return self.mechanics.solve_from(theta, self.l, phi, self.s_m, angles, self.accuracy)
 
     def _is_new(self, state: int, rows: Branched, row: int) -> bool:
         if rows.status[row] != Status.CONVERGED:
@@ -416,35 +417,3 @@ class _Looked:
 def _principal(angle: Array) -> Array:
     """Angles [rad] less whole turns, from -pi to pi."""
     return np.asarray(angle - 2 * np.pi * np.round(angle / (2 * np.pi)))
-
-
-def _stretches(tubes: tuple[Tube, ...], l_b: Array) -> list[_Stretch]:
-    """From the plate to the tip; where tubes end in order, the inner ones farther out."""
-    breaks, ends = {0.0}, [float(l + tube.length_m) for l, tube in zip(l_b, tubes, strict=True)]  # noqa: E741
-    for tube, begin in zip(tubes, l_b.tolist(), strict=True):
-        at = begin
-        for section in tube.sections:
-            at += section.length_m
-            breaks.add(max(at, 0.0))
-    results, points = list[_Stretch](), sorted(breaks)
-    for a, b in itertools.pairwise(points):
-        if b - a < 1e-9:
-            continue
-        middle = (a + b) / 2
-        first = next(i for i in range(len(tubes)) if max(ends[i:]) > middle and ends[i] > middle)
-        pieces = [_precurvature(tube, middle - begin, a - begin) for tube, begin in zip(tubes, l_b, strict=True)]
-        u, slope = (np.array(part) for part in zip(*pieces, strict=True))
-        results.append(_Stretch(a, b, first, u, slope))
-    return results
-
-
-def _precurvature(tube: Tube, inside: float, at: float) -> tuple[list[float], list[float]]:
-    """Precurvature (2,) [1/m] at `at`, and its slope, of the section that `inside` lies in; lengths from the base."""
-    begin = 0.0
-    for section in tube.sections:
-        if begin < inside < begin + section.length_m:
-            mean = np.array([section.curvature_x_per_m, section.curvature_y_per_m])
-            slope = 2 * section.gradient / section.length_m
-            return (mean * (1 - section.gradient + slope * (at - begin))).tolist(), (mean * slope).tolist()
-        begin += section.length_m
-    return [0.0, 0.0], [0.0, 0.0]

@@ -112,13 +112,16 @@ nb::tuple body(Model& model, Vector theta, Vector l, const std::string& level) {
     return nb::make_tuple(hand_over<double>(std::move(found.point), {shapes, count, 3}), array(std::move(found.radius)));
 }
 
-// Tips, tangents, status, stability, and angles of S friction states solved from shapes with angles (S, n, K) at s (K,).
-nb::tuple solve_from(Model& model, Vector theta, Vector l, Matrix phi, Vector s, Tensor angles, const std::string& level) {
-    const ctr::Configuration q = valid_configuration(model.robot(), theta, l);
+// Tips, tangents, status, stability, and angles of S rotations and friction states solved from shapes with angles (S, n, K) at s (K,).
+nb::tuple solve_from(Model& model, Matrix theta, Vector l, Matrix phi, Vector s, Tensor angles, const std::string& level) {
     const std::size_t rows = phi.shape(0), tubes = model.robot().tubes.size(), count = s.shape(0);
-    if (phi.shape(1) + 1 != tubes || angles.shape(0) != rows || angles.shape(1) != tubes || angles.shape(2) != count || count == 0)
-        throw ctr::InvalidInput("shapes need angles (states, tubes, places) and friction states (states, pairs)");
-    const ctr::GivenShapes given{s.data(), angles.data(), phi.data(), count, rows};
+    if (theta.shape(0) != rows || theta.shape(1) != tubes || phi.shape(1) + 1 != tubes || rows == 0)
+        throw ctr::InvalidInput("shapes need rotations (states, tubes) and friction states (states, pairs)");
+    if (angles.shape(0) != rows || angles.shape(1) != tubes || angles.shape(2) != count || count == 0)
+        throw ctr::InvalidInput("shapes need angles (states, tubes, places)");
+    const ctr::Configuration q{std::vector<double>(theta.data(), theta.data() + tubes), std::vector<double>(l.data(), l.data() + l.shape(0))};
+    ctr::validate(model.robot(), q);
+    const ctr::GivenShapes given{s.data(), angles.data(), theta.data(), phi.data(), count, rows};
     ctr::BranchRows found = unlocked([&] { return model.solve_from(q, accuracy(level), given); });
     return nb::make_tuple(array(std::move(found.tip)), array(std::move(found.tangent)), array(found.status), array(std::move(found.stability)),
                           array(std::move(found.theta), {rows, tubes, count}));

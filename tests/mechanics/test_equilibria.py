@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from made_up_input import FUZZ
-from places import ROBOTS
+from places import ROBOTS, SCENARIOS
 from stated_plans import in_si, rvim
 
 import ctrplan
@@ -23,6 +23,7 @@ from ctrplan.certificate.other_equilibria import other_start
 from ctrplan.cli import main
 from ctrplan.errors import InputError, SolverError
 from ctrplan.files.robot_file import load_robot, robot_from_dict
+from ctrplan.files.scenario_file import load_scenario
 from ctrplan.mechanics.equilibria import SAME_SHAPE_M, Torus, equilibria, is_unique
 from ctrplan.mechanics.friction import corner_signs
 from ctrplan.mechanics.shapes import Status
@@ -115,6 +116,22 @@ def test_a_start_that_may_be_wound_is_refused_with_the_way_to_unwind_it() -> Non
     assert "to unwind" not in other_start(replace(held, start_friction="released"), at)
 
 
+@pytest.mark.parametrize("angle_deg", [25, 30, 60, 90])
+def test_a_shape_that_friction_alone_holds_refuses_the_start(angle_deg: float) -> None:
+    """Without friction the pair has one shape there; after a whole turn, without a snap, friction holds another."""
+    curvatures = [f"robot.tube.{i}.section.2.curvature_y_per_m={u}" for i, u in ((1, 3.471), (2, 60.0))]
+    scenario = load_scenario(SCENARIOS / "pair_free.toml", curvatures)
+    robot, at = scenario.robot, np.array([0.0, np.radians(angle_deg), -0.02])
+    theta, l = robot.drive.collars(at)  # noqa: E741 (as in the equations)
+    assert len(robot.equilibria(theta, l).stable) == 1
+    path = robot.history().follow(np.array([theta + [0, 2 * np.pi], theta]), np.array([l, l]))
+    bound = robot.bound(theta, l)
+    assert not path.snaps.any()
+    assert np.linalg.norm(path.position_m[-1] - bound.frictionless.tip_m) > bound.position_m + 50e-3
+    assert "with clearance and friction" in other_start(scenario, at)
+    assert not other_start(replace(scenario, start_friction="released"), at)
+
+
 def test_turns_that_count_lead_from_home_to_the_shape_that_is_walked_from() -> None:
     """The inner tube at -314.9 deg is wound up when it was turned there; at 45.1 deg, the same place, it is not."""
     robot = rvim()
@@ -195,7 +212,8 @@ def test_a_shape_is_solved_again_from_itself_and_turns_with_its_collars() -> Non
         for turn in (np.zeros(3), 2 * np.pi * np.array([1, 0, -1])):
             has = branch.solved
             shapes = branch.angles_rad[has] + turn[:, None]
-            again = robot.mechanics.solve_from(theta + turn, l, states[has], s_m, shapes, "search")
+            at = np.tile(theta + turn, (len(shapes), 1))
+            again = robot.mechanics.solve_from(at, l, states[has], s_m, shapes, "search")
             np.testing.assert_array_equal(again.status, Status.CONVERGED)
             np.testing.assert_allclose(again.tip_m, branch.tip_m[has], atol=2e-6)
             assert np.all(again.stability > 0)

@@ -23,10 +23,10 @@ struct FrictionStates {
     int sections;
 };
 
-// Shapes that solves begin from, theta [row][tube][count] at arc lengths s [count], and the friction states phi [row][pair] that
-// they are solved for, outermost first.
+// Shapes that solves begin from, theta [row][tube][count] at arc lengths s [count], and the rotations of the bases [row][tube] and
+// friction states phi [row][pair] that they are solved for, outermost first.
 struct GivenShapes {
-    const double *s, *theta, *phi;
+    const double *s, *theta, *base, *phi;
     std::size_t count, rows;
 };
 
@@ -70,7 +70,8 @@ class BoundSolver {
     FrictionlessStart begin_states(const Configuration& q, const Accuracy& accuracy);
     void solve_states(const FrictionlessStart& start, const FrictionStates& states,
                       const std::function<void(std::size_t row, const FrictionShape&)>& show);
-    // Solves from given shapes, on whatever branch they lie; shows also the angles [tube][count] as they were given.
+    // Solves from given shapes, on whatever branch they lie, with bases where q has them but for the rotations; shows also the
+    // angles [tube][count] as they were given.
     void solve_from(const Configuration& q, const Accuracy& accuracy, const GivenShapes& given,
                     const std::function<void(const FrictionShape&, std::vector<double>&& theta)>& show);
     // Solves from scratch, then every corner from every other one: how far [m] a stable equilibrium found so lies from the

@@ -125,6 +125,7 @@ void BoundSolver::solve_from(const Configuration& q, const Accuracy& accuracy, c
     const KernelProblem& pb = solver_.mesh().problem();
     LaneState& state = *batches_.front();
     const BarrierPath path = BarrierPath::cold(solver_.last_barrier());
+    Configuration turned = q;
     Convergence result[kLanes];
     Backbone shapes[kLanes];
     double stability[kLanes];
@@ -137,7 +138,8 @@ void BoundSolver::solve_from(const Configuration& q, const Accuracy& accuracy, c
         for (int lane = 0; lane < kLanes; ++lane) {
             const int own = std::min(lane, count - 1);  // spare lanes repeat the last
             state.set_phi(solver_.robot(), pb, lane, given.phi + (first + own) * pairs_);
-            solver_.start_lane(state, lane, q, angles(own), path.first);
+            std::copy_n(given.base + (first + own) * (pairs_ + 1), pairs_ + 1, turned.theta.begin());
+            solver_.start_lane(state, lane, turned, angles(own), path.first);
         }
         solver_.solve(state, path, result);
         solver_.stabilities(state, stability);
