@@ -397,7 +397,7 @@ class Mechanics:
         """Bodies in friction states phi of one configuration, asked for once: see `FrictionStates.bodies`."""
         return self.friction_states(theta_b, l_b, accuracy=accuracy).bodies(phi, spacing_m=spacing_m)
 
-    def solve_from(
+    def core_solve_from(
         self, theta_b: Array, l_b: Array, phi: Array, s_m: Array, angles: Array, accuracy: Accuracy
     ) -> Branched:
         """S rotations theta_b (S, n) and friction states phi (S, n - 1) at one l_b (n,), each from a given shape.

@@ -393,7 +393,7 @@ class _Looked:
         if off is not None:
             theta = theta + left * np.cumsum(np.insert(off, 0, 0.0, axis=1), axis=1)
         phi = (1 - left) * self.phi[states]
-        return self.mechanics.solve_from(theta, self.l, phi, self.s_m, angles, self.accuracy)
+        return self.mechanics.core_solve_from(theta, self.l, phi, self.s_m, angles, self.accuracy)
 
     def _is_new(self, state: int, rows: Branched, row: int) -> bool:
         if rows.status[row] != Status.CONVERGED:

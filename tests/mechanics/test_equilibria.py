@@ -213,7 +213,7 @@ def test_a_shape_is_solved_again_from_itself_and_turns_with_its_collars() -> Non
             has = branch.solved
             shapes = branch.angles_rad[has] + turn[:, None]
             at = np.tile(theta + turn, (len(shapes), 1))
-            again = robot.mechanics.solve_from(at, l, states[has], s_m, shapes, "search")
+            again = robot.mechanics.core_solve_from(at, l, states[has], s_m, shapes, "search")
             np.testing.assert_array_equal(again.status, Status.CONVERGED)
             np.testing.assert_allclose(again.tip_m, branch.tip_m[has], atol=2e-6)
             assert np.all(again.stability > 0)
