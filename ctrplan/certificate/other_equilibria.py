@@ -3,13 +3,14 @@
 Nobody knows what the robot did before a plan. Corners of friction are solved from the frictionless shape. Where a
 corner has a second equilibrium, far from it, an approach may end there and break the bound. Approaches are simulated:
 all pairs turned by APPROACH_DEG at once, from either side each, which loads friction fully. Where whole turns of joints
-before the start are not known, the robot may be wound up: every stable equilibrium without clearance and friction is
-enumerated (`ctrplan.mechanics.equilibria`), and those that turns within the joints' limits lead to are not walked to.
-Of robots that are not enumerated, whole turns are simulated.
+before the start are not known, the robot may be wound up: every branch with clearance and friction is solved from the
+equilibria without them (`ctrplan.mechanics.equilibria`), and those that turns within the joints' limits lead to are
+not walked to. Of robots that are not enumerated, whole turns are simulated. Where turns count, rotations straight from
+home lead to the start, and have to end in the shape that is walked from.
 
 Corners of friction are solved from the frictionless shape. A robot may come to the same corner from another one, or by
-a turn, and stand elsewhere. Along the path each corner is solved from the shapes of all others. At the ends of legs it
-is also walked to from turns of all pairs.
+a turn, and stand elsewhere. Along the path each corner is solved from the shapes of all others, and from the equilibria
+without clearance where there may be several. At the ends of legs it is also walked to from turns of all pairs.
 """
 
 from __future__ import annotations
@@ -29,15 +30,15 @@ from ctrplan.base.long_work import cores
 from ctrplan.certificate.friction_states import BEYOND_BOUND_M
 from ctrplan.certificate.walked_piece import Piece
 from ctrplan.errors import InputError, SolverError
-from ctrplan.mechanics.equilibria import SAME_SHAPE_M
+from ctrplan.mechanics.equilibria import SAME_SHAPE_M, branches, is_unique
 from ctrplan.mechanics.shapes import Status
 from ctrplan.mechanics.walk import PathDensity
 from ctrplan.robot.robot import Robot
 
 if TYPE_CHECKING:
-    from ctrplan.mechanics.equilibria import Equilibria
+    from ctrplan.mechanics.equilibria import Branch
     from ctrplan.mechanics.shapes import Bound
-    from ctrplan.scenario.scenario import Scenario
+    from ctrplan.scenario.scenario import Scenario, StartTurns
 
 APPROACH_DEG = 90.0  # of Section V of Ha et al. 2019
 MOST_TURNS = 2  # of a joint before the start
@@ -55,13 +56,13 @@ def other_start(scenario: Scenario, joints: Array) -> str:
     robot = scenario.robot
     is_loaded = scenario.start_friction not in ("released", "oscillated")
     known = _KNOWN.setdefault(robot, {})
-    key = joints.tobytes() + bytes([is_loaded, scenario.start_turns == "absolute"])
+    key = joints.tobytes() + bytes([is_loaded]) + scenario.start_turns.encode()
     if key not in known:
-        known[key] = _other_start(robot, joints, is_loaded, scenario.start_turns == "absolute")
+        known[key] = _other_start(robot, joints, is_loaded, scenario.start_turns)
     return known[key]
 
 
-def _other_start(robot: Robot, joints: Array, is_loaded: bool, is_absolute: bool) -> str:
+def _other_start(robot: Robot, joints: Array, is_loaded: bool, turns: StartTurns) -> str:
     theta_b, l_b = robot.drive.collars(joints)
     if robot.n == 1:
         return ""
@@ -69,12 +70,14 @@ def _other_start(robot: Robot, joints: Array, is_loaded: bool, is_absolute: bool
     if not np.isfinite(bound.position_m):
         return ""
     approaches = [*_approaches(robot.n - 1)] if is_loaded and robot.friction.any() else []
-    if not is_absolute:
+    if turns == "absolute" and (turned := _turned_from_home(robot, joints, bound)):
+        return turned
+    if turns != "followed":
         try:
-            if wound := _wound(robot, joints, robot.equilibria(theta_b, l_b), bound):
-                return wound
+            if elsewhere := _elsewhere(robot, joints, bound, is_loaded, is_counted=turns == "absolute"):
+                return elsewhere
         except InputError:  # of a kind whose equilibria are not enumerated
-            approaches += _windings(robot, joints)
+            approaches += _windings(robot, joints) if turns == "unknown" else []
     if not approaches:
         return ""
 
@@ -104,26 +107,81 @@ def _other_start(robot: Robot, joints: Array, is_loaded: bool, is_absolute: bool
     )
 
 
-def _wound(robot: Robot, joints: Array, known: Equilibria, bound: Bound) -> str:
-    """A sentence about a stable equilibrium that whole turns lead to, farther off than friction; empty without."""
-    tip = bound.frictionless.tip_m
-    own = min(known.stable, key=lambda one: float(np.linalg.norm(one.tip_m - tip)), default=None)
-    if own is None:
+def _turned_from_home(robot: Robot, joints: Array, bound: Bound) -> str:
+    """A sentence if rotations straight from home, at the start's translations, end in another shape; empty if not."""
+    home = np.where(robot.drive.is_rotation, 0.0, joints)
+    theta_b, l_b = robot.drive.collars(np.array([home, joints]))
+    if np.allclose(np.diff(np.diff(theta_b), axis=0), 0.0) or is_unique(robot, l_b[-1]):
         return ""
-    for other in [one for one in known.stable if one is not own]:
-        away = float(np.linalg.norm(other.tip_m - own.tip_m)) - bound.position_m
-        turns = np.round((other.twist_rad - own.twist_rad) / (2 * np.pi)).astype(int)
-        if away <= BEYOND_BOUND_M or (pattern := _pattern(robot, joints, turns)) is None:
+    history = robot.history()
+    try:
+        history.follow(theta_b, l_b)
+        let_go = history.tip_beside(np.zeros(robot.n - 1))
+    except SolverError:  # there is no equilibrium to come from
+        return ""
+    away = float(np.linalg.norm(let_go - bound.frictionless.tip_m))
+    if not away > SAME_SHAPE_M:
+        return ""
+    return (
+        f"The start has another stable equilibrium, where rotations straight from home end: the tip stands "
+        f"{away * MM_PER_M:.1f} mm away there; start within half a turn of home, or where there is one equilibrium"
+    )
+
+
+def _elsewhere(robot: Robot, joints: Array, bound: Bound, is_loaded: bool, is_counted: bool) -> str:
+    """A sentence about another stable shape that turns lead to, whole ones where these do not count; empty without."""
+    theta_b, l_b = robot.drive.collars(joints)
+    if is_unique(robot, l_b):
+        return ""
+    states = [bound.frictionless, *bound.corners]
+    for other in other_branches(branches(robot, theta_b, l_b), np.array([shape.tip_m for shape in states])):
+        seen = other.apart_m if is_loaded else other.apart_m[:1]
+        pattern = None if is_counted and other.turns.any() else _pattern(robot, joints, other.turns)
+        if np.isnan(seen).all() or pattern is None:
             continue
         names = [f"{name} by {-360 * k:+d} deg" for name, k in zip(robot.drive.names, pattern, strict=True) if k]
-        way = f"; to unwind it turn {', '.join(names)}" if names else ""
-        return (
-            f"The start has another stable equilibrium, {away * MM_PER_M:.1f} mm beyond what friction does there "
-            f"({bound.position_m * MM_PER_M:.2f} mm), where the pairs of tubes are twisted by "
-            f"({', '.join(f'{np.degrees(x):+.0f}' for x in other.twist_rad)}) deg{way}; a drive that was homed, whose "
-            'turns count, says so by turns = "absolute" in [start]'
+        twisted = ", ".join(f"{np.degrees(x):+.0f}" for x in other.branch.twist_rad[other.branch.first])
+        away_mm, bound_mm = float(np.nanmax(seen)) * MM_PER_M, bound.position_m * MM_PER_M
+        sentence = (
+            f"The start has another stable equilibrium with clearance and friction, {away_mm:.1f} mm away, where "
+            f"friction moves the tip by {bound_mm:.2f} mm: the pairs of tubes are twisted by ({twisted}) deg"
         )
+        if names:
+            sentence += (
+                f"; to unwind it turn {', '.join(names)}; a drive that was homed, whose turns count, says so by "
+                'turns = "absolute" in [start]'
+            )
+        return sentence
     return ""
+
+
+@dataclass(frozen=True, eq=False)
+class OtherBranch:
+    """A branch that is not the one that was walked to."""
+
+    branch: Branch
+    turns: NDArray[np.int_]  # (P,) whole turns of the pairs' collars that lead to it
+    apart_m: Array  # (1 + C,) of its tip from that of the same friction state; NaN where it has no equilibrium
+
+
+def other_branches(each: Sequence[Branch], tip_m: Array) -> list[OtherBranch]:
+    """Those of `each` that lie apart from the tips (1 + C, 3) of what was walked to, and in which friction states.
+
+    Where what was walked to is not among them, nothing is known of turns: the branch nearest to it takes its place.
+    """
+    apart = [np.linalg.norm(branch.tip_m - tip_m, axis=1) for branch in each]
+    own = min(zip(apart, each, strict=True), key=lambda pair: np.nanmin(pair[0], initial=np.inf), default=(0, None))[1]
+    results = list[OtherBranch]()
+    for branch, away in zip(each, apart, strict=True):
+        if own is None or branch is own:
+            continue
+        both = np.flatnonzero(branch.solved & own.solved)
+        a, b = (both[0], both[0]) if len(both) else (branch.first, own.first)
+        turns = np.round((branch.twist_rad[a] - own.twist_rad[b]) / (2 * np.pi)).astype(int)
+        away = np.where(away > SAME_SHAPE_M, away, np.nan)
+        if np.isfinite(away).any():
+            results.append(OtherBranch(branch, turns, away))
+    return results
 
 
 def _pattern(robot: Robot, joints: Array, turns: NDArray[np.int_]) -> tuple[int, ...] | None:
@@ -199,6 +257,8 @@ def other_equilibrium(robot: Robot, pieces: Sequence[Piece], lengths_mm: Sequenc
         number, piece = item
         rows = _rows(piece, lengths_mm[number])
         results = [OtherEquilibrium(piece.leg, _from_corners(robot, piece, k), "from another corner") for k in rows]
+        beside = (_from_branches(robot, piece, k) for k in rows)
+        results += [OtherEquilibrium(piece.leg, apart_m, "from a shape without clearance") for apart_m in beside]
         ends = [0] if number == 0 else []
         if number + 1 == len(pieces) or pieces[number + 1].leg != piece.leg:
             ends.append(len(piece.l_b) - 1)
@@ -220,6 +280,19 @@ def _rows(piece: Piece, length_mm: float) -> list[int]:
 def _from_corners(robot: Robot, piece: Piece, sample: int) -> float:
     apart = robot.mechanics.corners_apart(piece.theta_b[sample], piece.l_b[sample], accuracy=piece.accuracy)
     return float(apart.max())
+
+
+def _from_branches(robot: Robot, piece: Piece, sample: int) -> float:
+    """[m] largest distance of another branch that no whole turns lie between, from the tips of the piece."""
+    theta_b, l_b, samples = piece.theta_b[sample], piece.l_b[sample], piece.samples
+    if is_unique(robot, l_b):
+        return 0.0
+    try:
+        each = branches(robot, theta_b, l_b, accuracy=piece.accuracy)
+    except InputError:  # of a kind whose equilibria are not enumerated
+        return 0.0
+    others = other_branches(each, np.vstack([samples.tip_m[sample], samples.corner_tip_m[sample]]))
+    return max((float(np.nanmax(other.apart_m)) for other in others if not other.turns.any()), default=0.0)
 
 
 def _from_turns(robot: Robot, piece: Piece, sample: int) -> float:

@@ -286,7 +286,7 @@ def _bound_text(bound: Bound, play_mm: float) -> str:
 
 
 def _others(robot: Robot, theta_b: Array, l_b: Array, bound: Bound) -> list[str]:
-    """A line for each other stable equilibrium without friction; none for robots of which they are not enumerated."""
+    """A line for each other branch; none for robots of which they are not enumerated."""
     from ctrplan.mechanics.equilibria import other_shapes
 
     return [

@@ -191,7 +191,10 @@ def scenario_content(scenario: Scenario, complete: bool = True) -> dict[str, Any
         if complete:
             raise InputError("is what an observer knows, which no file says", key="start.friction", value=friction)
         friction = "unknown"
-    start = {"friction": friction, "turns": scenario.start_turns, **_joints(drive, scenario.start, "start")}
+    if scenario.start_turns == "followed" and complete:
+        raise InputError("is the way to the start, which no file says", key="start.turns", value="followed")
+    turns = "unknown" if scenario.start_turns == "followed" else scenario.start_turns
+    start = {"friction": friction, "turns": turns, **_joints(drive, scenario.start, "start")}
     content: dict[str, Any] = {
         "name": scenario.name,
         "robot": robot_content(scenario.robot, complete),

@@ -6,7 +6,7 @@ front plate, z along insertion, s = 0 at the plate.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, Literal, get_args
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ctrplan import _model
-from ctrplan.base.arguments import EXECUTOR, PROGRESS, Choice, Flag, Made, Number, Texts, Whole, checked, require
+from ctrplan.base.arguments import EXECUTOR, PROGRESS, Choice, Flag, Made, Number, Texts, Whole, checked
 from ctrplan.base.arrays import Array, numbers
 from ctrplan.base.long_work import MOST_THREADS, Progress, core_threads, part_of
 from ctrplan.base.package import shown
@@ -31,16 +31,17 @@ from ctrplan.mechanics.core_arrays import (
     joint_rows,
     joint_table,
     promised,
+    require_tubes,
     solved_bound,
     solved_shape,
     sound,
     worst,
 )
-from ctrplan.mechanics.friction import SPACING, FrictionStates, corner_signs
+from ctrplan.mechanics.friction import SPACING, Branched, FrictionStates, corner_signs
 from ctrplan.mechanics.gradients import bound_gradients, directions, with_gradient
 from ctrplan.mechanics.loaded_shape import LoadedRobot, is_beyond_standard
 from ctrplan.mechanics.shapes import Accuracy, Bound, Bounds, FrictionBodies, Shape, Status, Tips, input_errors
-from ctrplan.mechanics.tube import RANGES, SECTION_RANGES, Loads, nests
+from ctrplan.mechanics.tube import Loads, nests
 from ctrplan.mechanics.walk import (
     Field,
     PathDensity,
@@ -79,13 +80,7 @@ class Mechanics:
         gaps, coefficients = self._pairs(clearance_m, "clearance_m"), self._pairs(friction, "friction")
         loads = loads or Loads()
         self._given = (tuple(tubes), gaps.copy(), coefficients.copy(), loads)
-        for i, tube in enumerate(tubes, start=1):
-            _require_ranges(f"tube.{i}", tube, RANGES)
-            for k, section in enumerate(tube.sections, start=1):
-                _require_ranges(f"tube.{i}.section.{k}", section, SECTION_RANGES)
-            if not 0 <= tube.inner_diameter_m < tube.outer_diameter_m:
-                rule = f"must be from 0 to below the outer diameter of {tube.outer_diameter_m:g} m"
-                raise InputError(rule, key=f"tube.{i}.inner_diameter_m", value=tube.inner_diameter_m, unit="m")
+        require_tubes(tubes)
         with input_errors():
             pairs = zip(gaps.tolist(), coefficients.tolist(), tubes[:-1], tubes[1:], strict=True)
             self._model = _model.Model(
@@ -402,6 +397,17 @@ class Mechanics:
         """Bodies in friction states phi of one configuration, asked for once: see `FrictionStates.bodies`."""
         return self.friction_states(theta_b, l_b, accuracy=accuracy).bodies(phi, spacing_m=spacing_m)
 
+    def core_solve_from(
+        self, theta_b: Array, l_b: Array, phi: Array, s_m: Array, angles: Array, accuracy: Accuracy
+    ) -> Branched:
+        """S rotations theta_b (S, n) and friction states phi (S, n - 1) at one l_b (n,), each from a given shape.
+
+        angles (S, n, K) [rad] of every tube at arc lengths s_m (K,) that ascend, beyond its ends as there.
+        """
+        turned, states, places, shapes = (np.ascontiguousarray(values) for values in (theta_b, phi, s_m, angles))
+        with input_errors():
+            return Branched(*self._model.solve_from(turned, joint_row(l_b, self.n), states, places, shapes, accuracy))
+
     @checked(accuracy=ACCURACY)
     def corners_apart(self, theta_b: ArrayLike, l_b: ArrayLike, *, accuracy: Accuracy = "search") -> Array:
         """(C,) [m] how far another stable equilibrium of each sign corner lies from its own, at the configuration.
@@ -442,8 +448,3 @@ class Mechanics:
 def kernel_name() -> str:
     """Instruction set of the kernel in use: "avx2" or "baseline"."""
     return str(_model.kernel_name())
-
-
-def _require_ranges(place: str, of: object, ranges: Mapping[str, Number]) -> None:
-    for name, kind in ranges.items():
-        require(f"{place}.{name}", getattr(of, name), kind)

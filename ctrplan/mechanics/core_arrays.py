@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from math import isfinite
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -10,10 +11,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ctrplan import _model
+from ctrplan.base.arguments import Number, require
 from ctrplan.base.arrays import Array, numbers
 from ctrplan.errors import InputError
 from ctrplan.mechanics.shapes import Bound, Bounds, Shape, Status, Tips
-from ctrplan.mechanics.tube import Tube
+from ctrplan.mechanics.tube import RANGES, SECTION_RANGES, Tube
 from ctrplan.mechanics.walk import Field, PathDensity, PathLimits, PathSamples
 
 if TYPE_CHECKING:
@@ -44,6 +46,22 @@ def joint_table(values: ArrayLike, n: int) -> Array:
     if rows.ndim != 2 or rows.shape[1] != n:
         raise InputError(f"must have shape (K, {n}), not {rows.shape}", key="joint array")
     return rows
+
+
+def require_tubes(tubes: Sequence[Tube]) -> None:
+    """Raises InputError for a number of a tube that is out of its range."""
+    for i, tube in enumerate(tubes, start=1):
+        _require(f"tube.{i}", tube, RANGES)
+        for k, section in enumerate(tube.sections, start=1):
+            _require(f"tube.{i}.section.{k}", section, SECTION_RANGES)
+        if not 0 <= tube.inner_diameter_m < tube.outer_diameter_m:
+            rule = f"must be from 0 to below the outer diameter of {tube.outer_diameter_m:g} m"
+            raise InputError(rule, key=f"tube.{i}.inner_diameter_m", value=tube.inner_diameter_m, unit="m")
+
+
+def _require(place: str, of: object, ranges: Mapping[str, Number]) -> None:
+    for name, kind in ranges.items():
+        require(f"{place}.{name}", getattr(of, name), kind)
 
 
 def core_tube(tube: Tube) -> _model.Tube:

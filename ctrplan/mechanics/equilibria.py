@@ -1,4 +1,4 @@
-"""All equilibria of a robot without clearance and friction at given collars, by the torus of its tips' angles.
+"""All equilibria of a robot at given collars, by the torus of its tips' angles without clearance and friction.
 
 At their ends tubes carry no torsion. Angles there, relative to the tube around, are all that an equilibrium depends on:
 from them the torsion equations (Rucker et al. 2010, eq. (3) of Ha et al. 2019 without clearance) are integrated towards
@@ -9,12 +9,16 @@ whole turns, is an equilibrium at relative collar angles alpha.
 R has degree one: signs of its determinant, summed over all equilibria, make 1. Where a sum is another, one was missed.
 An equilibrium is stable where the determinant of the integrated derivatives keeps its sign from the tips to the collars
 (no conjugate point). Where R's determinant is positive on the whole torus there is one equilibrium at any rotation.
+
+Clearance and friction remove some and add others. The robot with them is solved from the shapes without: what converges
+to a stable shape is a branch.
 """
 
 from __future__ import annotations
 
-import itertools
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -25,9 +29,14 @@ from ctrplan.base.arrays import Array
 from ctrplan.base.package import shown
 from ctrplan.errors import InputError
 from ctrplan.mechanics.core_arrays import joint_row
-from ctrplan.mechanics.tube import Loads
+from ctrplan.mechanics.friction import corner_signs
+from ctrplan.mechanics.shapes import Status
+from ctrplan.mechanics.tube import Loads, stretches
 
 if TYPE_CHECKING:
+    from ctrplan.mechanics.core import Mechanics
+    from ctrplan.mechanics.friction import Branched
+    from ctrplan.mechanics.shapes import Accuracy
     from ctrplan.mechanics.tube import Tube
 
 
@@ -49,11 +58,19 @@ class Tubes(Protocol):
         """For messages."""
         ...
 
+    @property
+    def mechanics(self) -> Mechanics:
+        """What solves with clearance and friction."""
+        ...
+
 
 STEP_M = 4e-3  # of the integration from the tips, of fourth order: angles are within 1e-6 rad of shorter ones
 GRID = {1: 12, 2: 12, 3: 6, 4: 6}  # angles along each pair: none of 120 random configurations had one between them
 NEAR_CELLS, DENSER = 1.5, 4  # of the grid, within which the first step has to lead; else so many times as dense
 SAME_RAD = 1e-4  # between angles of one equilibrium
+BEYOND = (0.8, 1.0, 1.25, 2.0, 4.0)  # of what friction turns the tips by: on another branch it may hold less or more
+LEFT = (0.75, 0.5, 0.25, 0.0)  # of the way from collars that stand elsewhere, without friction
+NEAR_RAD = 0.2  # of angles at the tips, within which a root without clearance leads to a solution that is known
 SAME_SHAPE_M = 0.5e-3  # between solutions of one shape: walked to or found afresh, with clearance or without
 
 
@@ -83,6 +100,12 @@ class Equilibria:
 
     each: tuple[Equilibrium, ...]
     degree: int  # sum of signs, 1 unless some were missed
+    look: Callable[[], tuple[Branch, ...]] = field(repr=False)
+
+    @cached_property
+    def branches(self) -> tuple[Branch, ...]:
+        """The stable shapes with clearance and friction that these lead to, solved when somebody asks."""
+        return self.look()
 
     @property
     def is_complete(self) -> bool:
@@ -93,13 +116,6 @@ class Equilibria:
     def stable(self) -> tuple[Equilibrium, ...]:
         """Those in which the robot can stay."""
         return tuple(equilibrium for equilibrium in self.each if equilibrium.is_stable)
-
-    def others(self, tip_m: Array) -> list[tuple[float, Equilibrium]]:
-        """Stable ones beside the one whose tip is nearest to a tip (3,), and how far [m] from it theirs are."""
-        apart = sorted(
-            ((float(np.linalg.norm(shape.tip_m - tip_m)), shape) for shape in self.stable), key=lambda pair: pair[0]
-        )
-        return [(distance, shape) for distance, shape in apart[1:] if distance > apart[0][0] + SAME_SHAPE_M]
 
     def headline(self) -> str:
         """How many, as it shows itself."""
@@ -115,15 +131,69 @@ def equilibria(robot: Tubes, theta_b: ArrayLike, l_b: ArrayLike) -> Equilibria:
     theta, l = joint_row(theta_b, len(robot.tubes)), joint_row(l_b, len(robot.tubes))  # noqa: E741 (as in the equations)
     _refuse(robot)
     each, degree = Torus(robot.tubes, l).roots(np.diff(theta), float(theta[0]))
-    return Equilibria(tuple(sorted(each, key=lambda equilibrium: equilibrium.energy_J)), degree)
+    in_order = tuple(sorted(each, key=lambda equilibrium: equilibrium.energy_J))
+    return Equilibria(in_order, degree, partial(branches, robot, theta, l))
 
 
-def other_shapes(robot: Tubes, theta_b: ArrayLike, l_b: ArrayLike, tip_m: Array) -> list[tuple[float, Equilibrium]]:
-    """Other stable equilibria than the one with a tip (3,), and how far [m] from it; none where they are refused."""
+@shown
+@dataclass(frozen=True, eq=False)
+class Branch:
+    """A stable shape with clearance, without friction and in the C sign corners of friction: states where it exists.
+
+    It counts as soon as one of its states is solved.
+    """
+
+    tip_m: Array  # (1 + C, 3) robot frame; NaN where it has no equilibrium
+    twist_rad: Array  # (1 + C, n - 1) of each pair from tip to collar
+    angles_rad: Array  # (1 + C, n, K) of every tube along the robot
+    energy_J: float  # of the equilibrium without clearance that it was begun from
+
+    @property
+    def solved(self) -> NDArray[np.bool_]:
+        """(1 + C,) where it has an equilibrium."""
+        return np.isfinite(self.tip_m[:, 0])
+
+    @property
+    def first(self) -> int:
+        """The state that stands for it: the frictionless one where there is one."""
+        return int(np.argmax(self.solved))
+
+    def headline(self) -> str:
+        """What it is, as it shows itself."""
+        at = ", ".join(f"{x * 1e3:.2f}" for x in self.tip_m[self.first])
+        wound = ", ".join(f"{np.degrees(x):+.0f}" for x in self.twist_rad[self.first])
+        kind = "stable shape" if self.solved[0] else "shape that friction holds"
+        return f"{kind}, tip at ({at}) mm, pairs twisted by ({wound}) deg, {self.energy_J * 1e3:.2f} mJ"
+
+
+def branches(robot: Tubes, theta_b: ArrayLike, l_b: ArrayLike, *, accuracy: Accuracy = "search") -> tuple[Branch, ...]:
+    """Stable shapes with clearance and friction at collars (n,) [rad], (n,) [m], those without clearance first.
+
+    The frictionless robot and each sign corner of friction are solved from every stable equilibrium without clearance.
+    Friction turns the tips as if the collars stood elsewhere: the equilibria there are begun from as well. Raises
+    InputError as `equilibria` does.
+    """
+    theta, l = joint_row(theta_b, len(robot.tubes)), joint_row(l_b, len(robot.tubes))  # noqa: E741
+    _refuse(robot)
+    looked = _Looked(robot, theta, l, accuracy)
+    looked.begin()
+    looked.begin_beside()
+    return tuple(looked.branches())
+
+
+def other_shapes(robot: Tubes, theta_b: ArrayLike, l_b: ArrayLike, tip_m: Array) -> list[tuple[float, Branch]]:
+    """Other branches than the one with a frictionless tip (3,), and how far [m] from it they are, the nearest first.
+
+    None where robots are of a kind that `equilibria` refuses.
+    """
+    if is_unique(robot, l_b):
+        return []
     try:
-        return equilibria(robot, theta_b, l_b).others(tip_m)
+        each = branches(robot, theta_b, l_b)
     except InputError:
         return []
+    away = [(float(np.linalg.norm(one.tip_m[one.first] - tip_m)), one) for one in each]
+    return sorted((pair for pair in away if pair[0] > SAME_SHAPE_M), key=lambda pair: pair[0])
 
 
 def is_unique(robot: Tubes, l_b: ArrayLike) -> bool:
@@ -150,17 +220,6 @@ def _refuse(robot: Tubes) -> None:
         raise InputError(rule, file=robot.path, key="tube")
 
 
-@dataclass(frozen=True)
-class _Stretch:
-    """A stretch along which the same tubes, the inner ones from `first` on, have smooth precurvature."""
-
-    begin: float
-    end: float
-    first: int
-    u: Array  # (n, 2) precurvature at its begin [1/m]
-    slope: Array  # (n, 2) per m
-
-
 class Torus:
     """Angles at the tips of a robot with collars at translations (n,) [m], and where they lead to."""
 
@@ -169,16 +228,16 @@ class Torus:
         self.pairs = len(tubes) - 1
         EI = np.array([tube.bending_stiffness_Nm2 for tube in tubes])
         GJ = EI / (1 + np.array([tube.poisson_ratio for tube in tubes]))
-        stretches = _stretches(tubes, l_b)
+        parts = stretches(tubes, l_b)
         self._core = _model.TorusTubes(
             EI=EI.tolist(),
             GJ=GJ.tolist(),
             behind=(l_b - GJ * [tube.shaft_compliance_rad_per_Nm for tube in tubes]).tolist(),
-            begin=[part.begin for part in stretches],
-            end=[part.end for part in stretches],
-            first=[part.first for part in stretches],
-            u=np.array([part.u for part in stretches]).reshape(-1, len(tubes), 2),
-            slope=np.array([part.slope for part in stretches]).reshape(-1, len(tubes), 2),
+            begin=[part.begin for part in parts],
+            end=[part.end for part in parts],
+            first=[part.first for part in parts],
+            u=np.array([part.u for part in parts]).reshape(-1, len(tubes), 2),
+            slope=np.array([part.slope for part in parts]).reshape(-1, len(tubes), 2),
         )
 
     def grid(self, times: int = 1) -> Array:
@@ -193,52 +252,168 @@ class Torus:
         """(Q,) signs of the determinant of R's derivatives on the grid."""
         return np.asarray(self._core.signs(self.grid(), STEP_M))
 
+    def several(self, alpha: Array) -> NDArray[np.bool_]:
+        """(A,) whether relative collar angles (A, n - 1) have more than one root: then one has a negative sign.
+
+        Newton's method begins where the grid's determinants are not positive, and beside.
+        """
+        folded = (self.signs() <= 0).reshape((GRID[max(self.pairs, 1)],) * self.pairs)
+        for axis in range(self.pairs):
+            folded = folded | np.roll(folded, 1, axis) | np.roll(folded, -1, axis)
+        begin = np.ascontiguousarray(self.grid()[folded.ravel()])
+        if not len(begin):
+            return np.zeros(len(alpha), dtype=bool)
+        reach_rad = NEAR_CELLS * 2 * np.pi / GRID[self.pairs]
+        every = self._core.roots(begin, alpha, [0.0] * len(alpha), reach_rad, SAME_RAD, STEP_M)
+        return np.array([any(row[2] < 0 for row in rows) for rows in every])
+
     def roots(self, alpha: Array, outermost_rad: float) -> tuple[list[Equilibrium], int]:
-        """Equilibria at relative collar angles (n - 1,), the outermost collar at an angle, and the sum of their signs.
+        """Equilibria at relative collar angles (n - 1,), the outermost collar at an angle, and their signs' sum."""
+        return self.all_roots(alpha[None], [outermost_rad])[0]
+
+    def all_roots(self, alpha: Array, outermost_rad: Sequence[float]) -> list[tuple[list[Equilibrium], int]]:
+        """The same at each of relative collar angles (A, n - 1).
 
         Newton's method begins where the grid's derivatives lead into the cell around; from everywhere on a denser grid
         if the signs of what that finds do not add up.
         """
-        rows: list[Any] = []
+        results: list[Any] = [None] * len(alpha)
+        left = list(range(len(alpha)))
         for times, cells in ((1, NEAR_CELLS), (DENSER, np.inf)):
             reach_rad = cells * 2 * np.pi / GRID[max(self.pairs, 1)]
-            rows = self._core.roots(self.grid(times), alpha.tolist(), outermost_rad, reach_rad, SAME_RAD, STEP_M)
-            if sum(row[2] for row in rows) == 1:
+            turned = np.ascontiguousarray(alpha[left]), [float(outermost_rad[k]) for k in left]
+            found = self._core.roots(self.grid(times), *turned, reach_rad, SAME_RAD, STEP_M)
+            for k, rows in zip(left, found, strict=True):
+                results[k] = rows
+            left = [k for k in left if sum(row[2] for row in results[k]) != 1]
+            if not left:
                 break
-        each = [
-            Equilibrium(tip_m, np.remainder(psi, 2 * np.pi), twist, energy_J, is_stable)
-            for psi, twist, _, is_stable, energy_J, tip_m in rows
+        return [
+            (
+                [
+                    Equilibrium(tip_m, np.remainder(psi, 2 * np.pi), twist, energy_J, is_stable)
+                    for psi, twist, _, is_stable, energy_J, tip_m in rows
+                ],
+                sum(row[2] for row in rows),
+            )
+            for rows in results
         ]
-        return each, sum(row[2] for row in rows)
+
+    def shapes(self, tip_angles_rad: Array, outermost_rad: Sequence[float]) -> tuple[Array, Array]:
+        """Arc lengths (K,) [m], and angles (G, n, K) of every tube there where the tips stand at (G, n - 1)."""
+        s_m, theta = self._core.shapes(np.ascontiguousarray(tip_angles_rad), list(outermost_rad), STEP_M)
+        return np.asarray(s_m), np.asarray(theta)
 
 
-def _stretches(tubes: tuple[Tube, ...], l_b: Array) -> list[_Stretch]:
-    """From the plate to the tip; where tubes end in order, the inner ones farther out."""
-    breaks, ends = {0.0}, [float(l + tube.length_m) for l, tube in zip(l_b, tubes, strict=True)]  # noqa: E741
-    for tube, begin in zip(tubes, l_b.tolist(), strict=True):
-        at = begin
-        for section in tube.sections:
-            at += section.length_m
-            breaks.add(max(at, 0.0))
-    results, points = list[_Stretch](), sorted(breaks)
-    for a, b in itertools.pairwise(points):
-        if b - a < 1e-9:
-            continue
-        middle = (a + b) / 2
-        first = next(i for i in range(len(tubes)) if max(ends[i:]) > middle and ends[i] > middle)
-        pieces = [_precurvature(tube, middle - begin, a - begin) for tube, begin in zip(tubes, l_b, strict=True)]
-        u, slope = (np.array(part) for part in zip(*pieces, strict=True))
-        results.append(_Stretch(a, b, first, u, slope))
-    return results
+class _Looked:
+    """What was solved at one configuration, branch by branch."""
+
+    def __init__(self, robot: Tubes, theta: Array, l: Array, accuracy: Accuracy) -> None:  # noqa: E741
+        """Nothing yet, at collars (n,) [rad], (n,) [m]."""
+        self.mechanics, self.theta, self.l, self.accuracy = robot.mechanics, theta, l, accuracy
+        self.torus = Torus(robot.tubes, l)
+        self.phi = np.vstack([np.zeros(len(theta) - 1), corner_signs(len(theta) - 1)])
+        self.tips, self.angles, self.energy = list[Array](), list[Array](), list[float]()
+        self.s_m = np.zeros(0)
+
+    def begin(self) -> None:
+        """Every state from every stable equilibrium without clearance."""
+        roots = [root for root in self.torus.roots(np.diff(self.theta), float(self.theta[0]))[0] if root.is_stable]
+        states = range(len(self.phi))
+        for root in roots:
+            shape = self._shape(root, np.zeros(len(self.theta) - 1))
+            self._add(states, self._solve(np.array(states), np.repeat(shape[None], len(states), axis=0)), root.energy_J)
+
+    def _extend(self, tips: Array, angles: Array) -> None:
+        """States that a branch lacks, from those that it has."""
+        while len(missing := np.flatnonzero(np.isnan(tips[:, 0]))):
+            there = np.flatnonzero(np.isfinite(tips[:, 0]))
+            apart = np.abs(self.phi[missing, None] - self.phi[there]).sum(axis=2)
+            rows = self._solve(missing, angles[there[apart.argmin(axis=1)]])
+            new = [k for k, state in enumerate(missing.tolist()) if self._is_new(state, rows, k)]
+            if not new:
+                break
+            tips[missing[new]], angles[missing[new]] = rows.tip_m[new], rows.angles_rad[new]
+
+    def begin_beside(self) -> None:
+        """States from equilibria without clearance at collars that would turn the tips as far as friction does, and so
+        many times as far as BEYOND says. Friction the other way turns them back, where no more is known of a state.
+        """
+        tips = [(state, angles[state]) for angles in self.angles for state in range(len(self.phi))]
+        known = [(state, np.diff(angles[:, -1])) for state, angles in tips if np.isfinite(angles[0, 0])]
+        if not known:
+            return
+        turned = self.torus.shapes(np.array([psi for _, psi in known]), [0.0] * len(known))[1][:, :, 0]
+        alpha = np.diff(self.theta)
+        off = list(zip([state for state, _ in known], _principal(np.diff(turned, axis=1) - alpha), strict=True))
+        has = {state for state, _ in known}
+        off += [(len(self.phi) - state, -by) for state, by in off if state and len(self.phi) - state not in has]
+        beside = [(state, factor * by) for factor in BEYOND for state, by in off]
+        several = self.torus.several(alpha + np.array([by for _, by in beside]))
+        beside = [pair for pair, is_folded in zip(beside, several.tolist(), strict=True) if is_folded]
+        if not beside:
+            return
+        every = self.torus.all_roots(alpha + np.array([by for _, by in beside]), [float(self.theta[0])] * len(beside))
+        guesses = list[tuple[int, Array, Array, float]]()
+        for (state, by), (roots, _) in zip(beside, every, strict=True):
+            for root in roots:
+                away = [np.abs(_principal(psi - root.tip_angles_rad)).max() for k, psi in known if k == state]
+                if root.is_stable and min(away, default=np.inf) > NEAR_RAD:
+                    known.append((state, root.tip_angles_rad))
+                    guesses.append((state, self._shape(root, by), by, root.energy_J))
+        if not guesses:
+            return
+        states, energy = np.array([state for state, *_ in guesses]), [energy_J for *_, energy_J in guesses]
+        angles, back = np.array([shape for _, shape, *_ in guesses]), np.array([by for *_, by, _ in guesses])
+        # At once, and once more while friction grows and the collars turn back: shapes stay much as they are then.
+        for way in ((0.0,), LEFT):
+            at = angles
+            for left in way:
+                rows = self._solve(states, at, back, left)
+                at = rows.angles_rad
+            for k, state in enumerate(states.tolist()):
+                self._add([state], rows, energy[k], k)
+
+    def branches(self) -> Iterator[Branch]:
+        """All of them."""
+        for tips, angles, energy_J in zip(self.tips, self.angles, self.energy, strict=True):
+            twist = np.diff(angles[:, :, 0] - angles[:, :, -1], axis=1)
+            yield Branch(tips, twist, angles, energy_J)
+
+    def _shape(self, root: Equilibrium, beside: Array) -> Array:
+        """(n, K) angles of a root for collars that stand `beside` (n - 1,), with the whole turns of the collars."""
+        self.s_m, angles = self.torus.shapes(root.tip_angles_rad[None], [float(self.theta[0])])
+        collar = self.theta + np.append(0.0, np.cumsum(beside))
+        whole = np.round((collar - angles[0, :, 0]) / (2 * np.pi))
+        return np.asarray(angles[0] + 2 * np.pi * whole[:, None])
+
+    def _solve(self, states: NDArray[np.intp], angles: Array, off: Array | None = None, left: float = 0.0) -> Branched:
+        """Friction states from angles; a share `left` of friction is missing, and collars stand as much of `off` on."""
+        theta = np.broadcast_to(self.theta, (len(states), len(self.theta)))
+        if off is not None:
+            theta = theta + left * np.cumsum(np.insert(off, 0, 0.0, axis=1), axis=1)
+        phi = (1 - left) * self.phi[states]
+        return self.mechanics.core_solve_from(theta, self.l, phi, self.s_m, angles, self.accuracy)
+
+    def _is_new(self, state: int, rows: Branched, row: int) -> bool:
+        if rows.status[row] != Status.CONVERGED:
+            return False
+        return not any(np.linalg.norm(tips[state] - rows.tip_m[row]) < SAME_SHAPE_M for tips in self.tips)
+
+    def _add(self, states: Iterable[int], rows: Branched, energy_J: float, first: int = 0) -> None:
+        """A branch of states that are new, solved in rows from a first one on, and of what is reached from there."""
+        tips = np.full((len(self.phi), 3), np.nan)
+        angles = np.full((len(self.phi), len(self.theta), len(self.s_m)), np.nan)
+        for k, state in enumerate(states, start=first):
+            if self._is_new(state, rows, k):
+                tips[state], angles[state] = rows.tip_m[k], rows.angles_rad[k]
+        if np.isfinite(tips).any():
+            self._extend(tips, angles)
+            self.tips.append(tips)
+            self.angles.append(angles)
+            self.energy.append(energy_J)
 
 
-def _precurvature(tube: Tube, inside: float, at: float) -> tuple[list[float], list[float]]:
-    """Precurvature (2,) [1/m] at `at`, and its slope, of the section that `inside` lies in; lengths from the base."""
-    begin = 0.0
-    for section in tube.sections:
-        if begin < inside < begin + section.length_m:
-            mean = np.array([section.curvature_x_per_m, section.curvature_y_per_m])
-            slope = 2 * section.gradient / section.length_m
-            return (mean * (1 - section.gradient + slope * (at - begin))).tolist(), (mean * slope).tolist()
-        begin += section.length_m
-    return [0.0, 0.0], [0.0, 0.0]
+def _principal(angle: Array) -> Array:
+    """Angles [rad] less whole turns, from -pi to pi."""
+    return np.asarray(angle - 2 * np.pi * np.round(angle / (2 * np.pi)))

@@ -225,6 +225,17 @@ def nearest_points(
     return np.asarray(least), np.asarray(unit), np.asarray(place)
 
 
+@dataclass(frozen=True, eq=False)
+class Branched:
+    """S friction states solved from given shapes."""
+
+    tip_m: Array  # (S, 3)
+    tangent: Array  # (S, 3)
+    status: NDArray[np.int_]  # (S,) Status; UNSTABLE: the robot would turn away from the solution
+    stability: Array  # (S,) as that of FrictionBodies
+    angles_rad: Array  # (S, n, K) of every tube where the shapes were given
+
+
 SPACING = Number(SHORTEST_STEP, 1, "m")
 
 

@@ -212,3 +212,46 @@ def _ordered(tubes: Sequence[Tube], l_b: Array, apart_m: Sequence[float]) -> Arr
             l[:, i + 1] = np.maximum(l[:, i + 1], l[:, i] + outer.length_m - inner.length_m)
         l[:, i + 1] = np.minimum(l[:, i + 1], l[:, i] - apart_m[i])
     return l
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """A stretch along which the same tubes, the inner ones from `first` on, have smooth precurvature."""
+
+    begin: float
+    end: float
+    first: int
+    u: Array  # (n, 2) precurvature at its begin [1/m]
+    slope: Array  # (n, 2) per m
+
+
+def stretches(tubes: tuple[Tube, ...], l_b: Array) -> list[Stretch]:
+    """From the plate to the tip; where tubes end in order, the inner ones farther out."""
+    breaks, ends = {0.0}, [float(l + tube.length_m) for l, tube in zip(l_b, tubes, strict=True)]  # noqa: E741
+    for tube, begin in zip(tubes, l_b.tolist(), strict=True):
+        at = begin
+        for section in tube.sections:
+            at += section.length_m
+            breaks.add(max(at, 0.0))
+    results, points = list[Stretch](), sorted(breaks)
+    for a, b in pairwise(points):
+        if b - a < 1e-9:
+            continue
+        middle = (a + b) / 2
+        first = next(i for i in range(len(tubes)) if max(ends[i:]) > middle and ends[i] > middle)
+        pieces = [_precurvature(tube, middle - begin, a - begin) for tube, begin in zip(tubes, l_b, strict=True)]
+        u, slope = (np.array(part) for part in zip(*pieces, strict=True))
+        results.append(Stretch(a, b, first, u, slope))
+    return results
+
+
+def _precurvature(tube: Tube, inside: float, at: float) -> tuple[list[float], list[float]]:
+    """Precurvature (2,) [1/m] at `at`, and its slope, of the section that `inside` lies in; lengths from the base."""
+    begin = 0.0
+    for section in tube.sections:
+        if begin < inside < begin + section.length_m:
+            mean = np.array([section.curvature_x_per_m, section.curvature_y_per_m])
+            slope = 2 * section.gradient / section.length_m
+            return (mean * (1 - section.gradient + slope * (at - begin))).tolist(), (mean * slope).tolist()
+        begin += section.length_m
+    return [0.0, 0.0], [0.0, 0.0]

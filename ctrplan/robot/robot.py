@@ -239,8 +239,9 @@ class Robot:
     def equilibria(self, theta_b: ArrayLike, l_b: ArrayLike) -> Equilibria:
         """Every equilibrium without clearance and friction at collars (n,) [rad], (n,) [m], stable or not.
 
-        Whole turns of collars lead from one to another. Raises InputError for robots with loads, with oval tubes or
-        such that soften, and for more than five tubes.
+        Whole turns of collars lead from one to another. `branches` of the result has the stable shapes with clearance
+        and friction. Raises InputError for robots with loads, with oval tubes or such that soften, and for more than
+        five tubes.
         """
         from ctrplan.mechanics.equilibria import equilibria
 

@@ -196,7 +196,8 @@ class CostTerm:
 # What is known of friction before a plan: nothing; Section V-A's oscillation released it; there is none; what an
 # observer found, which only predictions start from: bounds and clearances are those of every friction state.
 StartFriction = Literal["unknown", "oscillated", "released", "observed"]
-StartTurns = Literal["unknown", "absolute"]  # whether whole turns of joints at the start count, as of a homed drive
+# Whether whole turns of joints at the start count, as of a homed drive; followed: the shape is known by the way there.
+StartTurns = Literal["unknown", "absolute", "followed"]
 
 
 ORIGIN, UNTURNED = (0.0, 0.0, 0.0), ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
@@ -339,11 +340,11 @@ class Scenario:
     def stage_from(self, start: Array) -> Scenario:
         """The scenario to its last goal from joints (m,).
 
-        Elsewhere than at its start friction is unknown, and turns count: the robot was followed there.
+        Elsewhere than at its start friction is unknown, and whole turns do not matter: the robot was followed there.
         """
         if np.array_equal(start, self.start):
             return replace(self, start=start, via=())
-        return replace(self, start=start, via=(), start_friction="unknown", start_turns="absolute", start_state=None)
+        return replace(self, start=start, via=(), start_friction="unknown", start_turns="followed", start_state=None)
 
     def observed(self, state: ObserverState) -> Scenario:
         """The scenario of a robot that was followed to its start: predictions begin with the histories of `state`.

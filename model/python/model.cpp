@@ -112,6 +112,21 @@ nb::tuple body(Model& model, Vector theta, Vector l, const std::string& level) {
     return nb::make_tuple(hand_over<double>(std::move(found.point), {shapes, count, 3}), array(std::move(found.radius)));
 }
 
+// Tips, tangents, status, stability, and angles of S rotations and friction states solved from shapes with angles (S, n, K) at s (K,).
+nb::tuple solve_from(Model& model, Matrix theta, Vector l, Matrix phi, Vector s, Tensor angles, const std::string& level) {
+    const std::size_t rows = phi.shape(0), tubes = model.robot().tubes.size(), count = s.shape(0);
+    if (theta.shape(0) != rows || theta.shape(1) != tubes || phi.shape(1) + 1 != tubes || rows == 0)
+        throw ctr::InvalidInput("shapes need rotations (states, tubes) and friction states (states, pairs)");
+    if (angles.shape(0) != rows || angles.shape(1) != tubes || angles.shape(2) != count || count == 0)
+        throw ctr::InvalidInput("shapes need angles (states, tubes, places)");
+    const ctr::Configuration q{std::vector<double>(theta.data(), theta.data() + tubes), std::vector<double>(l.data(), l.data() + l.shape(0))};
+    ctr::validate(model.robot(), q);
+    const ctr::GivenShapes given{s.data(), angles.data(), theta.data(), phi.data(), count, rows};
+    ctr::BranchRows found = unlocked([&] { return model.solve_from(q, accuracy(level), given); });
+    return nb::make_tuple(array(std::move(found.tip)), array(std::move(found.tangent)), array(found.status), array(std::move(found.stability)),
+                          array(std::move(found.theta), {rows, tubes, count}));
+}
+
 nb::object corners_apart(Model& model, Vector theta, Vector l, const std::string& level) {
     const ctr::Configuration q = valid_configuration(model.robot(), theta, l);
     return array(unlocked([&] { return model.corners_apart(q, accuracy(level)); }));
@@ -141,6 +156,8 @@ void bind_model(nb::module_& m) {
              "accuracy"_a, "spacing"_a)
         .def("check_path", &check_path, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "field"_a.none(), "density"_a, "limits"_a, "accuracy"_a,
              "shapes"_a)
+        .def("solve_from", &solve_from, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "phi"_a.noconvert(), "s"_a.noconvert(),
+             "angles"_a.noconvert(), "accuracy"_a)
         .def("corners_apart", &corners_apart, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "accuracy"_a)
         .def("body", &body, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "accuracy"_a);
 }

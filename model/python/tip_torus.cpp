@@ -35,15 +35,28 @@ nb::object signs(const ctr::TorusTubes& tubes, const Matrix& psi, double step) {
     return hand_over<std::int64_t>(std::vector<std::int64_t>(signs.begin(), signs.end()), {signs.size()});
 }
 
-// A tuple of each root: angles at the tips, twist, sign, whether it is stable, energy, tip.
-nb::list roots(const ctr::TorusTubes& tubes, const Matrix& psi, const Values& alpha, double outermost, double reach, double apart,
+// For each row of alpha a list, with a tuple of each root: angles at the tips, twist, sign, whether it is stable, energy, tip.
+nb::list roots(const ctr::TorusTubes& tubes, const Matrix& psi, const Matrix& alpha, const Values& outermost, double reach, double apart,
                double step) {
-    if (alpha.size() + 1 != tubes.EI.size()) throw ctr::InvalidInput("relative angles of the collars are (pairs,)");
+    if (alpha.shape(1) + 1 != tubes.EI.size() || alpha.shape(0) != outermost.size())
+        throw ctr::InvalidInput("relative angles of the collars are (configurations, pairs)");
     nb::list all;
-    for (ctr::TorusRoot& root : ctr::torus_roots(tubes, flat(psi, tubes), alpha, outermost, reach, apart, step))
-        all.append(nb::make_tuple(array(std::move(root.psi)), array(std::move(root.twist)), root.sign, root.is_stable, root.energy,
-                                  array(Values(root.tip, root.tip + 3))));
+    for (std::vector<ctr::TorusRoot>& each : ctr::torus_roots(tubes, flat(psi, tubes), flat(alpha, tubes), outermost, reach, apart, step)) {
+        nb::list made;
+        for (ctr::TorusRoot& root : each)
+            made.append(nb::make_tuple(array(std::move(root.psi)), array(std::move(root.twist)), root.sign, root.is_stable, root.energy,
+                                       array(Values(root.tip, root.tip + 3))));
+        all.append(made);
+    }
     return all;
+}
+
+// Arc lengths (K,), and angles (G, n, K) where the tips stand at psi (G, n - 1).
+nb::tuple shapes(const ctr::TorusTubes& tubes, const Matrix& psi, const Values& outermost, double step) {
+    if (psi.shape(0) != outermost.size()) throw ctr::InvalidInput("angles of the outermost collar are (shapes,)");
+    ctr::TorusShapes made = ctr::torus_shapes(tubes, flat(psi, tubes), outermost, step);
+    const std::size_t count = made.s.size();
+    return nb::make_tuple(array(std::move(made.s)), array(std::move(made.theta), {psi.shape(0), tubes.EI.size(), count}));
 }
 
 }  // namespace
@@ -55,5 +68,6 @@ void bind_tip_torus(nb::module_& m) {
             new (self) ctr::TorusTubes(make(std::move(EI), std::move(GJ), std::move(behind), begin, end, first, u, slope));
         }, nb::kw_only(), "EI"_a, "GJ"_a, "behind"_a, "begin"_a, "end"_a, "first"_a, "u"_a.noconvert(), "slope"_a.noconvert())
         .def("signs", &signs, "psi"_a.noconvert(), "step"_a)
-        .def("roots", &roots, "psi"_a.noconvert(), "alpha"_a, "outermost"_a, "reach"_a, "apart"_a, "step"_a);
+        .def("roots", &roots, "psi"_a.noconvert(), "alpha"_a.noconvert(), "outermost"_a, "reach"_a, "apart"_a, "step"_a)
+        .def("shapes", &shapes, "psi"_a.noconvert(), "outermost"_a, "step"_a);
 }

@@ -11,14 +11,13 @@ from typing import Any
 import numpy as np
 import pytest
 from made_up_input import FUZZ
-from stated_plans import in_si, moved_to, scene_of, sphere, stated, table_ii
+from stated_plans import in_si, moved_to, rvim, scene_of, sphere, stated, table_ii
 
 from ctrplan.anatomy.parts import AnatomyPart
 from ctrplan.anatomy.shapes.mesh import Mesh
 from ctrplan.audit.audited_plan import DrivenWay
 from ctrplan.audit.verify import Verification, verify
 from ctrplan.files.plan_file import WrittenPlan
-from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.scenario.scenario import Registration
 
 WORK, MORE = 8_000, 16_000  # units, a second or so for each 8,000
@@ -84,40 +83,9 @@ def maybe_late() -> WrittenPlan:
 
 def wound() -> WrittenPlan:
     """A published robot (RViM, gym-ctr-reach), whose inner tube may have been turned once before the start."""
-    tubes = [
-        (2.39, 1.83, 0.07883294853277428, [(173, 10.8)]),
-        (1.8, 1.4, 0.0245044226980004, [(161, 0.0), (114, 11.68)]),
-        (1.1, 0.7, 0.004506221962492861, [(164, 0.0), (145, 13.52)]),
-    ]
-    content: dict[str, Any] = {
-        "tube": [
-            {
-                "outer_diameter_mm": outer,
-                "inner_diameter_mm": inner,
-                "bending_stiffness_Nm2": stiffness,
-                "poisson_ratio": 0.5,
-                "section": [{"length_mm": mm, "curvature_x_per_m": u, "curvature_y_per_m": 0} for mm, u in sections],
-            }
-            for outer, inner, stiffness, sections in tubes
-        ],
-        "contact": [{"friction_coefficient": 0.2, "clearance_mm": gap} for gap in (0.015, 0.15)],
-        "joint": [
-            *({"name": f"r{k}", "moves": {"theta": row}, **SPEEDS["deg"]} for k, row in enumerate(np.eye(3).tolist())),
-            *(
-                {"name": f"t{k + 1}", "moves": {"l": row}, "min_mm": low, "max_mm": 0, **SPEEDS["mm"]}
-                for k, (row, low) in enumerate(zip(np.eye(3).tolist(), (-165, -260, -290), strict=True))
-            ),
-        ],
-    }  # fmt: skip
     start = np.array([0, 68.2221, 45.0959, -129.4931, -174.9751, -203.5571])
     end = start + [0, 0, 0, 0, 0, 3.0]
-    return stated(scene_of(robot_from_dict(content), start, end, sphere([4.37, -52.66, 84.99], 3)), 9.5)
-
-
-SPEEDS = {
-    unit: {f"max_velocity_{unit}_s": v, f"max_acceleration_{unit}_s2": a, f"max_jerk_{unit}_s3": j}
-    for unit, v, a, j in (("deg", 60, 240, 2400), ("mm", 10, 50, 500))
-}
+    return stated(scene_of(rvim(), start, end, sphere([4.37, -52.66, 84.99], 3)), 9.5)
 
 
 @pytest.mark.parametrize(

@@ -14,15 +14,19 @@ from typing import Any
 import numpy as np
 import pytest
 from made_up_input import FUZZ
-from places import ROBOTS
+from places import ROBOTS, SCENARIOS
+from stated_plans import in_si, rvim
 
 import ctrplan
 from ctrplan.__main__ import main
 from ctrplan.base.arrays import Array
 from ctrplan.certificate.other_equilibria import other_start
 from ctrplan.errors import InputError, SolverError
-from ctrplan.files.robot_file import robot_from_dict
-from ctrplan.mechanics.equilibria import equilibria, is_unique
+from ctrplan.files.robot_file import load_robot, robot_from_dict
+from ctrplan.files.scenario_file import load_scenario
+from ctrplan.mechanics.equilibria import SAME_SHAPE_M, Torus, equilibria, is_unique
+from ctrplan.mechanics.friction import corner_signs
+from ctrplan.mechanics.shapes import Status
 from ctrplan.reports.live_state import LiveState
 from ctrplan.robot.robot import Robot
 from ctrplan.scenario.joint_space import JointSpace, bare_scenario
@@ -112,6 +116,37 @@ def test_a_start_that_may_be_wound_is_refused_with_the_way_to_unwind_it() -> Non
     assert "to unwind" not in other_start(replace(held, start_friction="released"), at)
 
 
+@pytest.mark.parametrize("angle_deg", [25, 30, 60, 90])
+def test_a_shape_that_friction_alone_holds_refuses_the_start(angle_deg: float) -> None:
+    """Without friction the pair has one shape there; after a whole turn, without a snap, friction holds another."""
+    curvatures = [f"robot.tube.{i}.section.2.curvature_y_per_m={u}" for i, u in ((1, 3.471), (2, 60.0))]
+    scenario = load_scenario(SCENARIOS / "pair_free.toml", curvatures)
+    robot, at = scenario.robot, np.array([0.0, np.radians(angle_deg), -0.02])
+    theta, l = robot.drive.collars(at)  # noqa: E741 (as in the equations)
+    assert len(robot.equilibria(theta, l).stable) == 1
+    path = robot.history().follow(np.array([theta + [0, 2 * np.pi], theta]), np.array([l, l]))
+    bound = robot.bound(theta, l)
+    assert not path.snaps.any()
+    assert np.linalg.norm(path.position_m[-1] - bound.frictionless.tip_m) > bound.position_m + 50e-3
+    assert "with clearance and friction" in other_start(scenario, at)
+    assert not other_start(replace(scenario, start_friction="released"), at)
+
+
+def test_turns_that_count_lead_from_home_to_the_shape_that_is_walked_from() -> None:
+    """The inner tube at -314.9 deg is wound up when it was turned there; at 45.1 deg, the same place, it is not."""
+    robot = rvim()
+    unwound = in_si(robot, [0, 68.2221, 45.0959, -129.4931, -174.9751, -203.5571])
+    wound = unwound - [0, 0, 2 * np.pi, 0, 0, 0]
+    for at, is_refused in ((unwound, False), (wound, True)):
+        scenario = replace(bare_scenario(robot), start=at, start_turns="absolute", start_friction="released")
+        assert ("straight from home" in other_start(scenario, at)) == is_refused
+        theta, l = robot.drive.collars(np.array([np.where(robot.drive.is_rotation, 0.0, at), at]))  # noqa: E741
+        end = robot.history().follow(theta, l).position_m[-1]
+        bound = robot.bound(theta[-1], l[-1])
+        assert (np.linalg.norm(end - bound.frictionless.tip_m) > bound.position_m + 5e-3) == is_refused
+        assert not other_start(replace(scenario, start_turns="followed"), at)
+
+
 def test_robots_of_another_kind_are_refused_in_one_sentence() -> None:
     loaded = robot_from_dict({**PAIR, "effects": {"tip_load": {"force_x_N": 0.1}}}, file=str(ROBOTS / "loaded.toml"))
     with pytest.raises(InputError, match="has loads"):
@@ -136,8 +171,55 @@ def test_ik_and_view_say_that_there_are_others(tmp_path: Path, capsys: pytest.Ca
     assert main(["ik", str(file), "--tip-mm", *texts, "--tolerance-mm", "2", "--starts", "60", "--json"]) == 0
     rows = json.loads(capsys.readouterr().out)["configurations"]
     assert any(row["other_shape_mm"] and row["other_shape_mm"] > 5 for row in rows)
-    mild = bent(0.5).equilibria([0.0, 1.0], [0.0, -90e-3])
-    assert mild.others(mild.each[0].tip_m) == []
+    assert len(bent(0.5).equilibria([0.0, 1.0], [0.0, -90e-3]).branches) == 1
+
+
+@pytest.mark.parametrize("name", ["rvim", "bent", "three_tube"])
+def test_histories_with_friction_end_on_branches_that_are_known(name: str) -> None:
+    """From whole turns of every pair, and from a side; in each friction state that the end of a history goes on to."""
+    three = load_robot(ROBOTS / "three_tube.toml")
+    robot = rvim() if name == "rvim" else bent(2.5) if name == "bent" else three
+    states, several, complete = np.vstack([np.zeros(robot.n - 1), corner_signs(robot.n - 1)]), 0, list[bool]()
+    for theta, l in collars(robot, 500 if FUZZ else 3, 11):  # noqa: E741 (as in the equations)
+        known = robot.equilibria(theta, l).branches
+        several += len(known) > 1
+        assert len(known) == 1 or not is_unique(robot, l)
+        complete.append(True)
+        for turns in itertools.product((-1, 0, 1), repeat=robot.n - 1):
+            before = 2 * np.pi * np.array(turns) if any(turns) else np.full(robot.n - 1, 1.5)
+            begin, history = theta - np.append(0, np.cumsum(before)), robot.history()
+            with suppress(SolverError):
+                if history.follow(np.array([begin, theta]), np.array([l, l])).status[-1] != Status.CONVERGED:
+                    continue
+                tips = np.array([history.tip_beside(phi) for phi in states])
+                apart = np.array([np.linalg.norm(branch.tip_m - tips, axis=1) for branch in known])
+                nearest = np.min(apart, axis=0, where=np.isfinite(apart), initial=np.inf)
+                assert nearest.min() < SAME_SHAPE_M
+                complete[-1] &= bool(np.all(nearest[np.isfinite(tips[:, 0])] < SAME_SHAPE_M))
+    print(f"{name}: {sum(complete)} of {len(complete)} complete, {several} with several branches")
+    assert (several > 0) == (name != "three_tube" or FUZZ) and sum(complete) >= 0.98 * len(complete)
+
+
+def test_a_shape_is_solved_again_from_itself_and_turns_with_its_collars() -> None:
+    """Each state is a fixed point but beside folds, where friction alone holds a shape; whole turns change nothing."""
+    robot = rvim()
+    theta, l = collars(robot, 1, 11)[0]  # noqa: E741
+    looked = [branch for branch in robot.equilibria(theta, l).branches if branch.solved[0]]
+    assert len(looked) > 1
+    s_m = Torus(robot.tubes, l).shapes(np.zeros((1, 2)), [0.0])[0]
+    states = np.vstack([np.zeros(2), corner_signs(2)])
+    for branch in looked:
+        for turn in (np.zeros(3), 2 * np.pi * np.array([1, 0, -1])):
+            has = branch.solved
+            shapes = branch.angles_rad[has] + turn[:, None]
+            at = np.tile(theta + turn, (len(shapes), 1))
+            again = robot.mechanics.core_solve_from(at, l, states[has], s_m, shapes, "search")
+            np.testing.assert_array_equal(again.status, Status.CONVERGED)
+            np.testing.assert_allclose(again.tip_m, branch.tip_m[has], atol=2e-6)
+            assert np.all(again.stability > 0)
+    own = min(looked, key=lambda one: abs(one.twist_rad[one.first]).sum())
+    bound = robot.bound(theta, l)
+    np.testing.assert_allclose(own.tip_m, [shape.tip_m for shape in (bound.frictionless, *bound.corners)], atol=2e-6)
 
 
 @pytest.mark.parametrize("name", ["table_5_pair", "three_tube", "bent"])

@@ -245,7 +245,7 @@ def test_a_robot_that_may_be_wound_up_is_refused_at_its_start() -> None:
     case = load_scenario(SCENARIOS / "pair_free.toml", bent)
     wound = [q for q in np.radians(np.arange(90, 180, 15)) if other_start(case, np.array([0.0, q, -0.02]))]
     assert wound
-    with pytest.raises(ctrplan.NoAnswerError, match="another equilibrium"):
+    with pytest.raises(ctrplan.NoAnswerError, match="another stable equilibrium with clearance and friction"):
         ctrplan.plan(replace(case, start=np.array([0.0, wound[0], -0.02])), time_s=0.3)
 
 

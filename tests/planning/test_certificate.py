@@ -25,7 +25,7 @@ from ctrplan.certificate.friction_states import (
     corner_states,
     mesh_allowance_m,
 )
-from ctrplan.certificate.other_equilibria import other_equilibrium
+from ctrplan.certificate.other_equilibria import _from_branches, _from_corners, _from_turns, other_equilibrium
 from ctrplan.certificate.walked_piece import walk_pieces
 from ctrplan.errors import InputError
 from ctrplan.files.robot_file import robot_from_dict
@@ -134,8 +134,15 @@ def test_another_equilibrium_of_a_corner_refuses_the_motion(seed: int, number: i
     case = replace(resting(AT), start=q)
     pieces = walk_pieces(case, space, q[None], "search", None)
     found = other_equilibrium(ROBOT, pieces, [0.0])
-    assert found is not None and found.apart_m > 10e-3 and found.reached_by == way
-    assert f"{found.apart_m * 1e3:.1f} mm away, reached {way}" in found.sentence
+    each = {
+        "from another corner": _from_corners,
+        "by a turn": _from_turns,
+        "from a shape without clearance": _from_branches,
+    }
+    assert found is not None and found.apart_m > 10e-3 and found.reached_by in each
+    assert f"{found.apart_m * 1e3:.1f} mm away, reached {found.reached_by}" in found.sentence
+    for known in (way, "from a shape without clearance"):
+        assert each[known](ROBOT, pieces[0], 0) > 10e-3
     calm = walk_pieces(resting(AT), space, AT[None], "search", None)
     assert other_equilibrium(ROBOT, calm, [0.0]) is None
     assert ROBOT.mechanics.corners_apart(*ROBOT.drive.collars(AT)).max() < SAME_SHAPE_M

@@ -16,6 +16,7 @@ from ctrplan.anatomy.shapes.sphere import Sphere
 from ctrplan.audit.audited_plan import WHOLE_WAY
 from ctrplan.drive.trajectory import time_parameterise
 from ctrplan.files.plan_file import WrittenPlan
+from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.robot.robot import Robot
 from ctrplan.scenario.joint_space import bare_scenario
 from ctrplan.scenario.scenario import Goal, Scenario
@@ -26,6 +27,42 @@ WIDE_M = 1.0  # bound that no tip leaves
 def table_ii(*overrides: str) -> Robot:
     """The three-tube robot of Table II, its keys overridden."""
     return ctrplan.load_robot(SCENARIOS / "robots" / "three_tube.toml", overrides)
+
+
+SPEEDS = {
+    unit: {f"max_velocity_{unit}_s": v, f"max_acceleration_{unit}_s2": a, f"max_jerk_{unit}_s3": j}
+    for unit, v, a, j in (("deg", 60, 240, 2400), ("mm", 10, 50, 500))
+}
+
+
+def rvim() -> Robot:
+    """The robot ctr_2 of gym-ctr-reach (RViM, MIT), of many stable shapes; friction and clearance are ours."""
+    tubes = [
+        (2.39, 1.83, 0.07883294853277428, [(173, 10.8)]),
+        (1.8, 1.4, 0.0245044226980004, [(161, 0.0), (114, 11.68)]),
+        (1.1, 0.7, 0.004506221962492861, [(164, 0.0), (145, 13.52)]),
+    ]
+    content: dict[str, Any] = {
+        "tube": [
+            {
+                "outer_diameter_mm": outer,
+                "inner_diameter_mm": inner,
+                "bending_stiffness_Nm2": stiffness,
+                "poisson_ratio": 0.5,
+                "section": [{"length_mm": mm, "curvature_x_per_m": u, "curvature_y_per_m": 0} for mm, u in sections],
+            }
+            for outer, inner, stiffness, sections in tubes
+        ],
+        "contact": [{"friction_coefficient": 0.2, "clearance_mm": gap} for gap in (0.015, 0.15)],
+        "joint": [
+            *({"name": f"r{k}", "moves": {"theta": row}, **SPEEDS["deg"]} for k, row in enumerate(np.eye(3).tolist())),
+            *(
+                {"name": f"t{k + 1}", "moves": {"l": row}, "min_mm": low, "max_mm": 0, **SPEEDS["mm"]}
+                for k, (row, low) in enumerate(zip(np.eye(3).tolist(), (-165, -260, -290), strict=True))
+            ),
+        ],
+    }  # fmt: skip
+    return robot_from_dict(content)
 
 
 def sphere(center_mm: Sequence[float], radius_mm: float) -> AnatomyPart:

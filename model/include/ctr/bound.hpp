@@ -23,6 +23,13 @@ struct FrictionStates {
     int sections;
 };
 
+// Shapes that solves begin from, theta [row][tube][count] at arc lengths s [count], and the rotations of the bases [row][tube] and
+// friction states phi [row][pair] that they are solved for, outermost first.
+struct GivenShapes {
+    const double *s, *theta, *base, *phi;
+    std::size_t count, rows;
+};
+
 // What all friction states of a configuration share, for whoever asks for more of them later: the frictionless robot, and the
 // iterate where the states part from it.
 struct FrictionlessStart {
@@ -63,6 +70,10 @@ class BoundSolver {
     FrictionlessStart begin_states(const Configuration& q, const Accuracy& accuracy);
     void solve_states(const FrictionlessStart& start, const FrictionStates& states,
                       const std::function<void(std::size_t row, const FrictionShape&)>& show);
+    // Solves from given shapes, on whatever branch they lie, with bases where q has them but for the rotations; shows also the
+    // angles [tube][count] as they were given.
+    void solve_from(const Configuration& q, const Accuracy& accuracy, const GivenShapes& given,
+                    const std::function<void(const FrictionShape&, std::vector<double>&& theta)>& show);
     // Solves from scratch, then every corner from every other one: how far [m] a stable equilibrium found so lies from the
     // corner's own, the largest per corner; 0 where all agree, inf where a corner was not solved.
     std::vector<double> corners_apart(const Configuration& q, const Accuracy& accuracy);
@@ -121,7 +132,7 @@ class BoundSolver {
     void grant_far_steps(double share);
     void reach_far(LaneState& state, double level, Convergence& result);
     void reach_corner(std::size_t batch, int lane);
-    bool reach_from_neighbour(int corner, Convergence& result);
+    bool reach_from_neighbour(int corner, Convergence& result, bool only_far = false);
     void set_trial(int corner);
     void keep_trial(int corner);
     void reach_rest();
@@ -148,6 +159,7 @@ class BoundSolver {
     std::vector<LaneState*> states_;  // frictionless, then the batches
     Convergence frictionless_convergence_;
     std::vector<Convergence> corner_convergence_;
+    std::vector<bool> is_far_;  // corners that Newton's method did not reach by itself
     double stability_ = 0;
     int negative_ = 0;
     bool multiple_ = false;

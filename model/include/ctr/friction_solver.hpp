@@ -20,6 +20,14 @@ namespace ctr {
 class ExactGeometry;
 class LoadMoments;
 
+// A shape that a solve begins from: angles [tube][count] of the tubes, outermost first, at arc lengths s [count] that ascend,
+// in between on straight lines, beyond as at the ends.
+struct GivenAngles {
+    const double *s, *theta;
+    std::size_t count;
+    double at(int tube, double place) const;
+};
+
 struct Convergence {
     bool converged = false;
     double residual = 0;         // largest imbalance of force * element length, moment, torque over EI * precurvature; or change of loads
@@ -65,6 +73,10 @@ class FrictionSolver {
     bool move_along(const Configuration& q);
     // Angles from the zero-clearance solution, no offsets, multipliers on the central path at the given level (BarrierPath).
     void start(LaneState& state, const Configuration& q, const ZeroClearance& guess, double level);
+    // The same in one lane, from a given shape.
+    void start_lane(LaneState& state, int lane, const Configuration& q, const GivenAngles& guess, double level);
+    // Angles of one lane where `like` has its own, of all tubes as there.
+    void read_angles(const LaneState& state, int lane, const GivenAngles& like, std::vector<double>& theta) const;
     // Copies a one-lane iterate on the same mesh, its exact geometry included, into every lane, or into one.
     void spread(const LaneState& from, LaneState& to) const;
     void copy(const LaneState& from, LaneState& to, int lane) const;
@@ -115,6 +127,8 @@ class FrictionSolver {
     double last_level() const { return last_barrier_ * barrier_unit_; }  // N/m
 
   private:
+    template <class Angle>
+    void fill_lane(LaneState& state, int lane, const Configuration& q, const Angle& angle, double level);
     struct SlideState;  // of a slide that may be gone on with
     double rounding() const;
     void scale(const Configuration& q, const Accuracy& accuracy);

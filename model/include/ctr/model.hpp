@@ -67,6 +67,12 @@ struct FrictionBodies {
     std::vector<double> stability;   // (S), as FrictionSolver::stabilities
 };
 
+// Equilibria in friction states that were solved from given shapes.
+struct BranchRows : TipRows {
+    explicit BranchRows(std::size_t rows) : TipRows(rows) {}
+    std::vector<double> stability, theta;  // (S), as FrictionSolver::stabilities; [state][tube][K] where they were given
+};
+
 class Model {
   public:
     explicit Model(const Robot& robot);  // throws InvalidInput
@@ -82,6 +88,8 @@ class Model {
     // The frictionless robot, from which bodies in friction states are solved, with points no farther apart than `spacing`.
     FrictionlessStart begin_states(const Configuration& q, const Accuracy& accuracy);
     FrictionBodies friction_bodies(const FrictionlessStart& start, const FrictionStates& states, double spacing);
+    // From given shapes: unstable where the robot would turn away from the solution.
+    BranchRows solve_from(const Configuration& q, const Accuracy& accuracy, const GivenShapes& given);
     // (C) m, see BoundSolver.
     std::vector<double> corners_apart(const Configuration& q, const Accuracy& accuracy);
     std::vector<PathSample> check_path(const std::vector<Configuration>& corners, const Accuracy& accuracy, const SignedDistanceField& field,

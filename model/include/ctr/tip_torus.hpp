@@ -40,8 +40,17 @@ constexpr int TORUS_MOST_TUBES = 5;
 std::vector<int> torus_signs(const TorusTubes& tubes, const std::vector<double>& psi, double step);
 
 // Newton's method for R = alpha + 2 pi k from each of psi (Q, n - 1), as long as the first step leads less than `reach` away;
-// roots closer together than `apart` are one. The outermost collar stands at `outermost`.
-std::vector<TorusRoot> torus_roots(const TorusTubes& tubes, const std::vector<double>& psi, const std::vector<double>& alpha,
-                                   double outermost, double reach, double apart, double step);
+// roots closer together than `apart` are one. A list for each of alpha (A, n - 1), with the outermost collar at outermost (A).
+std::vector<std::vector<TorusRoot>> torus_roots(const TorusTubes& tubes, const std::vector<double>& psi, const std::vector<double>& alpha,
+                                                const std::vector<double>& outermost, double reach, double apart, double step);
+
+// Angles of every tube along the robot, beyond its ends as there.
+struct TorusShapes {
+    std::vector<double> s;      // (K,) [m] from behind the plate to the foremost tip
+    std::vector<double> theta;  // (G, n, K) [rad]
+};
+
+// Where the tips stand at psi (G, n - 1), with the outermost collar at outermost (G).
+TorusShapes torus_shapes(const TorusTubes& tubes, const std::vector<double>& psi, const std::vector<double>& outermost, double step);
 
 }  // namespace ctr

@@ -105,6 +105,7 @@ void BoundSolver::solve_corners() {
     grant_far_steps(1 - kRest);
     unfactored_.assign(batches_.size(), shares_steps());
     std::fill(corner_convergence_.begin(), corner_convergence_.end(), Convergence());
+    is_far_.assign(corners_, false);
     for (std::size_t b = 0; b < batches_.size(); ++b) {
         Watch::tell(static_cast<double>(b) / static_cast<double>(batches_.size()));
         LaneState& state = *batches_[b];
@@ -143,11 +144,13 @@ void BoundSolver::reach_corner(std::size_t batch, int lane) {
     set_trial(corner);
     const BarrierPath path = set_out(trial_);
     Convergence& result = corner_convergence_[corner];
-    if (!took_long_ || !reach_from_neighbour(corner, result)) {
-        if (took_long_) set_out(trial_);
+    const bool is_among_many = batches_.size() > 1, tries = took_long_ || is_among_many;
+    if (!tries || !reach_from_neighbour(corner, result, !took_long_)) {
+        if (tries) set_out(trial_);
         reach_far(trial_, path.first, result);
         took_long_ = took_long_ || result.iterations > kLong;
     }
+    is_far_[corner] = result.converged;
     keep_trial(corner);
 }
 
@@ -179,13 +182,14 @@ int BoundSolver::neighbour(int corner, int pair) const {
 }
 
 // Into trial_, from a corner that was reached and in which the friction of one pair has the other sign. Once friction has made
-// the robot snap in one corner, which takes hundreds of steps to follow, most others lie beyond the same snap.
-bool BoundSolver::reach_from_neighbour(int corner, Convergence& result) {
+// the robot snap in one corner, which takes hundreds of steps to follow, most others lie beyond the same snap. only_far: from
+// corners alone that were hard to reach as well.
+bool BoundSolver::reach_from_neighbour(int corner, Convergence& result, bool only_far) {
     constexpr double kMotion = 10;  // in degrees, what turned friction is like
     const BarrierPath path = BarrierPath::warm(kMotion, solver_.last_barrier());
     for (int pair = 0; pair < pairs_ && far_steps_ > 0; ++pair) {
         const int from = neighbour(corner, pair);
-        if (from == corner || !corner_convergence_[from].converged) continue;
+        if (from == corner || !corner_convergence_[from].converged || (only_far && !is_far_[from])) continue;
         trial_.copy_lane(corner_state(from), corner_lane(from), 0, solver_.mesh().problem());
         solver_.recentre(trial_, path.first);
         solver_.solve(trial_, path, &result);

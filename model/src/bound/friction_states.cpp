@@ -1,5 +1,6 @@
 // Single friction states, each from where it parts from the frictionless robot.
 #include <algorithm>
+#include <cmath>
 #include <vector>
 
 #include "ctr/bound.hpp"
@@ -115,6 +116,41 @@ void BoundSolver::solve_states(const FrictionlessStart& start, const FrictionSta
         }
     }
     show_rest_up_to(rows);
+}
+
+void BoundSolver::solve_from(const Configuration& q, const Accuracy& accuracy, const GivenShapes& given,
+                             const std::function<void(const FrictionShape&, std::vector<double>&& theta)>& show) {
+    prepare(q, accuracy);
+    have_solution_ = false;
+    const KernelProblem& pb = solver_.mesh().problem();
+    LaneState& state = *batches_.front();
+    const BarrierPath path = BarrierPath::cold(solver_.last_barrier());
+    Configuration turned = q;
+    Convergence result[kLanes];
+    Backbone shapes[kLanes];
+    double stability[kLanes];
+    for (std::size_t first = 0; first < given.rows; first += kLanes) {
+        const int count = static_cast<int>(std::min<std::size_t>(kLanes, given.rows - first));
+        state.resize(pb, kLanes);
+        const auto angles = [&](int lane) {
+            return GivenAngles{given.s, given.theta + (first + lane) * (pairs_ + 1) * given.count, given.count};
+        };
+        for (int lane = 0; lane < kLanes; ++lane) {
+            const int own = std::min(lane, count - 1);  // spare lanes repeat the last
+            state.set_phi(solver_.robot(), pb, lane, given.phi + (first + own) * pairs_);
+            std::copy_n(given.base + (first + own) * (pairs_ + 1), pairs_ + 1, turned.theta.begin());
+            solver_.start_lane(state, lane, turned, angles(own), path.first);
+        }
+        solver_.solve(state, path, result);
+        solver_.stabilities(state, stability);
+        tracer_.trace(solver_, state, 0, count, q.l.back(), shapes);
+        for (int lane = 0; lane < count; ++lane) {
+            std::vector<double> theta;
+            solver_.read_angles(state, lane, angles(lane), theta);
+            if (solver_.turns_away(state, lane)) stability[lane] = -std::fabs(stability[lane]);
+            show({shapes[lane], result[lane], stability[lane]}, std::move(theta));
+        }
+    }
 }
 
 }  // namespace ctr

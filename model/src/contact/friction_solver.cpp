@@ -98,22 +98,57 @@ bool FrictionSolver::move_along(const Configuration& q) {
     return false;
 }
 
-void FrictionSolver::start(LaneState& state, const Configuration& q, const ZeroClearance& guess, double level) {
+// angle(t, s): of a tube counted from the innermost at an arc length.
+template <class Angle>
+void FrictionSolver::fill_lane(LaneState& state, int lane, const Configuration& q, const Angle& angle, double level) {
     const KernelProblem& pb = mesh_.problem();
     const int n = robot_.count();
-    state.forget_exact();
-    for (int lane = 0; lane < state.lanes(); ++lane) {
-        for (int k = 0; k < pb.nodes; ++k) {
-            for (int i = 0; i < pb.stride; ++i) state.unknown(k, i, lane) = 0;
-            for (int t = 0; t < n; ++t)
-                state.unknown(k, 5 * t, lane) = k <= pb.shaft_node[t] ? q.theta[n - 1 - t] : guess.theta(t, mesh_.s()[k]);
-        }
-        for (int k = 0; k < pb.contacts; ++k) {
-            const int p = pb.contact_pair[k];
-            state.slack(k, lane) = pb.half_square_clearance[p];
-            state.multiplier(k, lane) = level * barrier_unit_ * pb.barrier_scale[p] * pb.contact_weight[k] / pb.half_square_clearance[p];
-        }
+    for (int k = 0; k < pb.nodes; ++k) {
+        for (int i = 0; i < pb.stride; ++i) state.unknown(k, i, lane) = 0;
+        for (int t = 0; t < n; ++t) state.unknown(k, 5 * t, lane) = k <= pb.shaft_node[t] ? q.theta[n - 1 - t] : angle(t, mesh_.s()[k]);
     }
+    for (int k = 0; k < pb.contacts; ++k) {
+        const int p = pb.contact_pair[k];
+        state.slack(k, lane) = pb.half_square_clearance[p];
+        state.multiplier(k, lane) = level * barrier_unit_ * pb.barrier_scale[p] * pb.contact_weight[k] / pb.half_square_clearance[p];
+    }
+}
+
+void FrictionSolver::start(LaneState& state, const Configuration& q, const ZeroClearance& guess, double level) {
+    state.forget_exact();
+    for (int lane = 0; lane < state.lanes(); ++lane)
+        fill_lane(state, lane, q, [&](int t, double s) { return guess.theta(t, s); }, level);
+}
+
+void FrictionSolver::start_lane(LaneState& state, int lane, const Configuration& q, const GivenAngles& guess, double level) {
+    state.forget_exact();
+    fill_lane(state, lane, q, [&](int t, double s) { return guess.at(robot_.count() - 1 - t, s); }, level);
+}
+
+void FrictionSolver::read_angles(const LaneState& state, int lane, const GivenAngles& like, std::vector<double>& theta) const {
+    const KernelProblem& pb = mesh_.problem();
+    const std::vector<double>& s = mesh_.s();
+    std::vector<double> own_s, own;
+    for (int t = pb.tubes - 1; t >= 0; --t) {
+        own_s.clear();
+        own.clear();
+        for (int k = 0; k < pb.nodes; ++k) {
+            if (k > pb.shaft_node[t] && 5 * t >= pb.node_unknowns[k]) continue;  // beyond its end
+            own_s.push_back(s[k]);
+            own.push_back(state.unknown(k, 5 * t, lane));
+        }
+        const GivenAngles along{own_s.data(), own.data(), own_s.size()};
+        for (std::size_t k = 0; k < like.count; ++k) theta.push_back(along.at(0, like.s[k]));
+    }
+}
+
+double GivenAngles::at(int tube, double place) const {
+    const double* own = theta + static_cast<std::size_t>(tube) * count;
+    const std::size_t next = std::upper_bound(s, s + count, place) - s;
+    if (next == 0) return own[0];
+    if (next == count) return own[count - 1];
+    const double share = (place - s[next - 1]) / (s[next] - s[next - 1]);
+    return own[next - 1] + share * (own[next] - own[next - 1]);
 }
 
 void FrictionSolver::spread(const LaneState& from, LaneState& to) const {

@@ -99,7 +99,10 @@ inline void factorise(V* A, int ld, int P) {
         case 6: return factorise_rows<6>(A, ld);
         case 10: return factorise_rows<10>(A, ld);
         case 11: return factorise_rows<11>(A, ld);
+        case 15: return factorise_rows<15>(A, ld);
         case 16: return factorise_rows<16>(A, ld);
+        case 20: return factorise_rows<20>(A, ld);
+        case 21: return factorise_rows<21>(A, ld);
         default: return factorise_any<V>(A, ld, P);
     }
 }
@@ -179,61 +182,74 @@ inline void apply_factors(const V* A, V* r, int ld, int P) {
         case 6: return apply_factors_fixed<6>(A, r, ld);
         case 10: return apply_factors_fixed<10>(A, r, ld);
         case 11: return apply_factors_fixed<11>(A, r, ld);
+        case 15: return apply_factors_fixed<15>(A, r, ld);
         case 16: return apply_factors_fixed<16>(A, r, ld);
+        case 20: return apply_factors_fixed<20>(A, r, ld);
+        case 21: return apply_factors_fixed<21>(A, r, ld);
         default:
             for (int i = 1; i < P; ++i) r[i] -= product<V>(A + i * ld, r, i);
             for (int i = P - 1; i >= 0; --i) r[i] = (r[i] - product<V>(A + i * ld + i + 1, r + i + 1, P - i - 1)) * A[i * ld + i];
     }
 }
 
-// Entries of a row that are handled together: Q of them and the right-hand side after the last.
+// Chunks of the entries of a row and of the right-hand side after the last, and how many of them stay in registers at once.
 template <class V, int Q>
 constexpr int kChunks = Q / Chunk<V>::width + 1;
-template <class V, int Q>
-using Chunks = V4[kChunks<V, Q>];
+constexpr int kRegisters = 12;
 
-// row -= sum over k in [from, to) of factors[k] * rows[k]; the row stays in registers meanwhile.
-template <class V, int Q>
-__attribute__((always_inline)) inline void subtract(Chunks<V, Q>& kept, const V* factors, const V* rows, int ld, int from, int to) {
+// row -= sum over k in [from, to) of factors[k] * rows[k]; the row's C chunks stay in registers meanwhile.
+template <class V, int C>
+__attribute__((always_inline)) inline void subtract(V4 (&kept)[C], const V* factors, const V* rows, int ld, int from, int to) {
     for (int k = from; k < to; ++k) {
         const V factor = factors[k];
-        for (int c = 0; c < kChunks<V, Q>; ++c) kept[c] -= factor * Chunk<V>::load(rows + k * ld + c * Chunk<V>::width);
+        for (int c = 0; c < C; ++c) kept[c] -= factor * Chunk<V>::load(rows + k * ld + c * Chunk<V>::width);
     }
 }
 
-template <class V, int Q>
-__attribute__((always_inline)) inline void read(Chunks<V, Q>& kept, const V* row) {
-    for (int c = 0; c < kChunks<V, Q>; ++c) kept[c] = Chunk<V>::load(row + c * Chunk<V>::width);
+template <class V, int C>
+__attribute__((always_inline)) inline void read(V4 (&kept)[C], const V* row) {
+    for (int c = 0; c < C; ++c) kept[c] = Chunk<V>::load(row + c * Chunk<V>::width);
 }
 
-template <class V, int Q>
-__attribute__((always_inline)) inline void write(V* row, const Chunks<V, Q>& kept) {
-    for (int c = 0; c < kChunks<V, Q>; ++c) Chunk<V>::store(row + c * Chunk<V>::width, kept[c]);
+template <class V, int C>
+__attribute__((always_inline)) inline void write(V* row, const V4 (&kept)[C]) {
+    for (int c = 0; c < C; ++c) Chunk<V>::store(row + c * Chunk<V>::width, kept[c]);
+}
+
+// C chunks of columns of a node of P unknowns, factored: U := A^-1 U, next -= L U (L has Q rows).
+template <class V, int C>
+__attribute__((always_inline)) inline void eliminate_chunks(const V* A, V* U, const V* L, V* next, int ld, int P, int Q) {
+    V4 kept[C];
+    for (int i = 1; i < P; ++i) {
+        read<V, C>(kept, U + i * ld);
+        subtract<V, C>(kept, A + i * ld, U, ld, 0, i);
+        write<V, C>(U + i * ld, kept);
+    }
+    for (int i = P - 1; i >= 0; --i) {
+        read<V, C>(kept, U + i * ld);
+        subtract<V, C>(kept, A + i * ld, U, ld, i + 1, P);
+        for (int c = 0; c < C; ++c) kept[c] *= A[i * ld + i];
+        write<V, C>(U + i * ld, kept);
+    }
+    for (int i = 0; i < Q; ++i) {
+        read<V, C>(kept, next + i * ld);
+        subtract<V, C>(kept, L + i * ld, U, ld, 0, P);
+        write<V, C>(next + i * ld, kept);
+    }
 }
 
 // Eliminates a node of P unknowns, factored: U := A^-1 U (P x Q), r := A^-1 r; next -= L U and next_r -= L r (L is Q x P). r
 // rides along in the entries after the rows of U, which a row has room for (kernel.hpp) and which are zero otherwise.
 template <class V, int Q>
 __attribute__((noinline)) void eliminate_columns(const V* A, V* U, V* r, const V* L, V* next, V* next_r, int ld, int P) {
-    Chunks<V, Q> kept;
+    constexpr int chunks = kChunks<V, Q>, parts = (chunks + kRegisters - 1) / kRegisters, longer = (chunks + parts - 1) / parts;
     for (int i = 0; i < P; ++i) U[i * ld + Q] = r[i];
-    for (int i = 1; i < P; ++i) {
-        read<V, Q>(kept, U + i * ld);
-        subtract<V, Q>(kept, A + i * ld, U, ld, 0, i);
-        write<V, Q>(U + i * ld, kept);
-    }
-    for (int i = P - 1; i >= 0; --i) {
-        read<V, Q>(kept, U + i * ld);
-        subtract<V, Q>(kept, A + i * ld, U, ld, i + 1, P);
-        for (int c = 0; c < kChunks<V, Q>; ++c) kept[c] *= A[i * ld + i];
-        write<V, Q>(U + i * ld, kept);
-    }
-    for (int i = 0; i < Q; ++i) {
-        next[i * ld + Q] = next_r[i];
-        read<V, Q>(kept, next + i * ld);
-        subtract<V, Q>(kept, L + i * ld, U, ld, 0, P);
-        write<V, Q>(next + i * ld, kept);
-    }
+    for (int i = 0; i < Q; ++i) next[i * ld + Q] = next_r[i];
+    Each<parts>::run([&](auto part) __attribute__((always_inline)) {
+        constexpr int first = part.value * longer, count = first + longer < chunks ? longer : chunks - first;
+        constexpr int column = first * Chunk<V>::width;
+        eliminate_chunks<V, count>(A, U + column, L, next + column, ld, P, Q);
+    });
     for (int i = 0; i < P; ++i) {
         r[i] = U[i * ld + Q];
         U[i * ld + Q] = zero_of(V{});
@@ -272,7 +288,10 @@ inline void eliminate(V* A, V* U, V* r, const V* L, V* next, V* next_r, int ld, 
         case 6: return eliminate_columns<V, 6>(A, U, r, L, next, next_r, ld, P);
         case 10: return eliminate_columns<V, 10>(A, U, r, L, next, next_r, ld, P);
         case 11: return eliminate_columns<V, 11>(A, U, r, L, next, next_r, ld, P);
+        case 15: return eliminate_columns<V, 15>(A, U, r, L, next, next_r, ld, P);
         case 16: return eliminate_columns<V, 16>(A, U, r, L, next, next_r, ld, P);
+        case 20: return eliminate_columns<V, 20>(A, U, r, L, next, next_r, ld, P);
+        case 21: return eliminate_columns<V, 21>(A, U, r, L, next, next_r, ld, P);
         default: return eliminate_columns_any<V>(A, U, r, L, next, next_r, ld, P, Q);
     }
 }

@@ -133,6 +133,21 @@ FrictionBodies Model::friction_bodies(const FrictionlessStart& start, const Fric
     return found;
 }
 
+BranchRows Model::solve_from(const Configuration& q, const Accuracy& accuracy, const GivenShapes& given) {
+    SolverPool::Loan solver(*solvers_);
+    BranchRows found(given.rows);
+    std::size_t row = 0;
+    solver->solve_from(q, accuracy, given, [&](const FrictionShape& shape, std::vector<double>&& theta) {
+        found.tip[row] = shape.backbone.tip.p;
+        found.tangent[row] = shape.backbone.tip.tangent();
+        const bool is_solved = shape.convergence.converged;
+        found.status[row++] = !is_solved ? Status::failed : shape.stability > 0 ? Status::converged : Status::unstable;
+        found.stability.push_back(shape.stability);
+        found.theta.insert(found.theta.end(), theta.begin(), theta.end());
+    });
+    return found;
+}
+
 std::vector<double> Model::corners_apart(const Configuration& q, const Accuracy& accuracy) {
     require_all_corners(robot_);
     SolverPool::Loan solver(*solvers_);

@@ -70,7 +70,7 @@ class Torus {
         return state;
     }
 
-    // From the tips to the plate; `visit` sees every state on the way.
+    // From the tips to the plate; `visit` sees every state on the way, and the arc length where it is.
     template <class Visit>
     void shoot(State<N, N + 1>& state, double step, const Visit& visit) const {
         for (auto part = tubes_.stretches.rbegin(); part != tubes_.stretches.rend(); ++part) {
@@ -78,7 +78,7 @@ class Torus {
             const int count = steps(*part, step);
             for (int k = 0; k < count; ++k) {
                 advance(*part, state, length - k * length / count, -length / count);
-                visit(state);
+                visit(state, part->begin + length - (k + 1) * length / count);
             }
         }
     }
@@ -101,14 +101,31 @@ class Torus {
         }
     }
 
-    // Whether Newton's method from psi (N - 1,) ends at a root, which is in `root` then.
-    bool find(const double* psi, const std::vector<double>& alpha, double reach, double step, TorusRoot& root) const {
+    // Where angles at the tips lead to, which is the same whatever collars are asked for.
+    struct Start {
+        double R[P], by[P][P];
+    };
+    Start begin(const double* psi, double step) const {
+        Start made;
+        State<N, N + 1> state = at_tips(psi);
+        shoot(state, FIRST_STEP * step, [](const auto&, double) {});
+        relative(state, made.R, made.by);
+        return made;
+    }
+
+    // Whether Newton's method from psi (N - 1,), where `start` begins, ends at a root, which is in `root` then.
+    bool find(const double* psi, const Start& start, const double* alpha, double reach, double step, TorusRoot& root) const {
         double at[P] = {}, R[P], off[P] = {}, by[P][P], copy[P][P];
         std::copy(psi, psi + N - 1, at);
         for (int number = 0; number < NEWTON; ++number) {
-            State<N, N + 1> state = at_tips(at);
-            shoot(state, number == 0 ? FIRST_STEP * step : step, [](const auto&) {});
-            relative(state, R, by);
+            if (number == 0) {
+                std::copy(start.R, start.R + P, R);
+                std::copy(&start.by[0][0], &start.by[0][0] + P * P, &by[0][0]);
+            } else {
+                State<N, N + 1> state = at_tips(at);
+                shoot(state, step, [](const auto&, double) {});
+                relative(state, R, by);
+            }
             double most = 0.0, longest = 0.0;
             for (int i = 0; i + 1 < N; ++i) {
                 off[i] = turned(R[i] - alpha[i]);
@@ -141,7 +158,7 @@ class Torus {
                 for (int j = 0; j < N; ++j) A[i][j] = here.q[i][j + 1] + back * tubes_.behind[i] * here.v[i][j + 1];
             root.is_stable = root.is_stable && solve<N>(A, nullptr) > 0;
         };
-        shoot(state, step, [&](const auto& here) { look(here, 0.0); });
+        shoot(state, step, [&](const auto& here, double) { look(here, 0.0); });
         for (int k = 1; k <= COLLAR_STEPS; ++k) look(state, static_cast<double>(k) / COLLAR_STEPS);
         State<N, 1> q;
         root.energy = 0.0;
@@ -168,10 +185,36 @@ class Torus {
     int sign(const double* psi, double step) const {
         double R[P], by[P][P];
         State<N, N + 1> state = at_tips(psi);
-        shoot(state, step, [](const auto&) {});
+        shoot(state, step, [](const auto&, double) {});
         relative(state, R, by);
         const double det = solve<P>(by, nullptr);
         return det > 0 ? 1 : det < 0 ? -1 : 0;
+    }
+
+    // Angles along the tubes [tube][K], beginning behind the plate; the arc lengths depend on the tubes alone.
+    void lay_out(const double* psi, double outermost, double step, std::vector<double>& s, std::vector<double>& theta) const {
+        State<N, N + 1> state = at_tips(psi);
+        std::vector<double> along;  // [place][tube] from the tips on
+        s.clear();
+        const auto add = [&](double at, double behind) {
+            s.push_back(at);
+            for (int i = 0; i < N; ++i) along.push_back(state.q[i][0] + std::max(behind, tubes_.behind[i]) * state.v[i][0]);
+        };
+        add(tubes_.stretches.empty() ? 0.0 : tubes_.stretches.back().end, 0.0);
+        State<N, N + 1> now = state;
+        shoot(now, step, [&](const State<N, N + 1>& here, double at) {
+            state = here;
+            add(at, 0.0);
+        });
+        std::vector<double> held = tubes_.behind;
+        std::sort(held.rbegin(), held.rend());
+        for (double at : held)
+            if (at < 0.0) add(at, at);
+        const double turn = outermost - collar(state, 0);
+        const std::size_t count = s.size();
+        std::reverse(s.begin(), s.end());
+        for (int i = 0; i < N; ++i)
+            for (std::size_t k = 0; k < count; ++k) theta.push_back(along[(count - 1 - k) * N + i] + turn);
     }
 
   private:
@@ -302,24 +345,36 @@ std::vector<int> torus_signs(const TorusTubes& tubes, const std::vector<double>&
     });
 }
 
-std::vector<TorusRoot> torus_roots(const TorusTubes& tubes, const std::vector<double>& psi, const std::vector<double>& alpha,
-                                   double outermost, double reach, double apart, double step) {
+std::vector<std::vector<TorusRoot>> torus_roots(const TorusTubes& tubes, const std::vector<double>& psi, const std::vector<double>& alpha,
+                                                const std::vector<double>& outermost, double reach, double apart, double step) {
     return with_torus(tubes, [&](const auto& torus) {
         const std::size_t pairs = tubes.EI.size() - 1, count = pairs == 0 ? 1 : psi.size() / pairs;
-        std::vector<TorusRoot> roots;
-        for (std::size_t k = 0; k < count; ++k) {
-            TorusRoot root;
-            if (!torus.find(psi.data() + k * pairs, alpha, reach, step, root)) continue;
-            const bool is_known = std::any_of(roots.begin(), roots.end(), [&](const TorusRoot& other) {
-                double most = 0.0;
-                for (std::size_t i = 0; i < pairs; ++i) most = std::max(most, std::abs(turned(root.psi[i] - other.psi[i])));
-                return most <= apart;
-            });
-            if (is_known) continue;
-            torus.describe(root, outermost, step);
-            roots.push_back(std::move(root));
-        }
-        return roots;
+        std::vector<decltype(torus.begin(psi.data(), step))> starts;
+        for (std::size_t k = 0; k < count; ++k) starts.push_back(torus.begin(psi.data() + k * pairs, step));
+        std::vector<std::vector<TorusRoot>> all(outermost.size());
+        for (std::size_t a = 0; a < all.size(); ++a)
+            for (std::size_t k = 0; k < count; ++k) {
+                TorusRoot root;
+                if (!torus.find(psi.data() + k * pairs, starts[k], alpha.data() + a * pairs, reach, step, root)) continue;
+                const bool is_known = std::any_of(all[a].begin(), all[a].end(), [&](const TorusRoot& other) {
+                    double most = 0.0;
+                    for (std::size_t i = 0; i < pairs; ++i) most = std::max(most, std::abs(turned(root.psi[i] - other.psi[i])));
+                    return most <= apart;
+                });
+                if (is_known) continue;
+                torus.describe(root, outermost[a], step);
+                all[a].push_back(std::move(root));
+            }
+        return all;
+    });
+}
+
+TorusShapes torus_shapes(const TorusTubes& tubes, const std::vector<double>& psi, const std::vector<double>& outermost, double step) {
+    return with_torus(tubes, [&](const auto& torus) {
+        const std::size_t pairs = tubes.EI.size() - 1;
+        TorusShapes made;
+        for (std::size_t k = 0; k < outermost.size(); ++k) torus.lay_out(psi.data() + k * pairs, outermost[k], step, made.s, made.theta);
+        return made;
     });
 }
 
