@@ -19,6 +19,7 @@ from ctrplan.calibration.residuals import Noise
 from ctrplan.diagnosis.adequacy import ignored, remains, rescaled_noise
 from ctrplan.diagnosis.built_term import Built, build
 from ctrplan.diagnosis.partial_diagnosis import PartialDiagnosis, diagnose_partially
+from ctrplan.diagnosis.posterior import Compared, compared, names_of
 from ctrplan.diagnosis.selection import SelectionStep, Selector
 from ctrplan.diagnosis.smooth_evidence import remaining_error
 from ctrplan.diagnosis.usable_poses import bench_of, checked_split, thinned, without_outliers
@@ -78,6 +79,7 @@ class Conclusion:
     partly: PartialDiagnosis | None = None
     built: Built | None = None  # a term of what the effects leave
     otherwise: Conclusion | None = None  # what is said where the built term fails on the held-out set
+    compared: Compared | None = None  # sets of effects, as probable as they are on the poses of the ordinary search
 
 
 def conclude(
@@ -93,6 +95,7 @@ def conclude(
         if first.interrupted or (first.partly and not first.partly.is_noise):
             return _with_built(first, first, teller)
     result = _unless_something_remains(_ordinary(data, usable, wrong, bench, parts, known, teller))
+    result = result if is_long else _unless_improbable(result, known, teller)
     explained = result.judgement.verdict != "unexplained" or result.judgement.adequacy.is_adequate
     if explained or result.interrupted or is_long:
         return result
@@ -165,6 +168,47 @@ def _unless_something_remains(conclusion: Conclusion) -> Conclusion:
     kept = specific(conclusion.bench, conclusion.chosen, judgement.findings, judgement.adequacy)
     notes = (*judgement.notes, remains_too)
     return replace(conclusion, judgement=replace(judgement, verdict="unexplained", findings=kept, notes=notes))
+
+
+CERTAIN = 0.99  # probability of an effect that is named: one name in a hundred may be wrong
+
+
+def _unless_improbable(conclusion: Conclusion, known: Candidates, teller: Teller) -> Conclusion:
+    """The answer, or the most probable set of effects where its names are not, or where it has none.
+
+    The search goes by poses left out, one effect at a time, and may not come to effects that only explain together. A
+    set that the posterior prefers is judged as any other.
+    """
+    judgement = conclusion.judgement
+    if conclusion.interrupted or (judgement.verdict == "unexplained" and judgement.adequacy.is_adequate):
+        return conclusion
+    bench, chosen, more = conclusion.bench, conclusion.chosen, [a.scored for a in judgement.compared]
+    told = compared(bench, chosen, known, more)
+    if judgement.verdict != "unexplained" and _is_probable(told, judgement):
+        return replace(conclusion, compared=told)
+    try:
+        bench.pause = teller.pause
+        teller("comparing sets of effects")
+        told = compared(bench, chosen, known, more, search=True)
+        best = bench.corrected(told.sets[0])
+        certain = best.terms and told.is_alone and all(told.posterior.of_effect(name) >= CERTAIN for name in best.names)
+        if certain and remains(bench, best).is_adequate and not remaining_error(bench, best):
+            selector = Selector(bench, known, teller, best)
+            other = judge(selector, selector.found, best.names)
+            if other.verdict in ("named", "ambiguous"):
+                return replace(conclusion, chosen=best, judgement=other, compared=told)
+    except Interrupted:
+        return replace(conclusion, interrupted=True, notes=(*conclusion.notes, INTERRUPTED))
+    finally:
+        bench.pause = lambda: None
+    if judgement.verdict in ("named", "ambiguous") and not _is_probable(told, judgement):
+        judgement = replace(judgement, verdict="unexplained", findings=())
+    return replace(conclusion, judgement=judgement, compared=told)
+
+
+def _is_probable(told: Compared, judgement: Judgement) -> bool:
+    """Whether what is named acts more probably than not."""
+    return all(told.posterior.of_effect(*names) > 1 / 2 for names in names_of(judgement))
 
 
 def _explaining_all(part: Conclusion, known: Candidates, teller: Teller) -> Conclusion | None:

@@ -238,6 +238,7 @@ class CorrelatedBench(Workbench):
         self.noise = replace(self.plain, discrepancy=self.estimated(scored))
         self._done.clear()
         self._tried.clear()
+        self._screened.clear()
         return self.scored(scored.terms, scored.fit)
 
     def _joint_memory(self, scored: Scored) -> JointMemory | None:

@@ -7,7 +7,7 @@ lies in a part of the data that they explain completely.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -53,8 +53,8 @@ class Judgement:
     notes: tuple[str, ...] = ()
 
 
-def judge(selector: Selector, selection: Selection) -> Judgement:
-    """The verdict before the held-out set is opened."""
+def judge(selector: Selector, selection: Selection, told: Collection[str] = ()) -> Judgement:
+    """The verdict before the held-out set is opened; told: effects that were compared with all other causes."""
     bench, chosen = selector.bench, selection.chosen
     left = remains(bench, chosen)
     if not chosen.terms:
@@ -67,7 +67,9 @@ def judge(selector: Selector, selection: Selection) -> Judgement:
     clear = tuple(f for f in findings if len(f.alternatives) <= MOST_RIVALS)
     if len(findings) > 1 and len(clear) < len(findings):  # beside others, what anything can stand in for is nothing
         return Judgement("unexplained", clear, left, tuple(compared))
-    shared = [f for f in findings if not f.alternatives and _is_shared(bench, chosen, f.term)]
+    shared = [
+        f for f in findings if not f.alternatives and f.term.name not in told and _is_shared(bench, chosen, f.term)
+    ]
     if shared:
         rest = tuple(f for f in findings if f not in shared)
         return Judgement("unexplained", rest, left, tuple(compared), tuple(_disbelieved(f.term) for f in shared))
