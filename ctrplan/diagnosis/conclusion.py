@@ -19,11 +19,11 @@ from ctrplan.calibration.residuals import Noise
 from ctrplan.diagnosis.adequacy import ignored, remains, rescaled_noise
 from ctrplan.diagnosis.built_term import Built, build
 from ctrplan.diagnosis.partial_diagnosis import PartialDiagnosis, diagnose_partially
-from ctrplan.diagnosis.posterior import Compared, compared, names_of
+from ctrplan.diagnosis.posterior import Compared, compared
 from ctrplan.diagnosis.selection import SelectionStep, Selector
 from ctrplan.diagnosis.smooth_evidence import remaining_error
 from ctrplan.diagnosis.usable_poses import bench_of, checked_split, thinned, without_outliers
-from ctrplan.diagnosis.verdict import Finding, Judgement, judge, specific
+from ctrplan.diagnosis.verdict import Finding, Judgement, judge, names_of, specific
 from ctrplan.diagnosis.workbench import Candidates, Scored, Workbench
 from ctrplan.measurement.measurements import Measurements, Split, groups
 from ctrplan.robot.robot import Robot

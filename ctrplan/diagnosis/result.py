@@ -20,12 +20,11 @@ from ctrplan.diagnosis.correlated_bench import FRAMES
 from ctrplan.diagnosis.gap import Gap, Place
 from ctrplan.diagnosis.next_experiment import Decision, Proposal
 from ctrplan.diagnosis.partial_diagnosis import PartialDiagnosis
-from ctrplan.diagnosis.posterior import Posterior, names_of
 from ctrplan.diagnosis.reading import MisreadError, Reading
 from ctrplan.diagnosis.remainder import Remainder
 from ctrplan.diagnosis.selection import SelectionStep
 from ctrplan.diagnosis.slips import Slip
-from ctrplan.diagnosis.verdict import Judgement, Verdict
+from ctrplan.diagnosis.verdict import Judgement, Posterior, Verdict, names_of
 from ctrplan.diagnosis.workbench import Scored
 from ctrplan.effects.learned.learned import Learned
 from ctrplan.measurement.measurements import Measurements

@@ -10,8 +10,8 @@ from ctrplan.calibration.estimates import estimates
 from ctrplan.calibration.least_squares import Fit
 from ctrplan.diagnosis.correlated_bench import FRAME
 from ctrplan.diagnosis.gap import LARGEST_REST, times_noise
-from ctrplan.diagnosis.posterior import shown
 from ctrplan.diagnosis.result import Diagnosis
+from ctrplan.diagnosis.verdict import shown
 from ctrplan.effects.drive.homing_shift import HomingShift
 from ctrplan.measurement.measurements import MOST_ROWS
 from ctrplan.pipeline.term import Term

@@ -26,13 +26,13 @@ from ctrplan.diagnosis.gap import Gap, Place, contradiction, localise, open_test
 from ctrplan.diagnosis.next_experiment import decision, next_experiment
 from ctrplan.diagnosis.partial_diagnosis import PartialDiagnosis, concluded, left_by_names
 from ctrplan.diagnosis.partial_search import PartialSelector, is_built
-from ctrplan.diagnosis.posterior import Posterior, posterior
+from ctrplan.diagnosis.posterior import posterior
 from ctrplan.diagnosis.reading import MisreadError, read_again
 from ctrplan.diagnosis.result import Diagnosis
 from ctrplan.diagnosis.selection import REFITTED, Report, Selection
 from ctrplan.diagnosis.slips import after_slip, found_slip
 from ctrplan.diagnosis.usable_poses import checked_split, usable_poses
-from ctrplan.diagnosis.verdict import Judgement, specific
+from ctrplan.diagnosis.verdict import Judgement, Posterior, specific
 from ctrplan.diagnosis.workbench import Candidates, Scored, Workbench, candidates, reduced
 from ctrplan.effects.drive.homing_shift import HomingShift
 from ctrplan.effects.effect import CATALOGUE, Effect

@@ -13,15 +13,8 @@ from ctrplan.calibration import least_squares
 from ctrplan.calibration.discrepancy import Linearised
 from ctrplan.calibration.residuals import Noise
 from ctrplan.diagnosis import CATALOGUE
-from ctrplan.diagnosis.posterior import (
-    Hypothesis,
-    Posterior,
-    compared,
-    normalised,
-    posterior,
-    shown,
-)
-from ctrplan.diagnosis.unknown_errors import UnknownErrors, without_error
+from ctrplan.diagnosis.posterior import UnknownErrors, compared, posterior, without_error
+from ctrplan.diagnosis.verdict import Hypothesis, Posterior, normalised, shown
 from ctrplan.diagnosis.workbench import Workbench, candidates
 from ctrplan.measurement.measurements import Measurements
 
