@@ -180,7 +180,7 @@ def _unless_improbable(conclusion: Conclusion, known: Candidates, teller: Teller
     set that the posterior prefers is judged as any other.
     """
     judgement = conclusion.judgement
-    if conclusion.interrupted or (judgement.verdict == "unexplained" and judgement.adequacy.is_adequate):
+    if conclusion.interrupted:
         return conclusion
     bench, chosen, more = conclusion.bench, conclusion.chosen, [a.scored for a in judgement.compared]
     told = compared(bench, chosen, known, more)
@@ -194,9 +194,12 @@ def _unless_improbable(conclusion: Conclusion, known: Candidates, teller: Teller
         certain = best.terms and told.is_alone and all(told.posterior.of_effect(name) >= CERTAIN for name in best.names)
         if certain and remains(bench, best).is_adequate and not remaining_error(bench, best):
             selector = Selector(bench, known, teller, best)
-            other = judge(selector, selector.found, best.names)
+            other = judge(selector, selector.found)
             if other.verdict in ("named", "ambiguous"):
-                return replace(conclusion, chosen=best, judgement=other, compared=told)
+                names = tuple(q.name for t in best.terms for q in t.parameters)
+                taken = SelectionStep("compare", " and ".join(best.names), names, round(told.gain, 2), 0.0, 0.0, True)
+                path = (*conclusion.path, taken)
+                return replace(conclusion, chosen=best, judgement=other, compared=told, path=path)
     except Interrupted:
         return replace(conclusion, interrupted=True, notes=(*conclusion.notes, INTERRUPTED))
     finally:

@@ -62,6 +62,7 @@ class Compared:
     posterior: Posterior
     sets: tuple[Scored, ...]
     is_alone: bool  # whether nothing unknown acts besides in the first set's more probable hypothesis
+    gain: float  # logarithm of how much more probable the first set is than the chosen one
 
 
 def compared(
@@ -85,7 +86,10 @@ def compared(
         asking.ask_neighbours(here)
     ranked = sorted(asking.fitted, key=asking.weight, reverse=True)
     best = asking.known_sets[ranked[0]]
-    return Compared(normalised(asking.by_names()), tuple(ranked), best.alone > best.beside + log_odds(UNKNOWN_ACTS))
+    is_alone = best.alone > best.beside + log_odds(UNKNOWN_ACTS)
+    gain = best.weight - asking.weight(chosen)
+    return Compared(normalised(asking.by_names()), tuple(ranked), is_alone, gain)
+
 
 
 def posterior(bench: Workbench, chosen: Scored, known: Candidates, more: Sequence[Scored] = ()) -> Posterior:

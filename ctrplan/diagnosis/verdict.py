@@ -60,8 +60,8 @@ class Judgement:
     notes: tuple[str, ...] = ()
 
 
-def judge(selector: Selector, selection: Selection, told: Collection[str] = ()) -> Judgement:
-    """The verdict before the held-out set is opened; told: effects that were compared with all other causes."""
+def judge(selector: Selector, selection: Selection) -> Judgement:
+    """The verdict before the held-out set is opened."""
     bench, chosen = selector.bench, selection.chosen
     left = remains(bench, chosen)
     if not chosen.terms:
@@ -74,9 +74,7 @@ def judge(selector: Selector, selection: Selection, told: Collection[str] = ()) 
     clear = tuple(f for f in findings if len(f.alternatives) <= MOST_RIVALS)
     if len(findings) > 1 and len(clear) < len(findings):  # beside others, what anything can stand in for is nothing
         return Judgement("unexplained", clear, left, tuple(compared))
-    shared = [
-        f for f in findings if not f.alternatives and f.term.name not in told and _is_shared(bench, chosen, f.term)
-    ]
+    shared = [f for f in findings if not f.alternatives and _is_shared(bench, chosen, f.term)]
     if shared:
         rest = tuple(f for f in findings if f not in shared)
         return Judgement("unexplained", rest, left, tuple(compared), tuple(_disbelieved(f.term) for f in shared))
