@@ -88,8 +88,8 @@ def compared(
     best = asking.known_sets[ranked[0]]
     is_alone = best.alone > best.beside + log_odds(UNKNOWN_ACTS)
     gain = best.weight - asking.weight(chosen)
-    return Compared(normalised(asking.by_names()), tuple(ranked), is_alone, gain)
-
+    along = asking.errors.along(asking.as_fitted(ranked[0]))
+    return Compared(normalised(asking.by_names(), along), tuple(ranked), is_alone, gain)
 
 
 def posterior(bench: Workbench, chosen: Scored, known: Candidates, more: Sequence[Scored] = ()) -> Posterior:
@@ -129,7 +129,7 @@ class _Asking:
         self.variants = Counter(t.name for t in known.terms)
         self.of_piece = float(np.log(len(pieces(bench.robot, bench.data, known.terms))))  # of which a term is built
         self.root = np.sqrt(np.where(base.failed | chosen.failed, 0.0, chosen.fit.residuals.weight))[:, None]
-        ends = [self._as_fitted(scored) for scored in (base, chosen)]
+        ends = [self.as_fitted(scored) for scored in (base, chosen)]
         self.errors = UnknownErrors(bench, base, chosen, ends, self.root[:, 0])
         self.known_sets: dict[Scored, _Set] = {}
         self._evidence: dict[frozenset[str], _Set] = {}
@@ -221,7 +221,7 @@ class _Asking:
             others = [t for t in others if t.effect.is_linear and t.effect.needs in ("", *mine.names)]
         if not others:
             return
-        of_peak = mine.peak.evidence(self._as_fitted(here))
+        of_peak = mine.peak.evidence(self.as_fitted(here))
         for screened in self.bench.screened(here, others, self.known.completed):
             fit = self._linearised(screened.linear, self.bench.noise, screened.owners, widths)
             terms = self.known.completed(here.terms, screened.term)
@@ -256,7 +256,8 @@ class _Asking:
         widths = {t.name: float(max(1.0, over[place].max())) for t, place in places if t.name in named}
         return widths, tuple(t.name for t in chain.terms for _ in t.parameters)
 
-    def _as_fitted(self, scored: Scored) -> Linearised:
+    def as_fitted(self, scored: Scored) -> Linearised:
+        """A set at its own fit."""
         widths, owners = self._widths(scored)
         return self._linearised(linear(scored.fit), scored.fit.noise, owners, widths)
 
@@ -325,7 +326,9 @@ class UnknownErrors:
         tangent = chosen.fit.chain.predict(chosen.fit.p, derivatives=False).tangent
         axes = np.cross(tangent[:, None], residuals.compared(tangent, bench.data.tangent)[1])
         self.smooth = _smooth(bench.data, axes, ends)
-        self.processes = list(_processes(bench, base, counts))
+        processes = list(_processes(bench, base, counts))
+        self.inputs = [name for name, _ in processes]  # of each process
+        self.processes = [modes for _, modes in processes]
 
     def evidence(self, fit: Linearised) -> tuple[float, Peak]:
         """Logarithm of the evidence averaged over kinds and sizes of errors, and the most probable smooth one.
@@ -341,10 +344,22 @@ class UnknownErrors:
         both = smooth + self.gain(r, J, fit.precision, peak)
         return float(logsumexp([smooth, alone, both]) - np.log(3)), peak
 
+    def along(self, fit: Linearised) -> dict[str, float]:
+        """How probable it is that an unknown error goes along with each input, if it is one of tips or of a stage."""
+        smooth = [_over_sizes(error, fit)[0] - np.log(len(self.smooth)) for error in self.smooth]
+        gains = self._gains(fit.r.ravel(), fit.J.reshape(fit.r.size, -1), fit.precision) - np.log(len(self.inputs) or 1)
+        weights = np.array([*smooth, *(without_error(fit) + gains)])
+        names = [*(error.along for error in self.smooth), *self.inputs]
+        shares = np.exp(weights - logsumexp(weights))
+        return {name: float(shares[[one == name for one in names]].sum()) for name in dict.fromkeys(names)}
+
     def gain(self, r: Array, J: Array, precision: Array, peak: Peak | None = None) -> float:
         """Logarithm of what a process of unknown stage and size multiplies the evidence by."""
-        if not self.processes:
-            return -np.inf
+        gains = self._gains(r, J, precision, peak)
+        return float(logsumexp(gains) - np.log(len(gains))) if len(gains) else -np.inf
+
+    def _gains(self, r: Array, J: Array, precision: Array, peak: Peak | None = None) -> Array:
+        """(M,) the same of each process, averaged over its size."""
         scale = 1 / np.sqrt(precision)
         factor = np.linalg.cholesky((J.T @ J) * np.outer(scale, scale) + np.eye(len(scale)))
         taken = np.linalg.solve(factor, (J * scale).T)  # (P, N), whose square is J H^-1 J^T
@@ -358,7 +373,7 @@ class UnknownErrors:
             square = SIZES[:, None] ** 2
             gain = (square * along / (1 + square * v) - np.log1p(square * v)).sum(axis=1) / 2
             gains.append(logsumexp(gain) - np.log(len(SIZES)))
-        return float(logsumexp(gains) - np.log(len(gains)))
+        return np.array(gains)
 
 
 def _over_sizes(error: SmoothError, fit: Linearised) -> tuple[float, Peak]:
@@ -384,8 +399,8 @@ def _smooth(data: Measurements, axes: Array, ends: Sequence[Linearised]) -> list
     return first + [error for more in others for error in more if error.along != "time"]
 
 
-def _processes(bench: Workbench, base: Scored, counts: Array) -> Iterator[Array]:
-    """(5 K, m) modes of every process of drive and mechanics, over the noise, of a mean square of 1."""
+def _processes(bench: Workbench, base: Scored, counts: Array) -> Iterator[tuple[str, Array]]:
+    """The input of every process of drive and mechanics, and its modes (5 K, m) over the noise, with mean square 1."""
     data = bench.data
     targets = {piece.on: None for piece in pieces(bench.robot, data) if piece.on.kind_name != "sensor"}
     constants = {on: TermPiece(on, ("constant",)) for on in targets if not on.of_way}
@@ -403,7 +418,7 @@ def _processes(bench: Workbench, base: Scored, counts: Array) -> Iterator[Array]
                 B = (D[..., None] * phi[:, None, None]).reshape(D.shape[0] * D.shape[1], -1)
                 size = np.sqrt((B**2).sum() / len(B))
                 if size > 0:
-                    yield B / size
+                    yield ("joints" if name == own else name), B / size
 
 
 def _distances(data: Measurements) -> Iterator[tuple[str, Array]]:

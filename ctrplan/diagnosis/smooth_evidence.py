@@ -181,6 +181,7 @@ IN_WORDS = {
     "configuration": "belongs to the configuration",
     "joints": "goes along with the joints",
     "time": "goes along with the time",
+    "history": "goes along with the way poses were reached",
 }
 
 

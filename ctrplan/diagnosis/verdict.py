@@ -10,7 +10,7 @@ How probable a verdict is, a posterior over sets of effects says.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Literal
 
@@ -174,6 +174,7 @@ class Posterior:
     """Probabilities of hypotheses that exclude each other."""
 
     hypotheses: tuple[Hypothesis, ...]
+    along: Mapping[str, float] = field(default_factory=dict)  # what something unknown goes along with, if it acts
 
     @cached_property
     def probabilities(self) -> Array:
@@ -216,6 +217,7 @@ class Posterior:
             "nothing": round(self.of_verdict("no_missing_effect", ()), 4),
             "unknown": round(self.of_unknown, 4),
             "effects": {name: p for name, p in effects.items() if p > 0},
+            "unknown_along": {name: round(p, 3) for name, p in self.along.items()},
             "sets_compared": len(self.hypotheses),
         }
 
@@ -235,14 +237,16 @@ def shown(probability: float) -> str:
     return f"probability {probability:.2f}" if probability >= 0.005 else "probability below 0.01"
 
 
-def normalised(evidence: Mapping[frozenset[str], tuple[float, float]]) -> Posterior:
+def normalised(
+    evidence: Mapping[frozenset[str], tuple[float, float]], along: Mapping[str, float] | None = None
+) -> Posterior:
     """The posterior from log evidences of sets, without and with an unknown error; -inf where that was not asked."""
     results = []
     for names, values in evidence.items():
         for has_unknown, value in enumerate(values):
             prior = len(names) * log_odds(ACTS) + has_unknown * log_odds(UNKNOWN_ACTS)
             results.append(Hypothesis(names, bool(has_unknown), prior + value))
-    return Posterior(tuple(results))
+    return Posterior(tuple(results), along or {})
 
 
 def log_odds(probability: float) -> float:
