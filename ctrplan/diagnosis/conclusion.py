@@ -22,8 +22,8 @@ from ctrplan.diagnosis.partial_diagnosis import PartialDiagnosis, diagnose_parti
 from ctrplan.diagnosis.posterior import Compared, compared
 from ctrplan.diagnosis.selection import SelectionStep, Selector
 from ctrplan.diagnosis.smooth_evidence import remaining_error
-from ctrplan.diagnosis.usable_poses import bench_of, checked_split, thinned, without_outliers
-from ctrplan.diagnosis.verdict import Finding, Judgement, judge, names_of, specific
+from ctrplan.diagnosis.usable_poses import MOST_POSES, bench_of, checked_split, thinned, without_outliers
+from ctrplan.diagnosis.verdict import NAMED, Finding, Judgement, judge, names_of, specific
 from ctrplan.diagnosis.workbench import Candidates, Scored, Workbench
 from ctrplan.measurement.measurements import Measurements, Split, groups
 from ctrplan.robot.robot import Robot
@@ -57,7 +57,6 @@ class Teller:
 
 
 INTERRUPTED = "Interrupted: this is what was found until then, not a verdict."
-LONG_LOG = 400  # poses of a continuous motion, of which parts are asked for first
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +86,9 @@ def conclude(
 ) -> Conclusion:
     """Searches what the catalogue has; `usable` (K,) are the poses to go by. Raises InputError where they are few."""
     wrong, parts, bench = without_outliers(robot, data, usable, noise)
-    is_long = data.is_stream and int((usable & ~wrong).sum()) > LONG_LOG
+    is_long = (
+        data.is_stream and int((usable & ~wrong).sum()) > 2 * MOST_POSES
+    )  # of which every other is compared at most
     if is_long:
         few = thinned(parts, data)
         nothing = _nothing(data, few, bench_of(robot, data, few, noise), wrong)
@@ -170,9 +171,6 @@ def _unless_something_remains(conclusion: Conclusion) -> Conclusion:
     return replace(conclusion, judgement=replace(judgement, verdict="unexplained", findings=kept, notes=notes))
 
 
-CERTAIN = 0.99  # probability of an effect that is named: one name in a hundred may be wrong
-
-
 def _unless_improbable(conclusion: Conclusion, known: Candidates, teller: Teller) -> Conclusion:
     """The answer, or the most probable set of effects where its names are not, or where it has none.
 
@@ -191,7 +189,7 @@ def _unless_improbable(conclusion: Conclusion, known: Candidates, teller: Teller
         teller("comparing sets of effects")
         told = compared(bench, chosen, known, more, search=True)
         best = bench.corrected(told.sets[0])
-        certain = best.terms and told.is_alone and all(told.posterior.of_effect(name) >= CERTAIN for name in best.names)
+        certain = best.terms and told.is_alone and all(told.posterior.of_effect(name) >= NAMED for name in best.names)
         if certain and remains(bench, best).is_adequate and not remaining_error(bench, best):
             selector = Selector(bench, known, teller, best)
             other = judge(selector, selector.found)

@@ -26,8 +26,7 @@ from ctrplan.pipeline.term import Term, term
 
 Verdict = Literal["named", "no_missing_effect", "ambiguous", "partial", "unexplained"]
 
-CLOSE = 3.0  # log-likelihood: an alternative that predicts nearly as well
-CLOSE_ERRORS = 1.0  # or worse by less than this many standard errors of the comparison
+CLOSE = 3.0  # log-likelihood, or a standard error: an alternative that predicts nearly as well
 MOST_RIVALS = 3  # alternatives of one of several effects: with more of them the data ask for something else
 
 
@@ -121,7 +120,7 @@ def _finding(bench: Workbench, chosen: Scored, t: Term, compared: Sequence[Alter
 def is_close(a: Alternative, chosen: Scored) -> bool:
     """Whether it predicts or fits as well; badly determined parameters predict badly, true or not."""
     worse_fit = (a.scored.fit.residuals.loss - chosen.fit.residuals.loss) / 2
-    return min(a.behind, worse_fit) < max(CLOSE, CLOSE_ERRORS * a.error)
+    return min(a.behind, worse_fit) < max(CLOSE, a.error)
 
 
 def _is_shared(bench: Workbench, chosen: Scored, t: Term) -> bool:
@@ -158,6 +157,7 @@ def specific(bench: Workbench, chosen: Scored, findings: Sequence[Finding], left
 
 ACTS = 0.03  # prior probability that an effect of the catalogue acts: of some 20, one in every other robot
 UNKNOWN_ACTS = 0.1  # the same of something that the catalogue lacks
+NAMED = 0.99  # probability of what is named, or decided: one name in a hundred may be wrong
 
 
 @dataclass(frozen=True)
