@@ -262,6 +262,12 @@ def diagnose(
     checked_split(data, usable)  # before anything is asked
     known = candidates(robot, data, allowed)
     result = conclude(robot, data, usable, noise, known, teller)
+    if slip is None and result.judgement.verdict in ("partial", "unexplained") and result.compared:
+        slip = found_slip(robot, data, noise, result.compared.sets[0].terms)
+        if slip:
+            data = after_slip(data, slip)
+            known = candidates(robot, data, allowed)
+            result = conclude(robot, data, usable, noise, known, teller)
 
     def tell(step: str) -> None:
         if progress:
