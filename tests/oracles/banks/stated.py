@@ -10,7 +10,8 @@
   generator and measured; told apart if the true one is decided.
 
 Of whatever is named, or of a wrong tube, 8 configurations that nothing has read are measured besides: how many tips are
-inside the radius that is stated (`model_error_mm`, with the noise in squares).
+inside the radius that is stated (`model_error_mm`, with the noise in squares), without and with what the intervals of
+parameters leave open there.
 """
 
 from __future__ import annotations
@@ -39,6 +40,7 @@ from hidden_effects.world import Motion, World
 
 from ctrplan.base.arrays import CHI95
 from ctrplan.calibration.estimates import distances
+from ctrplan.calibration.residuals import residuals
 from ctrplan.diagnosis import Diagnosis, diagnose
 from ctrplan.diagnosis.adequacy import noise_floor
 from ctrplan.diagnosis.next_experiment import decision, proposals, proposed_waypoints
@@ -127,14 +129,21 @@ def measured(folder: Path, name: str, world: World, plan: Experiment, robot: Rob
     return load_measurements(path, robot)
 
 
-def inside(found: Diagnosis, unread: Measurements) -> list[bool]:
-    """Of every pose that nothing has read, whether its tip is within the stated radius and the noise."""
+def inside(found: Diagnosis, unread: Measurements) -> dict[str, list[bool]]:
+    """Of poses that nothing has read, whether tips are within the radius and the noise; and with uncertain parameters.
+
+    What parameters leave open has the covariance J C J^T, of which the mean over the coordinates counts.
+    """
     fit = found.chosen.fit
     chain = ParametricChain(fit.chain.robot, unread, fit.chain.terms)
     chain.correction = friction_correction(chain, fit.p)
-    predicted = chain.predict(fit.p, derivatives=False)
-    radius = np.hypot(found.model_error_m, CHI95 * found.noise.position_m)
-    return (distances(predicted, unread)[predicted.sound] <= radius).tolist()
+    predicted, sigma = chain.predict(fit.p), found.noise.position_m
+    J = residuals(unread, predicted, found.noise, np.arange(unread.count)).J[:, :3]
+    left_open = np.einsum("kip,pq,kiq->k", J, fit.covariance, J) / 3
+    error, sound = distances(predicted, unread), predicted.sound
+    radii = {"radius": 1.0 + 0 * left_open, "with parameters": 1.0 + left_open}
+    within = {name: error <= np.hypot(found.model_error_m, CHI95 * sigma * np.sqrt(v)) for name, v in radii.items()}
+    return {name: hits[sound].tolist() for name, hits in within.items()}
 
 
 def told(row: str, found: Diagnosis, truth: dict[str, Any]) -> bool:
@@ -210,10 +219,11 @@ def table(results: list[dict[str, Any]]) -> None:
         if those:
             low, high = wilson(sum(those), len(those))
             print(f"| {row} | {sum(those)} | {len(those)} | {100 * low:.1f} to {100 * high:.1f} % |")
-    tips = [tip for one in results for tip in one.get("inside", [])]
-    if tips:
-        low, high = wilson(sum(tips), len(tips))
-        print(f"| unread tips inside the radius | {sum(tips)} | {len(tips)} | {100 * low:.1f} to {100 * high:.1f} % |")
+    for name in ("radius", "with parameters"):
+        tips = [tip for one in results for tip in one.get("inside", {}).get(name, [])]
+        if tips:
+            low, high = wilson(sum(tips), len(tips))
+            print(f"| unread tips inside: {name} | {sum(tips)} | {len(tips)} | {100 * low:.1f} to {100 * high:.1f} % |")
 
 
 def main() -> None:
