@@ -232,6 +232,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--count", type=int, default=8, help="sets of a row")
     parser.add_argument("--row", nargs="*", default=ROWS, choices=ROWS)
+    parser.add_argument("--robot", nargs="*", default=ROBOTS, choices=ROBOTS, help="sets of these, which take turns")
     given = parser.parse_args()
     given.folder.mkdir(parents=True, exist_ok=True)
     kept = given.folder / "results.jsonl"
@@ -239,7 +240,7 @@ def main() -> None:
     done = {(one["row"], one["k"]) for one in results}
     for k in range(given.count):
         for row in given.row:
-            if (row, k) not in done:
+            if (row, k) not in done and ROBOTS[k % len(ROBOTS)] in given.robot:
                 results.append(ask(row, k, given.folder, given.seed))
                 with kept.open("a") as out:
                     out.write(json.dumps(results[-1]) + "\n")
