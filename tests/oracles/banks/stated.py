@@ -205,8 +205,8 @@ def ask(row: str, k: int, folder: Path, seed: int) -> dict[str, Any]:
     result |= {"told": told(row, found, truth), "seconds": round(time.process_time() - began, 1)}
     result |= {"verdict": found.headline(), "tubes": found.other_tubes, "where": found.place.sentence}
     if found.verdict == "named" or row == "wrong tube":
-        rng = np.random.default_rng([made.case.seed, 3])
-        unread = measured(folder, f"{row}{k}_unread", world, approaches(made.case.believed(), UNREAD, rng), robot, k)
+        rng, homed = np.random.default_rng([made.case.seed, 3]), replace(world, drive=())  # anew, after a slip
+        unread = measured(folder, f"{row}{k}_unread", homed, approaches(made.case.believed(), UNREAD, rng), robot, k)
         result["inside"] = inside(found, unread)
     return result
 
