@@ -19,10 +19,11 @@ from ctrplan.calibration.residuals import Noise
 from ctrplan.diagnosis.adequacy import ignored, remains, rescaled_noise
 from ctrplan.diagnosis.built_term import Built, build
 from ctrplan.diagnosis.partial_diagnosis import PartialDiagnosis, diagnose_partially
+from ctrplan.diagnosis.posterior import Compared, compared
 from ctrplan.diagnosis.selection import SelectionStep, Selector
 from ctrplan.diagnosis.smooth_evidence import remaining_error
-from ctrplan.diagnosis.usable_poses import bench_of, checked_split, thinned, without_outliers
-from ctrplan.diagnosis.verdict import Finding, Judgement, judge, specific
+from ctrplan.diagnosis.usable_poses import MOST_POSES, bench_of, checked_split, thinned, without_outliers
+from ctrplan.diagnosis.verdict import NAMED, Finding, Judgement, judge, names_of, specific
 from ctrplan.diagnosis.workbench import Candidates, Scored, Workbench
 from ctrplan.measurement.measurements import Measurements, Split, groups
 from ctrplan.robot.robot import Robot
@@ -56,7 +57,6 @@ class Teller:
 
 
 INTERRUPTED = "Interrupted: this is what was found until then, not a verdict."
-LONG_LOG = 400  # poses of a continuous motion, of which parts are asked for first
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +78,7 @@ class Conclusion:
     partly: PartialDiagnosis | None = None
     built: Built | None = None  # a term of what the effects leave
     otherwise: Conclusion | None = None  # what is said where the built term fails on the held-out set
+    compared: Compared | None = None  # sets of effects, as probable as they are on the poses of the ordinary search
 
 
 def conclude(
@@ -85,7 +86,9 @@ def conclude(
 ) -> Conclusion:
     """Searches what the catalogue has; `usable` (K,) are the poses to go by. Raises InputError where they are few."""
     wrong, parts, bench = without_outliers(robot, data, usable, noise)
-    is_long = data.is_stream and int((usable & ~wrong).sum()) > LONG_LOG
+    is_long = (
+        data.is_stream and int((usable & ~wrong).sum()) > 2 * MOST_POSES
+    )  # of which every other is compared at most
     if is_long:
         few = thinned(parts, data)
         nothing = _nothing(data, few, bench_of(robot, data, few, noise), wrong)
@@ -93,6 +96,7 @@ def conclude(
         if first.interrupted or (first.partly and not first.partly.is_noise):
             return _with_built(first, first, teller)
     result = _unless_something_remains(_ordinary(data, usable, wrong, bench, parts, known, teller))
+    result = result if is_long else _unless_improbable(result, known, teller)
     explained = result.judgement.verdict != "unexplained" or result.judgement.adequacy.is_adequate
     if explained or result.interrupted or is_long:
         return result
@@ -165,6 +169,47 @@ def _unless_something_remains(conclusion: Conclusion) -> Conclusion:
     kept = specific(conclusion.bench, conclusion.chosen, judgement.findings, judgement.adequacy)
     notes = (*judgement.notes, remains_too)
     return replace(conclusion, judgement=replace(judgement, verdict="unexplained", findings=kept, notes=notes))
+
+
+def _unless_improbable(conclusion: Conclusion, known: Candidates, teller: Teller) -> Conclusion:
+    """The answer, or the most probable set of effects where its names are not, or where it has none.
+
+    The search goes by poses left out, one effect at a time, and may not come to effects that only explain together. A
+    set that the posterior prefers is judged as any other.
+    """
+    judgement = conclusion.judgement
+    if conclusion.interrupted:
+        return conclusion
+    bench, chosen, more = conclusion.bench, conclusion.chosen, [a.scored for a in judgement.compared]
+    told = compared(bench, chosen, known, more)
+    if judgement.verdict != "unexplained" and _is_probable(told, judgement):
+        return replace(conclusion, compared=told)
+    try:
+        bench.pause = teller.pause
+        teller("comparing sets of effects")
+        told = compared(bench, chosen, known, more, search=True)
+        best = bench.corrected(told.sets[0])
+        certain = best.terms and told.is_alone and all(told.posterior.of_effect(name) >= NAMED for name in best.names)
+        if certain and remains(bench, best).is_adequate and not remaining_error(bench, best):
+            selector = Selector(bench, known, teller, best)
+            other = judge(selector, selector.found)
+            if other.verdict in ("named", "ambiguous"):
+                names = tuple(q.name for t in best.terms for q in t.parameters)
+                taken = SelectionStep("compare", " and ".join(best.names), names, round(told.gain, 2), 0.0, 0.0, True)
+                path = (*conclusion.path, taken)
+                return replace(conclusion, chosen=best, judgement=other, compared=told, path=path)
+    except Interrupted:
+        return replace(conclusion, interrupted=True, notes=(*conclusion.notes, INTERRUPTED))
+    finally:
+        bench.pause = lambda: None
+    if judgement.verdict in ("named", "ambiguous") and not _is_probable(told, judgement):
+        judgement = replace(judgement, verdict="unexplained", findings=())
+    return replace(conclusion, judgement=judgement, compared=told)
+
+
+def _is_probable(told: Compared, judgement: Judgement) -> bool:
+    """Whether what is named acts more probably than not."""
+    return all(told.posterior.of_effect(*names) > 1 / 2 for names in names_of(judgement))
 
 
 def _explaining_all(part: Conclusion, known: Candidates, teller: Teller) -> Conclusion | None:

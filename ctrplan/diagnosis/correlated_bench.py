@@ -36,7 +36,7 @@ from ctrplan.diagnosis.remainder import JointMemory, SmoothError, joint_memory
 from ctrplan.diagnosis.workbench import Scored, Workbench, linear
 from ctrplan.effects.effect import CATALOGUE
 from ctrplan.measurement.approach import clock
-from ctrplan.measurement.measurements import Measurements
+from ctrplan.measurement.measurements import SEED, Measurements
 from ctrplan.pipeline.followed_runs import followed
 from ctrplan.pipeline.parametric_chain import ParametricChain
 from ctrplan.pipeline.term import Term, term
@@ -64,9 +64,6 @@ def frames_beside(robot: Robot, data: Measurements, terms: Sequence[Term]) -> li
     """Those that are neither among the terms nor in the robot file."""
     known = {*robot.effects, *(t.name for t in terms)}
     return [t for t in frames(robot, data) if t.name not in known]
-
-
-SEED = 11
 
 
 def of_motion(r: Array, run: NDArray[np.int_], count: int) -> Array:
@@ -238,6 +235,7 @@ class CorrelatedBench(Workbench):
         self.noise = replace(self.plain, discrepancy=self.estimated(scored))
         self._done.clear()
         self._tried.clear()
+        self._screened.clear()
         return self.scored(scored.terms, scored.fit)
 
     def _joint_memory(self, scored: Scored) -> JointMemory | None:

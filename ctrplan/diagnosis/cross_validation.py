@@ -31,6 +31,7 @@ from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from ctrplan.base.arrays import Array
 from ctrplan.calibration.residuals import PER_POSE, information_inverse, robust_square
+from ctrplan.measurement.measurements import SEED
 
 
 @dataclass(frozen=True, eq=False)
@@ -302,7 +303,6 @@ def _predicted(A: Array, covariance: Array) -> Array:
 
 DRAWS = 400
 ALARM_RATE = 0.02  # of pure noise that makes some candidate pass
-SEED = 1
 LEAST_THRESHOLD = 3.0  # log-likelihood: what a single pair of odds of 20 to 1 weighs
 
 Scores = Callable[[Sequence[Linear], Array], Sequence[Array]]

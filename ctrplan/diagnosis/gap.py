@@ -24,7 +24,7 @@ from ctrplan.calibration.residuals import MODEL_POSITION_M, Noise, Residuals, re
 from ctrplan.diagnosis.adequacy import HEAVY, ChiSquare, outliers, tail_weight
 from ctrplan.diagnosis.verdict import Verdict
 from ctrplan.measurement.approach import friction_state
-from ctrplan.measurement.measurements import Measurements
+from ctrplan.measurement.measurements import SEED, Measurements
 from ctrplan.pipeline.followed_runs import friction_correction
 from ctrplan.pipeline.parametric_chain import ParametricChain
 from ctrplan.pipeline.term import SensorPrediction
@@ -168,11 +168,10 @@ def contradiction(verdict: Verdict, gap: Gap, place: Place) -> str:
     return ""
 
 
-PERMUTATIONS, SEED = 200, 3
+PERMUTATIONS = 200
 CHANCE = 0.05
 BINS = 4
 RESOLUTION = 1000  # parts of a quantity's range: values nearer to each other are one
-TINY = 1e-300
 IN_ORDER = 0.5  # likeness of neighbours' joints, from which what changes with time may as well go along with the joints
 ROUNDED_RAD = 1e-9  # by which an angle may fall short of zero without coming out as a full turn
 LONGEST = 3.0  # of the median norm of residuals
@@ -227,7 +226,7 @@ def localise(
     """From whitened residuals (K, 5) and distances (K,) of the calibrated model, or of another that `opening` names."""
     known, r = quantities(data), _bounded(r)
     joints = np.hstack([data.theta_commanded, data.l_commanded])[data.rows]
-    joints = (joints - joints.mean(axis=0)) / np.maximum(joints.std(axis=0), TINY)
+    joints = (joints - joints.mean(axis=0)) / np.maximum(joints.std(axis=0), np.finfo(float).tiny)
     own = {*data.more, "time"}  # quantities that are none of the robot's
     ways = [
         (_quarters(values), order[:0] if name in own and _likeness(joints[None, order])[0] > IN_ORDER else order)
@@ -287,7 +286,9 @@ def _quarters(values: Array) -> NDArray[np.int_]:
     """
     given = np.isfinite(values)
     low = values[given].min()
-    levels = np.round((values - low) / max(np.ptp(values[given]), TINY) * RESOLUTION)  # whatever the unit
+    levels = np.round(
+        (values - low) / max(np.ptp(values[given]), np.finfo(float).tiny) * RESOLUTION
+    )  # whatever the unit
     distinct = np.unique(levels[given])
     if len(distinct) <= BINS:
         part = np.searchsorted(distinct, levels)

@@ -18,20 +18,19 @@ from ctrplan.base.arrays import Array
 from ctrplan.calibration.least_squares import Fit
 from ctrplan.calibration.residuals import Noise, Residuals, residuals
 from ctrplan.diagnosis.adequacy import REJECTED
-from ctrplan.diagnosis.verdict import Alternative, Finding, Judgement
+from ctrplan.diagnosis.verdict import NAMED, Alternative, Finding, Judgement
 from ctrplan.diagnosis.workbench import Scored
-from ctrplan.measurement.measurements import Measurements
+from ctrplan.measurement.measurements import SEED, Measurements
 from ctrplan.pipeline.followed_runs import friction_correction
 from ctrplan.pipeline.parametric_chain import ParametricChain
 from ctrplan.robot.robot import Robot
 from ctrplan.scenario.joint_space import JointSpace
 
-CONFIGURATIONS, SEED = 32, 4
+CONFIGURATIONS = 32  # drawn in the measured range, and as many in the drive's travel
 OFFSET_RAD = np.radians(90.0)
 PROPOSALS = 3
 SEPARATING_LOG_ODDS = 1.0  # expected log-odds of a pose below which it separates nothing
 CERTAIN_LOG_ODDS = 100.0
-DECIDED = 0.99  # probability of an explanation, of those that were as good before
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,7 +141,7 @@ class Decision:
     @property
     def is_decided(self) -> bool:
         """Whether one of them is left."""
-        return self.probability[0] >= DECIDED and self.explains
+        return self.probability[0] >= NAMED and self.explains
 
     @property
     def sentence(self) -> str:

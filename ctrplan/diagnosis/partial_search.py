@@ -23,7 +23,7 @@ from ctrplan.diagnosis.correlated_bench import FRAME_MOVES, FRAMES, CorrelatedBe
 from ctrplan.diagnosis.cross_validation import Linear, null_threshold, null_thresholds
 from ctrplan.diagnosis.selection import LEAST_SHARE_OF_GAIN, Report, Selection, SelectionStep, Selector, step
 from ctrplan.diagnosis.smooth_evidence import SmoothEvidence, best_of_each, rivals_of
-from ctrplan.diagnosis.verdict import CLOSE, CLOSE_ERRORS, MOST_RIVALS, Alternative, Finding, is_close
+from ctrplan.diagnosis.verdict import CLOSE, MOST_RIVALS, Alternative, Finding, is_close
 from ctrplan.diagnosis.workbench import (
     CERTAIN,
     OVERWHELMING,
@@ -340,7 +340,7 @@ def _moves_far(bench: CorrelatedBench, chosen: Scored, t: Term) -> bool:
 def _rivals(selector: PartialSelector, sides: Sides, e: Evidence) -> list[tuple[Term, float, float]]:
     """What may stand for a frame, also effects with more parameters than can be named."""
     ranked, imitators = in_its_place(selector.bench, sides, e.term), {other.name for other in e.imitators}
-    return [one for one in ranked if one[0].name in imitators or one[1] < max(CLOSE, CLOSE_ERRORS * one[2])]
+    return [one for one in ranked if one[0].name in imitators or one[1] < max(CLOSE, one[2])]
 
 
 def _stands_out(selector: PartialSelector, chosen: Scored, t: Term) -> bool:

@@ -1,10 +1,13 @@
 """How probable it is that each effect acts, that something acts which the catalogue lacks, and that a verdict is true.
 
 A hypothesis is a set of effects, with or without something unknown besides. Its likelihood is the density of all poses
-that choose, with every parameter integrated out over its prior around the set's own fit (Laplace). An effect acts with
-a probability that is stated once, shared among its variants; so does something unknown. Posterior probabilities sum to
-one over what the search compared: nothing, every set that was fitted, and nothing and the chosen set with one effect
-more, to first order.
+that choose, with every parameter integrated out over its prior around the set's own fit (Laplace).
+An effect acts with a probability that is stated once, shared among its variants; so does something unknown. Posterior
+probabilities sum to one over the sets that were compared.
+
+Something unknown does what any effect does: beside noise it wins wherever the true set was not compared. So sets are
+searched by this number itself, with one effect more or less than the most probable of each size, nonlinear effects
+among them, until none is more probable. What is not worth a fit is compared to first order.
 
 Priors of parameters say where to look. How wide they have to be is itself uncertain: a width w times the stated one has
 the density 1 / w^2 for w > 1, and stands at its most probable value.
@@ -26,120 +29,46 @@ v_i the eigenvalues of B^T S B, u_i the components of B^T S r along their vector
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Any
 
 import numpy as np
 from scipy.special import logsumexp
 
 from ctrplan.base.arrays import Array
+from ctrplan.calibration import residuals
 from ctrplan.calibration.discrepancy import SIZES, Linearised, of_configurations
 from ctrplan.calibration.least_squares import Fit
-from ctrplan.calibration.residuals import Noise, compared
+from ctrplan.calibration.residuals import Noise
 from ctrplan.diagnosis import remainder
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
+from ctrplan.diagnosis.cross_validation import Linear
 from ctrplan.diagnosis.partial_search import is_built
 from ctrplan.diagnosis.remainder import QUARTERS, SmoothError, square_distances
+from ctrplan.diagnosis.selection import MOST_EFFECTS, REFITTED
 from ctrplan.diagnosis.term_dictionary import TermPiece, pieces
 from ctrplan.diagnosis.term_search import wide_linearisation
-from ctrplan.diagnosis.verdict import Verdict
-from ctrplan.diagnosis.workbench import Candidates, Scored, Workbench
+from ctrplan.diagnosis.verdict import ACTS, UNKNOWN_ACTS, Posterior, log_odds, normalised
+from ctrplan.diagnosis.workbench import Candidates, Scored, Workbench, linear
 from ctrplan.measurement.approach import clock, friction_state, last_directions
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.pipeline.term import Term
 
-ACTS = 0.03  # prior probability that an effect of the catalogue acts: of some 20, one in every other robot
-UNKNOWN_ACTS = 0.1  # the same of something that the catalogue lacks
-
-
-@dataclass(frozen=True)
-class Hypothesis:
-    """A set of effects, whether something unknown acts besides, and the logarithm of prior times likelihood."""
-
-    names: frozenset[str]
-    has_unknown: bool
-    weight: float
-
 
 @dataclass(frozen=True, eq=False)
-class Posterior:
-    """Probabilities of hypotheses that exclude each other."""
+class Compared:
+    """The posterior over sets that were compared, and those of them that were fitted, most probable first."""
 
-    hypotheses: tuple[Hypothesis, ...]
-
-    @cached_property
-    def probabilities(self) -> Array:
-        """(H,) of the hypotheses; they sum to one."""
-        weights = np.array([one.weight for one in self.hypotheses])
-        probabilities: Array = np.exp(weights - logsumexp(weights))
-        return probabilities
-
-    def of_effect(self, *names: str) -> float:
-        """That at least one of these effects acts."""
-        return self._of(bool(one.names & set(names)) for one in self.hypotheses)
-
-    @property
-    def of_unknown(self) -> float:
-        """That something acts which the catalogue lacks."""
-        return self._of(one.has_unknown for one in self.hypotheses)
-
-    def of_verdict(self, verdict: Verdict, listed: Sequence[Collection[str]]) -> float:
-        """That a verdict is true; listed: names of each finding, the effect and what may stand for it.
-
-        "Named" and "ambiguous" say that one of each finding acts and nothing else does, "partial" that one of each
-        acts, "unexplained" that something unknown does besides.
-        """
-
-        def holds(one: Hypothesis) -> bool:
-            acts = all(one.names & set(names) for names in listed)
-            if verdict == "partial":
-                return acts
-            if verdict == "unexplained":
-                return acts and one.has_unknown
-            return acts and len(one.names) == len(listed) and not one.has_unknown
-
-        return self._of(holds(one) for one in self.hypotheses)
-
-    def to_json(self) -> dict[str, Any]:
-        """For diagnosis.json: that nothing acts, that something unknown does, and each effect that may."""
-        names = sorted({name for one in self.hypotheses for name in one.names})
-        effects = {name: round(self.of_effect(name), 3) for name in names}
-        return {
-            "nothing": round(self.of_verdict("no_missing_effect", ()), 4),
-            "unknown": round(self.of_unknown, 4),
-            "effects": {name: p for name, p in effects.items() if p > 0},
-            "sets_compared": len(self.hypotheses),
-        }
-
-    def _of(self, hits: Iterable[bool]) -> float:
-        return float(min(1.0, self.probabilities[np.fromiter(hits, bool, len(self.hypotheses))].sum()))
+    posterior: Posterior
+    sets: tuple[Scored, ...]
+    is_alone: bool  # whether nothing unknown acts besides in the first set's more probable hypothesis
+    gain: float  # logarithm of how much more probable the first set is than the chosen one
 
 
-def shown(probability: float) -> str:
-    """In words: two digits, never certain."""
-    if probability > 0.995:
-        return "probability above 0.99"
-    return f"probability {probability:.2f}" if probability >= 0.005 else "probability below 0.01"
-
-
-def normalised(evidence: Mapping[frozenset[str], tuple[float, float]]) -> Posterior:
-    """The posterior from log evidences of sets, without and with an unknown error; -inf where that was not asked."""
-    results = []
-    for names, values in evidence.items():
-        for has_unknown, value in enumerate(values):
-            prior = len(names) * _log_odds(ACTS) + has_unknown * _log_odds(UNKNOWN_ACTS)
-            results.append(Hypothesis(names, bool(has_unknown), prior + value))
-    return Posterior(tuple(results))
-
-
-def _log_odds(probability: float) -> float:
-    return float(np.log(probability / (1 - probability)))
-
-
-def posterior(bench: Workbench, chosen: Scored, known: Candidates, more: Sequence[Scored] = ()) -> Posterior:
-    """The posterior over the sets that a search on a bench has compared; more: sets that it no longer has.
+def compared(
+    bench: Workbench, chosen: Scored, known: Candidates, more: Sequence[Scored] = (), search: bool = False
+) -> Compared:
+    """The sets that a bench has fitted, and `more` of the same poses; search: whether more probable ones are sought.
 
     Built terms are no effects: what they do is done by something unknown.
     """
@@ -147,19 +76,25 @@ def posterior(bench: Workbench, chosen: Scored, known: Candidates, more: Sequenc
     less = [bench.scored([t for t in chosen.terms if t is not gone], chosen.fit) for gone in chosen.terms]
     among = [one for one in (base, *bench.visited, *more, *less, chosen) if _is_alike(one.fit, chosen.fit)]
     asking = _Asking(bench, known, base, chosen)
-    fitted = {frozenset(t.key for t in one.terms): one for one in among}.values()
-    sets = [asking.whole(one) for one in fitted]
-    sets += [asking.whole(one, without=name) for one in fitted for name in asking.free(one)]
-    results = asking.evidences(sets)
-    for here in (base, chosen) if chosen.terms else (base,):
-        results += asking.one_more(here)
-    evidence: dict[frozenset[str], tuple[float, float]] = {}
-    refitted = {names for names, _ in results[: len(sets)]}
-    for k, (names, values) in enumerate(results):
-        if k < len(sets) or names not in refitted:  # a fit says more than a first step
-            before = evidence.get(names, (-np.inf, -np.inf))
-            evidence[names] = (float(np.logaddexp(before[0], values[0])), float(np.logaddexp(before[1], values[1])))
-    return normalised(evidence)
+    for one in among:
+        asking.add(one)
+    if search:
+        asking.climb()
+        if asking.best is not chosen:  # poses count as they do in the most probable set
+            asking = _Asking(bench, known, base, asking.best, asking.fitted)
+    for here in (base, chosen, asking.best):
+        asking.ask_neighbours(here)
+    ranked = sorted(asking.fitted, key=asking.weight, reverse=True)
+    best = asking.known_sets[ranked[0]]
+    is_alone = best.alone > best.beside + log_odds(UNKNOWN_ACTS)
+    gain = best.weight - asking.weight(chosen)
+    along = asking.errors.along(asking.as_fitted(ranked[0]))
+    return Compared(normalised(asking.by_names(), along), tuple(ranked), is_alone, gain)
+
+
+def posterior(bench: Workbench, chosen: Scored, known: Candidates, more: Sequence[Scored] = ()) -> Posterior:
+    """The posterior over the sets that a search on a bench has compared; more: sets that it no longer has."""
+    return compared(bench, chosen, known, more).posterior
 
 
 def _is_alike(fit: Fit, other: Fit) -> bool:
@@ -169,106 +104,183 @@ def _is_alike(fit: Fit, other: Fit) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class _Set:
-    """A set, linearised at its own fit over the noise alone."""
+    """A set as it was fitted, or to first order, with logarithms of its evidence beside noise and something unknown."""
 
     names: frozenset[str]
-    fit: Linearised
     cost: float  # logarithm, of widened priors and of the choice among variants
-    has_built: bool
+    alone: float
+    beside: float
+    peak: Peak
 
-    @cached_property
-    def alone(self) -> float:
-        """Logarithm of the evidence beside noise alone, up to what is the same for every set of these poses."""
-        return -np.inf if self.has_built else without_error(self.fit) - self.cost
-
-    def beside(self, errors: UnknownErrors) -> tuple[float, Peak]:
-        """Logarithm of the evidence beside something unknown, and the most probable smooth error."""
-        value, peak = errors.evidence(self.fit)
-        return value - self.cost, peak
-
-
-Evidences = tuple[frozenset[str], tuple[float, float]]  # of a set: beside noise alone, and beside an unknown error
+    @property
+    def weight(self) -> float:
+        """Logarithm of prior times likelihood."""
+        prior = len(self.names) * log_odds(ACTS)
+        return prior + float(np.logaddexp(self.alone, self.beside + log_odds(UNKNOWN_ACTS)))
 
 
 class _Asking:
     """What is the same for all sets of a search: poses, how much each counts, errors, and variants of effects."""
 
-    def __init__(self, bench: Workbench, known: Candidates, base: Scored, chosen: Scored) -> None:
+    def __init__(
+        self, bench: Workbench, known: Candidates, base: Scored, chosen: Scored, fitted: Iterable[Scored] = ()
+    ) -> None:
         self.bench, self.known = bench, known
         self.variants = Counter(t.name for t in known.terms)
         self.of_piece = float(np.log(len(pieces(bench.robot, bench.data, known.terms))))  # of which a term is built
         self.root = np.sqrt(np.where(base.failed | chosen.failed, 0.0, chosen.fit.residuals.weight))[:, None]
-        ends = {scored: self.whole(scored) for scored in (base, chosen)}
-        self.errors = UnknownErrors(bench, base, chosen, [one.fit for one in ends.values()], self.root[:, 0])
-        self.beside = {scored: (one, *one.beside(self.errors)) for scored, one in ends.items()}
+        ends = [self.as_fitted(scored) for scored in (base, chosen)]
+        self.errors = UnknownErrors(bench, base, chosen, ends, self.root[:, 0])
+        self.known_sets: dict[Scored, _Set] = {}
+        self._evidence: dict[frozenset[str], _Set] = {}
+        self._expanded: set[Scored] = set()
+        for one in fitted:
+            self.add(one)
 
-    def free(self, scored: Scored) -> list[str]:
-        """Effects that are in a fit although they are not in its set: frames of a bench where these are always free."""
-        return [t.name for t in scored.fit.chain.terms if t.name in self.variants and t.name not in scored.names]
+    @property
+    def fitted(self) -> list[Scored]:
+        """Sets that were fitted."""
+        return list(self.known_sets)
 
-    def whole(self, scored: Scored, without: str = "") -> _Set:
-        """A set as it is fitted; to first order without an effect of the fit."""
-        fit, own, widths = scored.fit, self._named(scored) - {without}, self._widths(scored)
-        owners = [t.name for t in fit.chain.terms for _ in t.parameters]
-        kept = [k for k, name in enumerate(owners) if name != without]
-        r, J = self._linear(fit.residuals.r, fit.residuals.J, fit.p - fit.chain.neutral, fit.noise)
-        precision = fit.precision / np.square([widths.get(name, 1.0) for name in owners])
-        cost = sum(np.log(widths[name]) for name in widths if name != without) + self._choice(own)
-        built = sum(len(t.parameters) for t in scored.terms if is_built(t))
-        return _Set(own, Linearised(r, J[:, :, kept], precision[kept]), float(cost + built * self.of_piece), built > 0)
+    @property
+    def best(self) -> Scored:
+        """The most probable of them."""
+        return max(self.known_sets, key=self.weight)
 
-    def _named(self, scored: Scored) -> frozenset[str]:
-        return frozenset({t.name for t in scored.fit.chain.terms} & set(self.variants))
+    def weight(self, scored: Scored) -> float:
+        """Logarithm of prior times likelihood of a set."""
+        return self.known_sets[scored].weight
 
-    def _widths(self, scored: Scored) -> dict[str, float]:
-        """By effect of a fit, how much wider than stated its prior is most probably."""
-        chain, named = scored.fit.chain, {*self._named(scored), *scored.names}
+    def add(self, scored: Scored) -> None:
+        """A set as it is fitted; to first order without effects of the fit that are always free."""
+        if scored in self.known_sets:
+            return
+        terms, (widths, owners) = self._named(scored), self._widths(scored)
+        built = [t for t in scored.terms if is_built(t)]
+        of_built = sum(len(t.parameters) for t in built) * self.of_piece
+        for name in ("", *(t.name for t in terms if t.name not in scored.names)):
+            names = frozenset(t.name for t in terms) - {name}
+            cost = self._cost(names, [width for key, width in widths.items() if key != name]) + of_built
+            fit = self._linearised(linear(scored.fit), scored.fit.noise, owners, widths, name)
+            beside, peak = self.errors.evidence(fit)
+            alone = -np.inf if built else without_error(fit) - cost
+            result = _Set(names, cost, alone, beside - cost, peak)
+            self._note([t for t in terms if t.name != name], result)
+            if not name:
+                self.known_sets[scored] = result
+
+    def climb(self) -> None:
+        """Fits sets of one effect more or less than the most probable of each size, while these are more probable.
+
+        Sizes count as far as one effect's prior odds may hide the better one.
+        """
+        while True:
+            highest, sizes = self.weight(self.best), dict[int, Scored]()
+            for scored in sorted(self.known_sets, key=self.weight):
+                sizes[len(scored.terms)] = scored
+            near = [
+                one
+                for size, one in sizes.items()
+                if size < MOST_EFFECTS and one not in self._expanded and self.weight(one) > highest + log_odds(ACTS)
+            ]
+            if not near:
+                return
+            here = max(near, key=self.weight)
+            self.bench.pause()
+            if (further := self.bench.continued(here)) is not here:
+                del self.known_sets[here], self._evidence[_key(self._named(here))]
+                self.add(further)
+                continue
+            self._expanded.add(here)
+            for terms in [*self._more(here), *([t for t in here.terms if t is not gone] for gone in here.terms)]:
+                self.add(self.bench.scored(terms, here.fit))
+
+    def _more(self, here: Scored) -> list[list[Term]]:
+        """The most probable neighbours of a set by their first step, of different effects."""
+        best: dict[str, tuple[float, list[Term]]] = {}
+        for terms, one in self._neighbours(here):
+            name = terms[-1].name
+            if name not in best or one.weight > best[name][0]:
+                best[name] = one.weight, terms
+        return [terms for _, terms in sorted(best.values(), key=lambda one: -one[0])[:REFITTED]]
+
+    def ask_neighbours(self, here: Scored) -> None:
+        """Compares a set with one effect more, to first order, where that was not fitted."""
+        for terms, one in self._neighbours(here):
+            if _key(terms) not in self._evidence:
+                self._note(terms, one)
+
+    def _neighbours(self, here: Scored) -> Iterator[tuple[list[Term], _Set]]:
+        """Sets of one effect more, or of two where one needs the other, to first order.
+
+        Beside a discrepancy, on a bench of many poses, only effects that act in proportion are asked.
+        """
+        mine, widths = self.known_sets[here], self._widths(here)[0]
+        others = [t for t in self.known.beside(here.terms) if t.name not in {*mine.names, *here.names}]
+        if isinstance(self.bench, CorrelatedBench):
+            others = [t for t in others if t.effect.is_linear and t.effect.needs in ("", *mine.names)]
+        if not others:
+            return
+        of_peak = mine.peak.evidence(self.as_fitted(here))
+        for screened in self.bench.screened(here, others, self.known.completed):
+            fit = self._linearised(screened.linear, self.bench.noise, screened.owners, widths)
+            terms = self.known.completed(here.terms, screened.term)
+            added = [t for t in terms if t.name not in here.names]
+            names, choice = frozenset(t.name for t in added), self._cost([t.name for t in added])
+            alone = -np.inf if np.isneginf(mine.alone) else without_error(fit) - mine.cost - choice
+            beside = mine.beside + mine.peak.evidence(fit) - of_peak - choice
+            yield [*self._named(here), *added], _Set(mine.names | names, mine.cost + choice, alone, beside, mine.peak)
+
+    def by_names(self) -> dict[frozenset[str], tuple[float, float]]:
+        """Logarithms of the evidence of sets of effects, over their variants."""
+        result: dict[frozenset[str], tuple[float, float]] = {}
+        for one in self._evidence.values():
+            before = result.get(one.names, (-np.inf, -np.inf))
+            result[one.names] = tuple(np.logaddexp(before, (one.alone, one.beside)).tolist())
+        return result
+
+    def _note(self, terms: Sequence[Term], new: _Set) -> None:
+        """Of several fits of a set the one nearer to its most probable place says more."""
+        key, old = _key(terms), self._evidence.get(_key(terms), new)
+        self._evidence[key] = replace(new, alone=max(old.alone, new.alone), beside=max(old.beside, new.beside))
+
+    def _named(self, scored: Scored) -> list[Term]:
+        """Effects of a fit that the catalogue has."""
+        return [t for t in scored.fit.chain.terms if t.name in self.variants]
+
+    def _widths(self, scored: Scored) -> tuple[dict[str, float], tuple[str, ...]]:
+        """How much wider than stated each effect's prior is most probably; and the effect of each parameter."""
+        chain, named = scored.fit.chain, {*(t.name for t in self._named(scored)), *scored.names}
         over = np.abs(scored.fit.p - chain.neutral) / chain.prior
         places = zip(chain.terms, chain.slices(), strict=True)
-        return {t.name: float(max(1.0, over[place].max())) for t, place in places if t.name in named}
+        widths = {t.name: float(max(1.0, over[place].max())) for t, place in places if t.name in named}
+        return widths, tuple(t.name for t in chain.terms for _ in t.parameters)
 
-    def evidences(self, sets: Sequence[_Set]) -> list[Evidences]:
-        """Logarithms of the evidence of sets that were solved as they are."""
-        return [(one.names, (one.alone, one.beside(self.errors)[0])) for one in sets]
+    def as_fitted(self, scored: Scored) -> Linearised:
+        """A set at its own fit."""
+        widths, owners = self._widths(scored)
+        return self._linearised(linear(scored.fit), scored.fit.noise, owners, widths)
 
-    def one_more(self, here: Scored) -> list[Evidences]:
-        """Logarithms of the evidence of a set and any effect beside it that acts in proportion, to first order."""
-        beside, unknown, peak = self.beside[here]
-        names, variants = {*self._named(here), *here.names}, self.known.beside(here.terms)
-        others = [t for t in variants if t.name not in names and t.effect.is_linear and t.effect.needs in ("", *names)]
-        if not others:
-            return []
-        panel = self.bench.panel(here, others)
-        r, J = self._linear(panel.whole.r, panel.whole.J, panel.whole.offset, self.bench.noise)
-        widths = self._widths(here)
-        precision = panel.whole.precision / np.square([widths.get(name, 1.0) for name, _ in panel.keys])
-
-        def part(*more: Term) -> Linearised:
-            wanted = {(t.name, q.name) for t in self._all([*here.terms, *more]) for q in t.parameters}
-            columns = [k for k, key in enumerate(panel.keys) if key in wanted]
-            return Linearised(r, J[:, :, columns], precision[columns])
-
-        own = part()
-        plain = without_error(own), peak.evidence(own)
-        results = []
-        for other in others:
-            wider, choice = part(other), self._choice([other.name])
-            gains = without_error(wider) - plain[0] - choice, peak.evidence(wider) - plain[1] - choice
-            results.append((beside.names | {other.name}, (beside.alone + gains[0], unknown + gains[1])))
-        return results
-
-    def _all(self, terms: Sequence[Term]) -> list[Term]:
-        return [*self.bench.basis(terms), *terms]
-
-    def _linear(self, r: Array, J: Array, offset: Array, noise: Noise) -> tuple[Array, Array]:
-        """Residuals (K, 5) at the priors' centres and derivatives (K, 5, P) over the noise alone, as poses count."""
+    def _linearised(
+        self, fit: Linear, noise: Noise, owners: Sequence[str], widths: Mapping[str, float], without: str = ""
+    ) -> Linearised:
+        """Residuals at the priors' centres over the noise alone, as poses count; without an effect's parameters."""
+        r, J = fit.r, fit.J
         if noise.discrepancy is not None:
             r, J = noise.discrepancy.coloured(r), noise.discrepancy.coloured(J)
-        return self.root * (r + J @ offset), self.root[:, :, None] * J
+        precision = fit.precision / np.square([widths.get(name, 1.0) for name in owners])
+        kept = [k for k, name in enumerate(owners) if name != without]
+        centred = self.root * (r + J @ fit.offset)
+        return Linearised(centred, (self.root[:, :, None] * J)[:, :, kept], precision[kept])
 
-    def _choice(self, names: Iterable[str]) -> float:
-        """Logarithm of what the choice of one variant of each effect costs."""
-        return float(sum(np.log(max(self.variants[name], 1)) for name in names))
+    def _cost(self, names: Iterable[str], widths: Iterable[float] = ()) -> float:
+        """Logarithm of what wider priors and the choice of one variant of each effect cost."""
+        choice = sum(np.log(max(self.variants[name], 1)) for name in names)
+        return float(choice + sum(np.log(width) for width in widths))
+
+
+def _key(terms: Iterable[Term]) -> frozenset[str]:
+    return frozenset(t.key for t in terms)
 
 
 LEAST_MODE = 0.02  # of the largest: modes of a process that are smaller are left out
@@ -312,9 +324,11 @@ class UnknownErrors:
     ) -> None:
         """ends: the two sets, linearised; counts (K,): roots of what each pose counts."""
         tangent = chosen.fit.chain.predict(chosen.fit.p, derivatives=False).tangent
-        axes = np.cross(tangent[:, None], compared(tangent, bench.data.tangent)[1])
+        axes = np.cross(tangent[:, None], residuals.compared(tangent, bench.data.tangent)[1])
         self.smooth = _smooth(bench.data, axes, ends)
-        self.processes = list(_processes(bench, base, counts))
+        processes = list(_processes(bench, base, counts))
+        self.inputs = [name for name, _ in processes]  # of each process
+        self.processes = [modes for _, modes in processes]
 
     def evidence(self, fit: Linearised) -> tuple[float, Peak]:
         """Logarithm of the evidence averaged over kinds and sizes of errors, and the most probable smooth one.
@@ -330,10 +344,22 @@ class UnknownErrors:
         both = smooth + self.gain(r, J, fit.precision, peak)
         return float(logsumexp([smooth, alone, both]) - np.log(3)), peak
 
+    def along(self, fit: Linearised) -> dict[str, float]:
+        """How probable it is that an unknown error goes along with each input, if it is one of tips or of a stage."""
+        smooth = [_over_sizes(error, fit)[0] - np.log(len(self.smooth)) for error in self.smooth]
+        gains = self._gains(fit.r.ravel(), fit.J.reshape(fit.r.size, -1), fit.precision) - np.log(len(self.inputs) or 1)
+        weights = np.array([*smooth, *(without_error(fit) + gains)])
+        names = [*(error.along for error in self.smooth), *self.inputs]
+        shares = np.exp(weights - logsumexp(weights))
+        return {name: float(shares[[one == name for one in names]].sum()) for name in dict.fromkeys(names)}
+
     def gain(self, r: Array, J: Array, precision: Array, peak: Peak | None = None) -> float:
         """Logarithm of what a process of unknown stage and size multiplies the evidence by."""
-        if not self.processes:
-            return -np.inf
+        gains = self._gains(r, J, precision, peak)
+        return float(logsumexp(gains) - np.log(len(gains))) if len(gains) else -np.inf
+
+    def _gains(self, r: Array, J: Array, precision: Array, peak: Peak | None = None) -> Array:
+        """(M,) the same of each process, averaged over its size."""
         scale = 1 / np.sqrt(precision)
         factor = np.linalg.cholesky((J.T @ J) * np.outer(scale, scale) + np.eye(len(scale)))
         taken = np.linalg.solve(factor, (J * scale).T)  # (P, N), whose square is J H^-1 J^T
@@ -347,7 +373,7 @@ class UnknownErrors:
             square = SIZES[:, None] ** 2
             gain = (square * along / (1 + square * v) - np.log1p(square * v)).sum(axis=1) / 2
             gains.append(logsumexp(gain) - np.log(len(SIZES)))
-        return float(logsumexp(gains) - np.log(len(gains)))
+        return np.array(gains)
 
 
 def _over_sizes(error: SmoothError, fit: Linearised) -> tuple[float, Peak]:
@@ -373,8 +399,8 @@ def _smooth(data: Measurements, axes: Array, ends: Sequence[Linearised]) -> list
     return first + [error for more in others for error in more if error.along != "time"]
 
 
-def _processes(bench: Workbench, base: Scored, counts: Array) -> Iterator[Array]:
-    """(5 K, m) modes of every process of drive and mechanics, over the noise, of a mean square of 1."""
+def _processes(bench: Workbench, base: Scored, counts: Array) -> Iterator[tuple[str, Array]]:
+    """The input of every process of drive and mechanics, and its modes (5 K, m) over the noise, with mean square 1."""
     data = bench.data
     targets = {piece.on: None for piece in pieces(bench.robot, data) if piece.on.kind_name != "sensor"}
     constants = {on: TermPiece(on, ("constant",)) for on in targets if not on.of_way}
@@ -392,7 +418,7 @@ def _processes(bench: Workbench, base: Scored, counts: Array) -> Iterator[Array]
                 B = (D[..., None] * phi[:, None, None]).reshape(D.shape[0] * D.shape[1], -1)
                 size = np.sqrt((B**2).sum() / len(B))
                 if size > 0:
-                    yield B / size
+                    yield ("joints" if name == own else name), B / size
 
 
 def _distances(data: Measurements) -> Iterator[tuple[str, Array]]:

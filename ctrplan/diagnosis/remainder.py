@@ -38,7 +38,7 @@ from ctrplan.measurement.measurements import Measurements
 
 SCALES = (0.5, 1.0, 2.0)  # of a kernel, in rad of relative rotation or what counts as much
 RIDGES = (0.1, 0.5, 2.0)  # noise of a kernel fit, over what it explains
-ROOM_M, STATE = 0.05, 1.0  # of translation, and of friction states and directions, that count as much as a radian
+ROOM_M = 0.05  # of translation, that counts as much as a radian, or as a friction state or direction
 QUARTERS = 4.0  # of the experiment that count as much as a radian each
 
 
@@ -97,7 +97,7 @@ def _configuration(data: Measurements) -> Array:
 
 
 def _history(data: Measurements) -> Array:
-    states: Array = np.hstack([friction_state(data), last_directions(data)]) / STATE
+    states: Array = np.hstack([friction_state(data), last_directions(data)])
     return states
 
 

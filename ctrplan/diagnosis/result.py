@@ -20,12 +20,11 @@ from ctrplan.diagnosis.correlated_bench import FRAMES
 from ctrplan.diagnosis.gap import Gap, Place
 from ctrplan.diagnosis.next_experiment import Decision, Proposal
 from ctrplan.diagnosis.partial_diagnosis import PartialDiagnosis
-from ctrplan.diagnosis.posterior import Posterior
 from ctrplan.diagnosis.reading import MisreadError, Reading
 from ctrplan.diagnosis.remainder import Remainder
 from ctrplan.diagnosis.selection import SelectionStep
 from ctrplan.diagnosis.slips import Slip
-from ctrplan.diagnosis.verdict import Judgement, Verdict
+from ctrplan.diagnosis.verdict import Judgement, Posterior, Verdict, names_of
 from ctrplan.diagnosis.workbench import Scored
 from ctrplan.effects.learned.learned import Learned
 from ctrplan.measurement.measurements import Measurements
@@ -109,8 +108,7 @@ class Diagnosis:
     @property
     def verdict_probability(self) -> float | None:
         """How probable the verdict is; None where the search was interrupted."""
-        listed = [{f.term.name, *(a.term.name for a in f.alternatives)} for f in self.judgement.findings]
-        return self.posterior.of_verdict(self.verdict, listed) if self.posterior else None
+        return self.posterior.of_verdict(self.verdict, names_of(self.judgement)) if self.posterior else None
 
     def robot_content(self) -> dict[str, Any]:
         """The content of the new robot file: calibrated, with the effects of the verdict and a free frame in it."""

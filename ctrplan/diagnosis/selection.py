@@ -15,7 +15,6 @@ MOST_EFFECTS = 4
 CAUTION = 2.0  # times the threshold, for an effect that the residuals do not ask for: they look like noise already
 REFITTED = 5  # variants of different effects that are fitted for good after the screening
 LEAST_SHARE_OF_GAIN = 0.5  # share of the best gain of the screening that makes a variant worth fitting
-FIRST_OF_PAIRS, SECOND_OF_PAIRS = 2, 3  # effects that did not pass alone, and variants tried beside each
 PER_EFFECT = 2  # variants of one effect among them
 
 Report = Callable[[str], None]
@@ -23,9 +22,12 @@ Report = Callable[[str], None]
 
 @dataclass(frozen=True)
 class SelectionStep:
-    """One comparison of the path: gain in held-out log-likelihood, its standard error, what chance can give."""
+    """One comparison of the path: gain in held-out log-likelihood, its standard error, what chance can give.
 
-    action: str  # "add", "drop", "swap", "stop"
+    A set that is taken as the most probable of all, "compare", gains in the logarithm of its probability.
+    """
+
+    action: str  # "add", "drop", "swap", "compare", "stop"
     effect: str
     parameters: tuple[str, ...]
     gain: float
@@ -78,40 +80,9 @@ class Selector:
             best = candidate is tried[0] and gain > needed and self._is_certain(here, candidate, gain, error)
             selection.path.append(step("add", candidate.terms[-1], gain, error, needed, best))
         if not tried or not selection.path[-len(tried)].taken:
-            return self._grow_by_two(selection, tried)
+            return False
         selection.chosen = self.bench.corrected(tried[0])
         return True
-
-    def _grow_by_two(self, selection: Selection, tried: Sequence[Scored]) -> bool:
-        """Two effects at once where none passes alone: what the other leaves makes each of them look uncertain.
-
-        A pair pays for both choices and must leave nothing but noise.
-        """
-        here = selection.chosen
-        if len(here.terms) > MOST_EFFECTS - 2 or remains(self.bench, here).is_adequate:
-            return False
-        pairs = [
-            pair for first in _best_of_each(tried)[:FIRST_OF_PAIRS] for pair in self._beside(first, selection.threshold)
-        ]
-        if not pairs:
-            return False
-        best, needed = max(pairs, key=lambda pair: pair[0].score)
-        gain, error = self.bench.difference(best, here)
-        taken = gain > max(needed, CERTAIN * error) and remains(self.bench, best).is_adequate
-        first, second = best.terms[-2:]
-        selection.path.append(step("add", second, gain, error, needed, taken, beside=first))
-        if taken:
-            selection.chosen = self.bench.corrected(best)
-        return taken
-
-    def _beside(self, first: Scored, threshold: float) -> list[tuple[Scored, float]]:
-        """Pairs of an effect that did not pass alone with the most promising others, and what each has to gain."""
-        self.tell(f"trying pairs with {first.names[-1]}")
-        screened = self.bench.screened(first, self._others(first), self.candidates.completed)
-        if not screened:
-            return []
-        needed = threshold + self._threshold(first, screened)
-        return [(scored, needed) for scored in self.fitted(first, screened[:SECOND_OF_PAIRS])]
 
     def _needed(self, here: Scored, threshold: float) -> float:
         return threshold * (CAUTION if remains(self.bench, here).is_adequate else 1.0)
@@ -188,16 +159,7 @@ def promising(screened: Sequence[Screened]) -> list[Screened]:
     return taken
 
 
-def _best_of_each(tried: Sequence[Scored]) -> list[Scored]:
-    """The best variant of each effect, best first."""
-    return list({scored.terms[-1].name: scored for scored in reversed(tried)}.values())[::-1]
-
-
-def step(
-    action: str, t: Term, gain: float, error: float, threshold: float, taken: bool, beside: Term | None = None
-) -> SelectionStep:
-    """A step of the path: what was done with an effect, or with two."""
-    terms = [t] if beside is None else [beside, t]
-    names = tuple(parameter.name for term in terms for parameter in term.parameters)
-    effect = " and ".join(term.name for term in terms)
-    return SelectionStep(action, effect, names, round(gain, 2), round(error, 2), round(threshold, 2), taken)
+def step(action: str, t: Term, gain: float, error: float, threshold: float, taken: bool) -> SelectionStep:
+    """A step of the path: what was done with an effect."""
+    names = tuple(parameter.name for parameter in t.parameters)
+    return SelectionStep(action, t.name, names, round(gain, 2), round(error, 2), round(threshold, 2), taken)

@@ -10,8 +10,9 @@ from ctrplan.calibration.estimates import estimates
 from ctrplan.calibration.least_squares import Fit
 from ctrplan.diagnosis.correlated_bench import FRAME
 from ctrplan.diagnosis.gap import LARGEST_REST, times_noise
-from ctrplan.diagnosis.posterior import shown
 from ctrplan.diagnosis.result import Diagnosis
+from ctrplan.diagnosis.smooth_evidence import IN_WORDS
+from ctrplan.diagnosis.verdict import Posterior, shown
 from ctrplan.effects.drive.homing_shift import HomingShift
 from ctrplan.measurement.measurements import MOST_ROWS
 from ctrplan.pipeline.term import Term
@@ -32,8 +33,19 @@ def _how_probable(diagnosis: Diagnosis) -> str:
         return ""
     told, unknown = shown(diagnosis.verdict_probability), diagnosis.posterior.of_unknown
     against = f"; that something acts which the catalogue lacks has {shown(unknown)}"
-    is_against = diagnosis.verdict_probability < unknown and diagnosis.verdict not in ("partial", "unexplained")
-    return f" {told[0].upper()}{told[1:]}{against if is_against else ''}."
+    is_left = diagnosis.verdict in ("partial", "unexplained")
+    is_against = diagnosis.verdict_probability < unknown and not is_left
+    return (
+        f" {told[0].upper()}{told[1:]}{against if is_against else ''}.{_along(diagnosis.posterior) if is_left else ''}"
+    )
+
+
+def _along(told: Posterior) -> str:
+    """What something unknown goes along with, where that is more probable than all else."""
+    name = max(told.along, key=lambda one: told.along[one], default="")
+    if not name or min(told.along[name], told.of_unknown) < 1 / 2:
+        return ""
+    return f" What is unknown {IN_WORDS[name]}, {shown(told.along[name])}."
 
 
 def probabilities(diagnosis: Diagnosis, k: int) -> str:

@@ -1,14 +1,15 @@
 """A collar that slips once, or a drive that loses steps: from an instant that nobody wrote down a joint's zero is off.
 
 Such a slip is a homing that the file does not tell of: the instant found, the rest of the diagnosis treats it as one
-(`homing_shift`). It is looked for beside an ordinary calibration, linearised: of every joint that moves and every pose,
-what a constant change of its zero from there on would explain. It is believed as another reading of the file is
-(`reading.py`): where it leaves less than half of the error beyond the noise, and less than anything smooth in time that
-the same joint could do.
+(`homing_shift`). It is looked for beside an ordinary calibration, and beside the most probable effects where these
+leave something, linearised: of every joint that moves and every pose, what a constant change of its zero from there on
+would explain. It is believed as another reading of the file is (`reading.py`): where it leaves less than half of the
+error beyond the noise, and less than anything smooth in time that the same joint could do.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,7 +22,7 @@ from ctrplan.diagnosis.reading import BETTER
 from ctrplan.effects.drive.homing_shift import HomingShift
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.pipeline.parametric_chain import ParametricChain
-from ctrplan.pipeline.term import term
+from ctrplan.pipeline.term import Term, term
 from ctrplan.robot.robot import Robot
 
 LEAST_POSES = 5  # before and after a slip: fewer are outliers
@@ -37,8 +38,11 @@ class Slip:
     joint: str  # as the parameter of homing_shift is called: "theta_2_2_deg"
 
 
-def found_slip(robot: Robot, data: Measurements, noise: Noise) -> Slip | None:
-    """The slip that the poses show, if they show one; none where homings are given, or on a continuous motion."""
+def found_slip(robot: Robot, data: Measurements, noise: Noise, beside: Sequence[Term] = ()) -> Slip | None:
+    """The slip that the poses show, if they show one; none where homings are given, or on a continuous motion.
+
+    beside: effects that are fitted besides.
+    """
     effect = HomingShift()
     after = replace(data, homing=np.where(np.arange(len(data.sequence)) < 0, 1, 2))
     if data.is_stream or data.of_collars or len(np.unique(data.homings)) > 1 or effect.untestable(robot, after):
@@ -47,10 +51,10 @@ def found_slip(robot: Robot, data: Measurements, noise: Noise) -> Slip | None:
         return None
     base = BaseParameters()
     group = data.configuration
-    own = term(base, [q.name for q in base.parameters(robot)], robot)
-    calibrated = fit(ParametricChain(robot, data, [own]), noise, group)
+    own = [term(base, [q.name for q in base.parameters(robot)], robot), *beside]
+    calibrated = fit(ParametricChain(robot, data, own), noise, group)
     names = list(effect.variants(robot, after)[0])
-    chain = ParametricChain(robot, after, [own, term(effect, names, robot)])
+    chain = ParametricChain(robot, after, [*own, term(effect, names, robot)])
     there = np.concatenate([calibrated.p, np.zeros(len(names))])
     parts = residuals(after, chain.predict(there), noise, group)
     weight = np.sqrt(calibrated.residuals.weight)[:, None]

@@ -22,10 +22,11 @@ from ctrplan.calibration.discrepancy import Linearised
 from ctrplan.diagnosis.block_evidence import LEAST_ODDS
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
 from ctrplan.diagnosis.remainder import SmoothError
+from ctrplan.diagnosis.selection import PER_EFFECT
 from ctrplan.diagnosis.workbench import Scored, Workbench
 from ctrplan.pipeline.term import Term
 
-FINALISTS, PER_EFFECT = 8, 2  # variants asked with covariances of their own, and of one effect among them
+FINALISTS = 8  # variants asked with covariances of their own
 EQUAL = 5.0  # logarithm of the evidence: what is as probable but for odds of 150 to 1 is told as "or"
 LEAST_OF_RIVAL = 2.0  # of the same, that a rival has to gain itself
 
@@ -181,6 +182,7 @@ IN_WORDS = {
     "configuration": "belongs to the configuration",
     "joints": "goes along with the joints",
     "time": "goes along with the time",
+    "history": "goes along with the way poses were reached",
 }
 
 

@@ -23,6 +23,7 @@ from ctrplan.diagnosis.block_evidence import mean_square
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
 from ctrplan.diagnosis.cross_validation import Linear, left_out_residuals, null_thresholds
 from ctrplan.diagnosis.partial_search import is_built
+from ctrplan.diagnosis.selection import MOST_EFFECTS
 from ctrplan.diagnosis.term_dictionary import TermPiece
 from ctrplan.diagnosis.workbench import CERTAIN, Scored, certainty, values_by_name
 from ctrplan.effects.learned import parts
@@ -188,7 +189,6 @@ def _left(bench: CorrelatedBench, table: WideLinearisation, columns: list[int]) 
     return mean_square(left_out_residuals(system, bench.fold)[:, :3] * sigma_m)
 
 
-MOST_PIECES = 4
 DRAWS = 200  # surrogates
 TIMES_CHANCE = 1.2  # the gain that traded residuals exceed in 2 % of draws; beside a piece that passed, smooth ones too
 LEAST_SHARE = 0.1  # of the squares that remain beyond noise, which a piece has to close of blocks left out
@@ -231,10 +231,10 @@ def grown(
     """
     rounds, here = list[Round](), chosen
     known = [piece for piece in known if piece.on.effect_name not in bench.robot.effects]
-    while len(rounds) < MOST_PIECES:
+    while len(rounds) < MOST_EFFECTS:
         tell("building a term beside " + (", ".join(here.names) or "the calibrated robot"))
         table = wide_linearisation(bench, here, known)
-        if not rounds and reach(bench, table, known, MOST_PIECES) < least:
+        if not rounds and reach(bench, table, known, MOST_EFFECTS) < least:
             break
         taken, there = _round(bench, here, table, known, bool(rounds), smooth_counts)
         rounds.append(taken)

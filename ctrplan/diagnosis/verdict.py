@@ -3,14 +3,21 @@
 A name is given only when what remains looks like noise, on the poses of the selection and in the held-out set. Where
 it does not, the best of the wrong names would be given with confidence; then only effects stay listed whose evidence
 lies in a part of the data that they explain completely.
+
+How probable a verdict is, a posterior over sets of effects says.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, Literal
 
+import numpy as np
+from scipy.special import logsumexp
+
+from ctrplan.base.arrays import Array
 from ctrplan.calibration.fit_warnings import is_strained, strained
 from ctrplan.diagnosis.adequacy import Adequacy, remains
 from ctrplan.diagnosis.selection import Selection, Selector
@@ -19,8 +26,7 @@ from ctrplan.pipeline.term import Term, term
 
 Verdict = Literal["named", "no_missing_effect", "ambiguous", "partial", "unexplained"]
 
-CLOSE = 3.0  # log-likelihood: an alternative that predicts nearly as well
-CLOSE_ERRORS = 1.0  # or worse by less than this many standard errors of the comparison
+CLOSE = 3.0  # log-likelihood, or a standard error: an alternative that predicts nearly as well
 MOST_RIVALS = 3  # alternatives of one of several effects: with more of them the data ask for something else
 
 
@@ -114,7 +120,7 @@ def _finding(bench: Workbench, chosen: Scored, t: Term, compared: Sequence[Alter
 def is_close(a: Alternative, chosen: Scored) -> bool:
     """Whether it predicts or fits as well; badly determined parameters predict badly, true or not."""
     worse_fit = (a.scored.fit.residuals.loss - chosen.fit.residuals.loss) / 2
-    return min(a.behind, worse_fit) < max(CLOSE, CLOSE_ERRORS * a.error)
+    return min(a.behind, worse_fit) < max(CLOSE, a.error)
 
 
 def _is_shared(bench: Workbench, chosen: Scored, t: Term) -> bool:
@@ -147,3 +153,102 @@ def specific(bench: Workbench, chosen: Scored, findings: Sequence[Finding], left
         if explained and gain > max(OVERWHELMING, SURE * error):
             kept.append(finding)
     return tuple(kept)
+
+
+ACTS = 0.03  # prior probability that an effect of the catalogue acts: of some 20, one in every other robot
+UNKNOWN_ACTS = 0.1  # the same of something that the catalogue lacks
+NAMED = 0.99  # probability of what is named, or decided: one name in a hundred may be wrong
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """A set of effects, whether something unknown acts besides, and the logarithm of prior times likelihood."""
+
+    names: frozenset[str]
+    has_unknown: bool
+    weight: float
+
+
+@dataclass(frozen=True, eq=False)
+class Posterior:
+    """Probabilities of hypotheses that exclude each other."""
+
+    hypotheses: tuple[Hypothesis, ...]
+    along: Mapping[str, float] = field(default_factory=dict)  # what something unknown goes along with, if it acts
+
+    @cached_property
+    def probabilities(self) -> Array:
+        """(H,) of the hypotheses; they sum to one."""
+        weights = np.array([one.weight for one in self.hypotheses])
+        probabilities: Array = np.exp(weights - logsumexp(weights))
+        return probabilities
+
+    def of_effect(self, *names: str) -> float:
+        """That at least one of these effects acts."""
+        return self._of(bool(one.names & set(names)) for one in self.hypotheses)
+
+    @property
+    def of_unknown(self) -> float:
+        """That something acts which the catalogue lacks."""
+        return self._of(one.has_unknown for one in self.hypotheses)
+
+    def of_verdict(self, verdict: Verdict, listed: Sequence[Collection[str]]) -> float:
+        """That a verdict is true; listed: names of each finding, the effect and what may stand for it.
+
+        "Named" and "ambiguous" say that one of each finding acts and nothing else does, "partial" that one of each
+        acts, "unexplained" that something unknown does besides.
+        """
+
+        def holds(one: Hypothesis) -> bool:
+            acts = all(one.names & set(names) for names in listed)
+            if verdict == "partial":
+                return acts
+            if verdict == "unexplained":
+                return acts and one.has_unknown
+            return acts and len(one.names) == len(listed) and not one.has_unknown
+
+        return self._of(holds(one) for one in self.hypotheses)
+
+    def to_json(self) -> dict[str, Any]:
+        """For diagnosis.json: that nothing acts, that something unknown does, and each effect that may."""
+        names = sorted({name for one in self.hypotheses for name in one.names})
+        effects = {name: round(self.of_effect(name), 3) for name in names}
+        return {
+            "nothing": round(self.of_verdict("no_missing_effect", ()), 4),
+            "unknown": round(self.of_unknown, 4),
+            "effects": {name: p for name, p in effects.items() if p > 0},
+            "unknown_along": {name: round(p, 3) for name, p in self.along.items()},
+            "sets_compared": len(self.hypotheses),
+        }
+
+    def _of(self, hits: Iterable[bool]) -> float:
+        return float(min(1.0, self.probabilities[np.fromiter(hits, bool, len(self.hypotheses))].sum()))
+
+
+def names_of(judgement: Judgement) -> list[set[str]]:
+    """Names of each finding: the effect and what may stand for it."""
+    return [{f.term.name, *(a.term.name for a in f.alternatives)} for f in judgement.findings]
+
+
+def shown(probability: float) -> str:
+    """In words: two digits, never certain."""
+    if probability > 0.995:
+        return "probability above 0.99"
+    return f"probability {probability:.2f}" if probability >= 0.005 else "probability below 0.01"
+
+
+def normalised(
+    evidence: Mapping[frozenset[str], tuple[float, float]], along: Mapping[str, float] | None = None
+) -> Posterior:
+    """The posterior from log evidences of sets, without and with an unknown error; -inf where that was not asked."""
+    results = []
+    for names, values in evidence.items():
+        for has_unknown, value in enumerate(values):
+            prior = len(names) * log_odds(ACTS) + has_unknown * log_odds(UNKNOWN_ACTS)
+            results.append(Hypothesis(names, bool(has_unknown), prior + value))
+    return Posterior(tuple(results), along or {})
+
+
+def log_odds(probability: float) -> float:
+    """Natural logarithm of p / (1 - p)."""
+    return float(np.log(probability / (1 - probability)))

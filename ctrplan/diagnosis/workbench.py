@@ -107,6 +107,7 @@ class Screened:
 
     term: Term
     linear: Linear  # of the columns of base, fit and variant
+    owners: tuple[str, ...]  # (P,) the effect of each column
     held_out: Array  # (K,) robust squares
 
     @property
@@ -125,8 +126,15 @@ class Linearisation:
 
     def of(self, terms: Sequence[Term]) -> Linear:
         """The linearisation in the parameters of some terms; the others stay where they are."""
+        return self.whole.columns(self._places(terms))
+
+    def owners(self, terms: Sequence[Term]) -> tuple[str, ...]:
+        """The effect of each of these parameters."""
+        return tuple(self.keys[k][0] for k in self._places(terms))
+
+    def _places(self, terms: Sequence[Term]) -> list[int]:
         wanted = {(t.name, q.name) for t in terms for q in t.parameters}
-        return self.whole.columns([k for k, key in enumerate(self.keys) if key in wanted])
+        return [k for k, key in enumerate(self.keys) if key in wanted]
 
     def without(self, gone: Term) -> Linearisation:
         """With one of its effects taken back to where it does nothing, and none of its parameters."""
@@ -153,6 +161,7 @@ class Workbench:
         self._done: dict[frozenset[str], Scored] = {}
         self._tried: dict[frozenset[str], list[Fit | None]] = {}  # where fits of a set began
         self._sized: dict[tuple[Scored, Noise], Scored] = {}  # with wide priors
+        self._screened: dict[tuple[Scored, frozenset[str]], list[Screened]] = {}  # as friction and noise are now
 
     @property
     def visited(self) -> tuple[Scored, ...]:
@@ -211,6 +220,15 @@ class Workbench:
         best = fit(chain, self.noise, self.whitening_group, start)
         return Scored(terms, best, self.loss(linear(best)))
 
+    def continued(self, scored: Scored) -> Scored:
+        """A set whose fit has used up its steps, fitted on from there until it converges or gets no better."""
+        while not scored.fit.converged:
+            further = self._fitted(scored.terms, scored.fit.chain, scored.fit.p)
+            if further.fit.loss > scored.fit.loss - WORTH_ANOTHER:
+                break
+            scored = self._done[frozenset(t.key for t in scored.terms)] = further
+        return scored
+
     def chain(self, terms: Sequence[Term]) -> ParametricChain:
         """The chain of terms, with friction as it is known by now."""
         chain = ParametricChain(self.robot, self.data, terms)
@@ -229,6 +247,7 @@ class Workbench:
             self._correction = friction_correction(scored.fit.chain, scored.fit.p)
             self._done = {key: old for key, old in self._done.items() if not self._has_friction(old.terms)}
             self._tried = {key: tried for key, tried in self._tried.items() if key in self._done}
+            self._screened.clear()
             scored = self.scored(scored.terms, scored.fit)
         return scored
 
@@ -297,16 +316,20 @@ class Workbench:
 
         `completed` adds what a variant needs to the terms that it stands beside.
         """
-        panel = self.panel(here, others)
-        screened = []
+        key = here, frozenset(t.key for t in others)
+        if key in self._screened:
+            return self._screened[key]
+        panel, screened = self.panel(here, others), list[Screened]()
         for other in others:
             if not other.effect.is_linear:
                 screened.append(self._tried_out(here, other, completed))
                 continue
             same = [t for t in here.terms if t.name != other.name]
-            columns = panel.of([*self.basis([*same, other]), *same, other]).refitted()
-            screened.append(Screened(other, columns, self.loss(columns)))
-        return sorted(screened, key=lambda s: -s.score)
+            together = [*self.basis([*same, other]), *same, other]
+            columns = panel.of(together).refitted()
+            screened.append(Screened(other, columns, panel.owners(together), self.loss(columns)))
+        self._screened[key] = sorted(screened, key=lambda s: -s.score)
+        return self._screened[key]
 
     def panel(self, here: Scored, others: Sequence[Term]) -> Linearisation:
         """A fit linearised in its own parameters and those of other variants, which vanish there."""
@@ -329,7 +352,7 @@ class Workbench:
         chain = self.chain([*self.basis(terms), *terms])
         start, _ = self._start(chain, [here.fit])
         there = linear(fit_at(chain, self.noise, self.whitening_group, start)).refitted()
-        return Screened(other, there, self.loss(there))
+        return Screened(other, there, tuple(t.name for t in chain.terms for _ in t.parameters), self.loss(there))
 
     def by_group(self, gain: Array) -> Array:
         """(B,) sums over poses that count as one, of values (K,)."""

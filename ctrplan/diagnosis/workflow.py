@@ -26,14 +26,14 @@ from ctrplan.diagnosis.gap import Gap, Place, contradiction, localise, open_test
 from ctrplan.diagnosis.next_experiment import decision, next_experiment
 from ctrplan.diagnosis.partial_diagnosis import PartialDiagnosis, concluded, left_by_names
 from ctrplan.diagnosis.partial_search import PartialSelector, is_built
-from ctrplan.diagnosis.posterior import Posterior, posterior
+from ctrplan.diagnosis.posterior import posterior
 from ctrplan.diagnosis.reading import MisreadError, read_again
 from ctrplan.diagnosis.result import Diagnosis
-from ctrplan.diagnosis.selection import Report, Selection
+from ctrplan.diagnosis.selection import REFITTED, Report, Selection
 from ctrplan.diagnosis.slips import after_slip, found_slip
 from ctrplan.diagnosis.usable_poses import checked_split, usable_poses
-from ctrplan.diagnosis.verdict import Judgement, specific
-from ctrplan.diagnosis.workbench import Candidates, Scored, candidates, reduced
+from ctrplan.diagnosis.verdict import Judgement, Posterior, specific
+from ctrplan.diagnosis.workbench import Candidates, Scored, Workbench, candidates, reduced
 from ctrplan.effects.drive.homing_shift import HomingShift
 from ctrplan.effects.effect import CATALOGUE, Effect
 from ctrplan.errors import InputError
@@ -262,6 +262,12 @@ def diagnose(
     checked_split(data, usable)  # before anything is asked
     known = candidates(robot, data, allowed)
     result = conclude(robot, data, usable, noise, known, teller)
+    if slip is None and result.judgement.verdict in ("partial", "unexplained") and result.compared:
+        slip = found_slip(robot, data, noise, result.compared.sets[0].terms)
+        if slip:
+            data = after_slip(data, slip)
+            known = candidates(robot, data, allowed)
+            result = conclude(robot, data, usable, noise, known, teller)
 
     def tell(step: str) -> None:
         if progress:
@@ -318,10 +324,15 @@ def diagnose(
 
 
 def _posterior(answer: Conclusion, known: Candidates) -> Posterior:
-    """How probable it is that each effect acts; the decision is not made by it."""
-    bench = answer.partly.bench if answer.partly else answer.bench
-    more = [compared.scored for compared in answer.judgement.compared]
-    return posterior(bench, answer.chosen, known, [*more, *([answer.built.named] if answer.built else [])])
+    """How probable it is that each effect acts."""
+    if answer.partly is None:
+        return answer.compared.posterior if answer.compared else posterior(answer.bench, answer.chosen, known)
+    bench = answer.partly.bench
+    more = [a.scored for a in answer.judgement.compared] + ([answer.built.named] if answer.built else [])
+    if answer.compared:  # what is most probable beside noise, on the poses that choose here
+        plain = Workbench(bench.robot, bench.data, bench.plain, bench.group, bench.fold)
+        more += [plain.corrected(plain.scored(one.terms, one.fit)) for one in answer.compared.sets[:REFITTED]]
+    return posterior(bench, answer.chosen, known, more)
 
 
 def decide(

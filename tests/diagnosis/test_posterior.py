@@ -9,18 +9,12 @@ import pytest
 from measured_data import SIGMA_M, SIGMA_RAD, measured, pair_robot, waypoints
 from scipy.stats import multivariate_normal
 
+from ctrplan.calibration import least_squares
 from ctrplan.calibration.discrepancy import Linearised
 from ctrplan.calibration.residuals import Noise
 from ctrplan.diagnosis import CATALOGUE
-from ctrplan.diagnosis.posterior import (
-    Hypothesis,
-    Posterior,
-    UnknownErrors,
-    normalised,
-    posterior,
-    shown,
-    without_error,
-)
+from ctrplan.diagnosis.posterior import UnknownErrors, compared, posterior, without_error
+from ctrplan.diagnosis.verdict import Hypothesis, Posterior, normalised, shown
 from ctrplan.diagnosis.workbench import Workbench, candidates
 from ctrplan.measurement.measurements import Measurements
 
@@ -104,7 +98,8 @@ QUICK = {name: CATALOGUE[name] for name in ("sensor_offset", "joint_scale", "tip
 
 def bench_of(hidden: str, seed: int = 4) -> tuple[Workbench, Measurements]:
     """A workbench on 16 configurations of a pair."""
-    values = {"sensor_offset": {"sensor_offset": {"offset_x_mm": 2.0, "offset_y_mm": -1.5}}, "": {}}[hidden]
+    offset = {"sensor_offset": {"offset_x_mm": 2.0, "offset_y_mm": -1.5}}
+    values = {"sensor_offset": offset, "pair": offset | {"joint_scale": {"theta_2": 0.05}}, "": {}}[hidden]
     data = measured(ROBOT, waypoints(ROBOT, 16, seed=seed), values)
     group = data.configuration
     return Workbench(ROBOT, data, Noise(SIGMA_M, SIGMA_RAD), group, group % 4), data
@@ -118,6 +113,37 @@ def test_acting_effect_has_nearly_all_and_nothing_else_any() -> None:
     assert told.probabilities.sum() == pytest.approx(1)
     assert told.of_effect("sensor_offset") > 0.99 and told.of_verdict("named", [{"sensor_offset"}]) > 0.8
     assert told.of_unknown < 0.2 and told.of_effect("joint_scale", "tip_load") < 0.2
+
+
+def test_search_comes_to_the_true_pair_that_something_unknown_stood_for() -> None:
+    bench, data = bench_of("pair")
+    known = candidates(ROBOT, data, QUICK)
+    base = bench.scored([])
+    before = compared(bench, base, known)
+    assert before.posterior.of_unknown > 0.99 and before.sets == (base,) and not before.is_alone
+    told = compared(bench, base, known, search=True)
+    assert set(told.sets[0].names) == {"sensor_offset", "joint_scale"} and told.is_alone
+    assert told.posterior.of_effect("sensor_offset") > 0.99 and told.posterior.of_effect("joint_scale") > 0.99
+    assert told.posterior.of_unknown < 0.2 and told.posterior.probabilities.sum() == pytest.approx(1)
+
+
+def test_search_in_a_null_ends_with_nothing() -> None:
+    bench, data = bench_of("", 7)
+    told = compared(bench, bench.scored([]), candidates(ROBOT, data, QUICK), search=True)
+    assert told.sets[0].names == () and told.is_alone
+    assert told.posterior.of_verdict("no_missing_effect", []) > 0.8
+
+
+def test_fit_that_has_used_up_its_steps_goes_on_from_there(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench, _ = bench_of("sensor_offset")
+    whole = bench.scored([])
+    monkeypatch.setattr(least_squares, "MOST_STEPS", 4)
+    other, _ = bench_of("sensor_offset")
+    short = other.scored([])
+    further = other.continued(short)
+    assert not short.fit.converged and further.fit.loss < short.fit.loss
+    assert further.fit.loss == pytest.approx(whole.fit.loss, abs=2) and further in other.visited
+    assert bench.continued(whole) is whole
 
 
 def test_null_has_no_effect_and_nothing_unknown() -> None:

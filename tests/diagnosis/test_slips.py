@@ -13,10 +13,12 @@ from measured_data import SIGMA_M, measured, pair_robot, waypoints
 import ctrplan
 from ctrplan.base.arrays import Array
 from ctrplan.calibration.residuals import Noise
+from ctrplan.diagnosis import CATALOGUE
 from ctrplan.diagnosis.gap import localise
 from ctrplan.diagnosis.sentences import headline, verdict_sentence
 from ctrplan.diagnosis.slips import LEAST_POSES, after_slip, found_slip
 from ctrplan.measurement.measurements import Measurements
+from ctrplan.pipeline.term import term
 
 ROBOT = pair_robot()
 NOISE = Noise(SIGMA_M, float(np.radians(0.15)))
@@ -60,6 +62,21 @@ def test_a_slip_is_found_where_it_happened(joint: str, seed: int) -> None:
     pose = int(np.random.default_rng(seed).integers(LEAST_POSES, data.count - LEAST_POSES))
     slip = found_slip(ROBOT, slipped(data, joint, pose, BASE, seed), NOISE)
     assert slip is not None and slip.joint.startswith(joint) and abs(slip.pose - pose) <= 1
+
+
+@pytest.mark.parametrize("seed", range(40 if FUZZ else 3))
+def test_a_slip_beside_a_larger_effect_is_found_where_that_is_fitted_too(seed: int) -> None:
+    data, turned = (
+        at_rest(seed),
+        {"base_misalignment": {"rotation_x_deg": 8.0, "rotation_y_deg": -6.0, "shift_y_mm": 9.0}},
+    )
+    moved = slipped(data, "theta_2", data.count // 2, BASE | turned, seed)
+    frame = CATALOGUE["base_misalignment"]
+    besides = [term(frame, [q.name for q in frame.parameters(ROBOT)], ROBOT)]
+    assert found_slip(ROBOT, moved, NOISE) is None
+    slip = found_slip(ROBOT, moved, NOISE, besides)
+    assert slip is not None and slip.joint.startswith("theta_2") and abs(slip.pose - data.count // 2) <= 1
+    assert found_slip(ROBOT, measured(ROBOT, data, BASE | turned, seed), NOISE, besides) is None
 
 
 @pytest.mark.parametrize("seed", range(40 if FUZZ else 4))
