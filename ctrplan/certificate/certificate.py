@@ -310,8 +310,7 @@ class Certificate:
     settling: Settling | None = None
     end_states: tuple[HistoryState, ...] = ()  # friction states at the end, one for each start
     spare_m: float = np.inf  # of clearance beyond what the scenario asks for: of more it is only known that it is more
-    # The same legs; on the same mesh if None, from the friction states that a stage before left.
-    walk_again: WalkAgain | None = None
+    walk_again: WalkAgain | None = None  # on the same mesh if None, from the friction states that a stage before left
 
     def __getstate__(self) -> dict[str, Any]:
         """What a copy in another process has: friction states stay where they were simulated."""
