@@ -318,11 +318,11 @@ def _correction(
     """(m,) change of joints whose simulated path ends nearest to the aim: damped Newton steps from delta (m,).
 
     Only what follows the first changed corner is simulated again, and not the path with delta whose end `ends_m` (3,)
-    is known, nor the one after a step that is so small that steps shrinking as before end on the aim.
+    is known.
     """
     robot, is_rotation = checker.scenario.robot, checker.space.drive.is_rotation
     unchanged, states = place.unchanged(is_rotation), list[HistoryState]()
-    best, before = (np.inf, delta), np.inf
+    best = (np.inf, delta)
     for k in range(ITERATIONS):
         path, tangent = place.path(is_rotation, delta), None
         if not checker.space.allowed(path):
@@ -344,13 +344,6 @@ def _correction(
         if not step.any():
             break
         delta = delta + step
-        if (
-            np.isfinite(before)
-            and distance**2 / before < CLOSE_M / 2
-            and checker.space.allowed(place.path(is_rotation, delta))
-        ):
-            return delta
-        before = distance
     return best[1]
 
 

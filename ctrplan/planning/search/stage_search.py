@@ -35,7 +35,7 @@ FIRST_SHARE, ROADMAP_SHARE = 0.85, 0.6
 WORTH_A_CERTIFICATE = 5e-3  # of the cost: less gain than that is not worth a certificate, which takes longer
 POLISH_SHARE = 0.3  # of the time, whenever polish begins: a first path that took all of it is where it gains most
 # Shares by which L-shaped motions are sampled that led to no path, and then simultaneous ones
-SAMPLED_SHARE, FALLBACK_SHARE = 0.95, 1.08
+SAMPLED_SHARE, FALLBACK_SHARE = 0.9, 1.08
 STRAIGHT_HOPE = 0.5  # of motions from the start to a goal, without which chains are made before any is walked
 FIRST_STATES, FIRST_ROUND_S = 100, 0.4  # random states a roadmap first grows by, and after how long; then twice as many
 MOST_STATES = 3000  # of a roadmap
