@@ -34,8 +34,8 @@ from ctrplan.scenario.tip_solver import GoalState
 FIRST_SHARE, ROADMAP_SHARE = 0.85, 0.6
 WORTH_A_CERTIFICATE = 5e-3  # of the cost: less gain than that is not worth a certificate, which takes longer
 POLISH_SHARE = 0.3  # of the time, whenever polish begins: a first path that took all of it is where it gains most
-# Shares by which L-shaped motions are sampled that led to no path, and then simultaneous ones
-SAMPLED_SHARE, FALLBACK_SHARE = 0.9, 1.08
+# Share by which L-shaped motions are sampled that led to no path; and that of simultaneous ones, whenever they begin
+SAMPLED_SHARE, FALLBACK_SHARE = 0.9, 0.18
 STRAIGHT_HOPE = 0.5  # of motions from the start to a goal, without which chains are made before any is walked
 FIRST_STATES, FIRST_ROUND_S = 100, 0.4  # random states a roadmap first grows by, and after how long; then twice as many
 MOST_STATES = 3000  # of a roadmap
@@ -267,17 +267,19 @@ class StageSearch:
     def _sample(self, *, only_first: bool = False) -> None:
         """The scenario's planner, to its first path or to the end; simultaneous motions where no other led to any."""
         checker, name = self.checker, self.checker.scenario.planner.name
+        until = self.budget * (1 if self.best else SAMPLED_SHARE)
+        if self.best and self._is_over(until):
+            return
         for attempt in range(ATTEMPTS):
-            is_fallback = checker is not self.checker
-            until = self.budget * (1 if self.best else FALLBACK_SHARE if is_fallback else SAMPLED_SHARE)
-            if self._is_over(until):
-                break
-            problem = SearchProblem(checker, self.goals, self.seed + 1000 * attempt)
-            stop = self._stopper(until)
-            if not problem.solve(stop, only_first=self.best is None):
-                if self.best or is_fallback:
+            problem, is_found = SearchProblem(checker, self.goals, self.seed + 1000 * attempt), False
+            if not self._is_over(until):
+                is_found = problem.solve(self._stopper(until), only_first=self.best is None)
+            if not is_found:
+                if self.best or checker is not self.checker or self.interrupted.is_set():
                     break
                 checker = MotionChecker(checker.scenario, "simultaneous", checker.meter, checker.reserve_m)
+                begins = SAMPLED_SHARE * self.budget if self.clock.timed else self.clock.now()
+                until = begins + FALLBACK_SHARE * self.budget
                 continue
             if self.best is None:
                 if failed := self._certified(checker, problem.corners(), name):
