@@ -240,7 +240,7 @@ class _Asking:
         return result
 
     def _note(self, terms: Sequence[Term], new: _Set) -> None:
-        """Of several fits of a set the one nearer to its most probable place says more."""
+        """Keeps the larger evidence of each set: the fit nearer to the set's most probable place has it."""
         key, old = _key(terms), self._evidence.get(_key(terms), new)
         self._evidence[key] = replace(new, alone=max(old.alone, new.alone), beside=max(old.beside, new.beside))
 

@@ -272,7 +272,7 @@ class Torus:
         return self.all_roots(alpha[None], [outermost_rad])[0]
 
     def all_roots(self, alpha: Array, outermost_rad: Sequence[float]) -> list[tuple[list[Equilibrium], int]]:
-        """The same at each of relative collar angles (A, n - 1).
+        """Equilibria and the sum of their signs at relative collar angles (A, n - 1) [rad], outermost ones (A,).
 
         Newton's method begins where the grid's derivatives lead into the cell around; from everywhere on a denser grid
         if the signs of what that finds do not add up.

@@ -324,6 +324,9 @@ def _finish(scenario: Scenario, stages: Stages, compensated: bool, report: Repor
             settling = certificate.settling
             certificate = certify(stage, corners, goal_test=goal_test, starts=starts, restart=False, progress=told)
             certificate = replace(certificate, settling=settling and settled_again(settling, certificate, 0))
+            if not (certificate.valid or compensated or starts or is_moved):
+                name = scenario.path or scenario.name
+                raise NoAnswerError(f"{name}: no path in time passed its certificate: {certificate.problems[0]}")
         if compensated and (not certificate.valid or is_moved and not _arrives(stage, certificate)):
             return replace(
                 _finish(scenario, stages, False, report),

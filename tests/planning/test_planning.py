@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import math
 import pickle
 import sys
@@ -9,6 +10,7 @@ import threading
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -259,6 +261,19 @@ def test_certificate_measures_distances_and_asks_no_grid(monkeypatch: pytest.Mon
     assert found[0].valid and not found[1].valid
     # of every friction state; the certificate mesh's allowance is smaller than that of the walk
     assert least[0] - TIGHT_M - 1e-9 <= found[0].min_clearance_m <= least[0] + SEARCH_MESH_M
+
+
+def test_a_path_that_fails_when_all_its_clearance_is_asked_for_is_no_plan(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The search asks for half a millimetre, which nothing should pass that the whole certificate refuses."""
+    planner: Any = importlib.import_module("ctrplan.planning.planner")
+    real = planner.certify
+
+    def refusing(*arguments: Any, **keywords: Any) -> Any:
+        return replace(real(*arguments, **keywords), valid=False, problems=("Refused by the test.",))
+
+    monkeypatch.setattr(planner, "certify", refusing)
+    with pytest.raises(NoAnswerError, match="no path in time passed its certificate: Refused by the test"):
+        ctrplan.plan(scenario("pair_free", "planner.time_s=0.3"), seed=0)
 
 
 def test_simultaneous_motion_is_a_named_fallback(monkeypatch: pytest.MonkeyPatch) -> None:

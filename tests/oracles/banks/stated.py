@@ -130,7 +130,7 @@ def measured(folder: Path, name: str, world: World, plan: Experiment, robot: Rob
 
 
 def inside(found: Diagnosis, unread: Measurements) -> dict[str, list[bool]]:
-    """Of poses that nothing has read, whether tips are within the radius and the noise; and with uncertain parameters.
+    """Whether unread tips are within the stated radius and the noise, without and with uncertain parameters.
 
     What parameters leave open has the covariance J C J^T, of which the mean over the coordinates counts.
     """
