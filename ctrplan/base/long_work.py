@@ -119,7 +119,7 @@ ROOM_NS = 15_000  # a zero-clearance shape and its clearance
 EDGE_NS = 120  # a motion of a roadmap, each time that its shortest path is sought
 HEURISTIC_NS = 4_000  # a lower bound of a motion's cost
 ASKED_NS = 20_000  # a question of the planner, whatever the answer
-# Counted seconds may take so many real ones, and a few at least, however slow the machine or dear the robot.
+# A budget of counted seconds may take so many real ones, a few at least, however slow the machine or dear the robot.
 REAL_PER_COUNTED, LEAST_REAL_S = 10.0, 10.0
 
 
@@ -171,13 +171,15 @@ class Laps:
 class SearchClock:
     """Seconds since a search began, real ones if `timed`, else those counted by its meter.
 
-    Counted ones end, too, when they take REAL_PER_COUNTED times as long by the clock: what is not counted takes time.
+    Counted ones end, too, when the budget took REAL_PER_COUNTED times as long by the clock: what is not counted takes
+    time. A part of the search may take as long as it likes: one dear certificate in its midst is no end.
     """
 
     meter: WorkMeter
     timed: bool
+    budget_s: float  # of the whole search
     ran_out: bool = False
-    outlasted: bool = False  # whether counted seconds took too many real ones
+    outlasted: bool = False  # whether the budget of counted seconds took too many real ones
     _began_s: float = field(default=0.0)
     _really_began_s: float = field(default=0.0)
 
@@ -196,14 +198,14 @@ class SearchClock:
         return over
 
     def is_late(self, until_s: float) -> bool:
-        """Whether that time has come by the clock; for counted seconds, whether they take too many real ones.
+        """Whether that time has come by the clock; for counted seconds, whether the budget took too many real ones.
 
         Unlike what is counted this may be asked in the middle of work that is shared by threads.
         """
         real_s = time.monotonic() - self._really_began_s
         if self.timed:
             return real_s >= until_s
-        self.outlasted |= real_s >= max(REAL_PER_COUNTED * until_s, LEAST_REAL_S)
+        self.outlasted |= real_s >= max(REAL_PER_COUNTED * self.budget_s, LEAST_REAL_S)
         return self.outlasted
 
     @property

@@ -219,7 +219,7 @@ def _stages(
             begins_line = k + 1 < len(targets) and targets[k + 1].line_m is not None
             if begins_line:
                 goals = line_beginnings(checker, goals, targets[k + 1])
-            clock = SearchClock(checker.meter, asked.timed)
+            clock = SearchClock(checker.meter, asked.timed, share)
             search = StageSearch(checker, goals, asked.seed, asked.began, share, clock, asked.report, asked.interrupted)
             search.refuse_start, search.moves_goal = refuse_start, not begins_line
             search.is_compensated = asked.compensated

@@ -167,7 +167,7 @@ def test_only_motions_on_which_a_limit_is_broken_are_forbidden(
 def test_no_random_state_is_drawn_twice() -> None:
     """Where the search for a first path grew the roadmap, and that for the cheapest does so again."""
     checker = MotionChecker(load_scenario(SCENARIOS / "pair_free.toml"))
-    goals, clock = goal_states(checker, np.random.default_rng(0)), SearchClock(checker.meter, timed=False)
+    goals, clock = goal_states(checker, np.random.default_rng(0)), SearchClock(checker.meter, timed=False, budget_s=2.0)
     search = StageSearch(checker, goals, 0, time.monotonic(), 2.0, clock, lambda _: None, threading.Event())
     drawn: list[Array] = []
 
@@ -214,7 +214,7 @@ def test_every_leg_is_charged_for_its_stop(vessel: MotionChecker) -> None:
 def test_counted_time_is_work_alone() -> None:
     meter = WorkMeter()
     meter.add(10**9)
-    clock = SearchClock(meter, timed=False)
+    clock = SearchClock(meter, timed=False, budget_s=3.0)
     assert clock.now() == 0 and not clock.is_past(1.5)
     meter.add(2 * 10**9)
     assert clock.now() == pytest.approx(2.0) and clock.is_past(1.5) and clock.ran_out and clock.name == "count"

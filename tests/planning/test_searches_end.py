@@ -58,7 +58,7 @@ def pair(start: tuple[float, float], goal: tuple[float, float], planner: str = "
 def stage(scenario: Scenario, time_s: float, *, timed: bool) -> StageSearch:
     """A search for the scenario's only target."""
     checker = MotionChecker(scenario)
-    goals, clock = goal_states(checker, np.random.default_rng(0)), SearchClock(checker.meter, timed=timed)
+    goals, clock = goal_states(checker, np.random.default_rng(0)), SearchClock(checker.meter, timed, time_s)
     return StageSearch(checker, goals, 0, time.monotonic(), time_s, clock, lambda _: None, threading.Event())
 
 
@@ -85,7 +85,7 @@ def test_no_planner_outlives_its_time(
     except NoAnswerError:
         return  # where the pair would snap
     problem = SearchProblem(checker, goals, seed=0)
-    clock, began = SearchClock(checker.meter, timed=timed), time.monotonic()
+    clock, began = SearchClock(checker.meter, timed, time_s), time.monotonic()
     late = list[float]()
 
     def stop(_: float) -> bool:
@@ -234,10 +234,19 @@ def test_counted_time_ends_by_the_clock_when_what_it_counts_takes_too_long(monke
     problem = SearchProblem(checker, goal_states(checker, np.random.default_rng(0)), seed=0)
     monkeypatch.setattr("ctrplan.base.long_work.LEAST_REAL_S", 0.2)
     monkeypatch.setattr(WorkMeter, "add", lambda *_: None)
-    clock, began = SearchClock(checker.meter, timed=False), time.monotonic()
+    clock, began = SearchClock(checker.meter, timed=False, budget_s=0.03), time.monotonic()
     problem.solve(lambda _: clock.is_past(0.03), only_first=False)
     assert 0.3 <= time.monotonic() - began < 0.3 + ONE_SOLVE_S
     assert clock.outlasted and clock.ran_out and clock.name == "time"
+
+
+def test_a_part_of_a_search_that_takes_long_by_the_clock_is_no_end() -> None:
+    """A certificate, of which little is counted, may take longer than the part of the search in whose midst it is."""
+    clock = SearchClock(WorkMeter(), timed=False, budget_s=20.0)
+    clock._really_began_s -= 2 * LEAST_REAL_S
+    assert not clock.is_late(0.4) and not clock.is_past(0.4) and not clock.ran_out
+    clock._really_began_s -= 10 * 20.0
+    assert clock.is_past(0.4) and clock.outlasted
 
 
 def test_a_watch_ends_what_it_watches_and_nothing_else() -> None:

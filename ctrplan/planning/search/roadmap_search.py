@@ -59,7 +59,9 @@ class RoadmapSearch:
         self.left: Array = np.empty(0)  # cost of the error left if the path ends with that motion; inf but at goals
         self.least: Array = np.empty(0)  # length and stops alone
         self.least_left: Array = np.empty(0)  # bound at the goal alone
-        self.hope: Array = np.empty(0)  # share of such motions that are valid; NaN before a look
+        self.room: Array = np.empty(0)  # [m] of states' zero-clearance shapes
+        self.hope: Array = np.empty(0)  # share of such motions that are valid, by the room at their ends before a look
+        self.seen: NDArray[np.bool_] = np.empty(0, dtype=bool)  # the zero-clearance shapes along them
         self.trust: Array = np.empty(0)  # beside the hope, while any path will do
         self.known: NDArray[np.bool_] = np.empty(0, dtype=bool)
         self.asked: NDArray[np.bool_] = np.empty(0, dtype=bool)  # where it is narrowest
@@ -74,6 +76,7 @@ class RoadmapSearch:
         weights, space = self.checker.scenario.cost, self.checker.space
         self.joints = np.concatenate([self.joints, joints])
         self.probed = np.concatenate([self.probed, np.zeros(len(joints), dtype=bool)])
+        self.room = np.concatenate([self.room, self.checker.rooms([q[None] for q in joints])])
         a, b = edges.T
         delta = space.difference(self.joints[a], self.joints[b])
         length = space.lengths_mm(delta)
@@ -86,7 +89,8 @@ class RoadmapSearch:
         self.least, self.least_left = np.concatenate([self.least, least]), np.concatenate([self.least_left, left])
         self.known = np.concatenate([self.known, np.zeros(len(edges), dtype=bool)])
         self.asked = np.concatenate([self.asked, np.zeros(len(edges), dtype=bool)])
-        self.hope = np.concatenate([self.hope, np.full(len(edges), np.nan)])
+        self.seen = np.concatenate([self.seen, np.zeros(len(edges), dtype=bool)])
+        self.hope = np.concatenate([self.hope, _valid_share(np.minimum(self.room[a], self.room[b]))])
         self.trust = np.concatenate([self.trust, np.ones(len(edges))])
 
     def grow(self, rng: np.random.Generator, count: int) -> None:
@@ -193,7 +197,7 @@ class RoadmapSearch:
             if nodes is None:
                 return None
             edges = self._motions(nodes)
-            unseen = [k for k in edges if np.isnan(self.hope[k]) and not self.known[k]]
+            unseen = [k for k in edges if not (self.seen[k] or self.known[k])]
             if unseen and self._finds_doubt(unseen):
                 continue
             if self._refuses_a_state(nodes):
@@ -280,9 +284,8 @@ class RoadmapSearch:
 
     def _effort(self, least_hope: float) -> tuple[Array, Array]:
         """What it takes to check motions: the length by the share of such motions that are valid; whatever is left."""
-        is_open = np.isfinite(self.cost) & (self.known | ~(self.hope < least_hope))
-        trust = np.nan_to_num(self.hope, nan=1.0) * self.trust
-        cost = np.where(self.known, SURE, 1 / trust) * self.length + 1e-6
+        is_open = np.isfinite(self.cost) & (self.known | ~self.seen | (self.hope >= least_hope))
+        cost = np.where(self.known, SURE, 1 / (self.hope * self.trust)) * self.length + 1e-6
         return np.where(is_open, cost, np.inf), np.where(np.isfinite(self.left), 0.0, np.inf)
 
     def _likely_cost(self, doubt: float) -> tuple[Array, Array]:
@@ -291,7 +294,7 @@ class RoadmapSearch:
         dearer = self.cost[valid].sum() / self.least[valid].sum() if valid.any() else 1.0
         worse = self.left[ends].sum() / self.least_left[ends].sum() if self.least_left[ends].any() else 1.0
         worse = max(worse, 1e-9)  # infinity stays, where nothing was left at those that are known
-        cost = self.cost * (dearer / np.nan_to_num(self.hope, nan=1.0)) ** doubt
+        cost = self.cost * (dearer / self.hope) ** doubt
         return np.where(self.known, self.cost, cost), np.where(self.known, self.left, self.left * worse**doubt)
 
     def _refuses_a_state(self, nodes: list[int]) -> bool:
@@ -306,10 +309,12 @@ class RoadmapSearch:
 
     def _finds_doubt(self, rows: list[int]) -> bool:
         """Looks at the zero-clearance shapes along motions; whether there is any new doubt about them."""
+        expected = self.hope[rows]
         rooms, jumps = self.checker.look([self._way(k) for k in rows])
-        self.hope[rows] = np.minimum(np.interp(rooms, VALID_AT_M, VALID_SHARE), np.where(jumps, VALID_JUMPS, 1.0))
+        self.hope[rows] = np.minimum(_valid_share(rooms), np.where(jumps, VALID_JUMPS, 1.0))
+        self.seen[rows] = True
         self.cost[np.array(rows, dtype=int)[rooms < DEFINITE_COLLISION_M]] = np.inf
-        return bool(np.any(self.hope[rows] < 1))
+        return bool(np.any(self.hope[rows] < expected))
 
     def _check(self, k: int) -> None:
         a, b = self.edges[k]
@@ -347,3 +352,8 @@ class RoadmapSearch:
         futures = [self._threads.submit(one) for one in work]
         wait(futures)  # all of them, also where one raises: nothing works on behind whoever asked
         return [future.result() for future in futures]
+
+
+def _valid_share(room_m: Array) -> Array:
+    """Share of motions that are valid, by the smallest room [m] around their zero-clearance shapes."""
+    return np.interp(room_m, VALID_AT_M, VALID_SHARE)
