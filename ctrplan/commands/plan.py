@@ -28,7 +28,6 @@ from ctrplan.storage.output_folder import output_folder
 if TYPE_CHECKING:
     from ctrplan.certificate.arrival import Arrival
     from ctrplan.certificate.certificate import Unit
-    from ctrplan.files.trajectory_file import TrajectoryFormat
     from ctrplan.plans.plan import Plan
     from ctrplan.reports.plan_words import TargetArrival
 
@@ -72,6 +71,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         metavar="FORMAT",
         help=f"formats of the trajectory (default: {' '.join(FORMATS)})",
     )
+    parser.add_argument("--no-report", action="store_true", help="plan.json and the trajectory alone, sooner")
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
     parser.add_argument("--no-field", action="store_true", help=argparse.SUPPRESS)  # has no meaning since 0.2
     add_allow_outside_option(parser)
@@ -92,7 +92,8 @@ def run(arguments: argparse.Namespace) -> int:
         scenario = load_scenario(arguments.scenario, arguments.overrides, allow_outside=arguments.allow_outside)
         formats = trajectory_formats(arguments.formats)
         is_file = str(arguments.output).lower().endswith(SUFFIX)
-        folder = Path(arguments.output) if is_file else output_folder(arguments.output, plan_outputs(formats))
+        outputs, report = plan_outputs(formats, report=not arguments.no_report), not arguments.no_report
+        folder = Path(arguments.output) if is_file else output_folder(arguments.output, outputs)
         warn(scenario.warnings)
         if interrupted.is_set():
             raise KeyboardInterrupt
@@ -105,10 +106,10 @@ def run(arguments: argparse.Namespace) -> int:
                 interrupted=interrupted,
                 compensated=not arguments.no_compensation,
             )
-        result.save(folder, arguments.formats)
+        result.save(folder, arguments.formats, report=report)
         warn(plan_range_notes(scenario.robot, result.waypoints))
-        print(_summary(folder, result, formats))
-        tell_next(f"ctrplan verify {folder}" + ("" if is_file else f"; open {folder}/report.html"))
+        print(_summary(folder, result, outputs))
+        tell_next(f"ctrplan verify {folder}" + (f"; open {folder}/report.html" if report and not is_file else ""))
         warn(f"{folder / name} is of an earlier plan." for name in left_over(folder, formats))
         if interrupted.is_set():
             return INTERRUPTED
@@ -147,6 +148,7 @@ class Command:
         if arguments.time is not None and not any(text.startswith("planner.time_s") for text in self.overrides):
             words += ["--time", f"{arguments.time:g}"]
         words += [] if self.is_compensated else ["--no-compensation"]
+        words += ["--no-report"] if arguments.no_report else []
         words += ["--allow-outside"] if self.allow_outside else []
         return shlex.join(words)
 
@@ -339,16 +341,14 @@ def _better_known(command: Command, motion: tuple[Any, Any, float, float], rest_
     return rest_m + known.by_cause.coefficients_m, known.error_rad, command
 
 
-def _summary(folder: Path, plan: Plan, formats: Sequence[TrajectoryFormat]) -> str:
-    from ctrplan.reports.plan_page import plan_outputs
-
+def _summary(folder: Path, plan: Plan, outputs: Sequence[str]) -> str:
     name, duration_s, stops = plan.scenario.name, plan.trajectory.duration_s, plan.certificate.stops
     legs, halts = _counted(len(plan.legs), "leg"), _counted(stops, "stop")
     lines = [f"{name}: {legs}, {plan.style}, the motion takes {duration_s:.1f} s with {halts}"]
     if plan.style == "simultaneous":
         lines.append("  note: no path of rotations before translations was found in time; joints move simultaneously")
     lines += [f"  {label:27} {text}" for label, text in (_targets(plan) | _figures(plan)).items()]
-    lines.append(f"  {'written to':27} {folder}/{', '.join(plan_outputs(formats))}")
+    lines.append(f"  {'written to':27} {folder}/{', '.join(outputs)}")
     return "\n".join(lines)
 
 

@@ -7,6 +7,7 @@ import os
 import types
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
@@ -20,7 +21,7 @@ from ctrplan.errors import InputError
 from ctrplan.files.plan_file import WrittenPlan, load_plan, played_samples
 from ctrplan.files.plan_inputs import changed_files, plan_json_of
 from ctrplan.plans.plan import Plan
-from ctrplan.plans.planned_motion import Compensation, Leg, ReorderReport, leg_kind
+from ctrplan.plans.planned_motion import ComparedWay, Compensation, Leg, ReorderReport, leg_kind
 from ctrplan.uncertainty.result import Uncertainty
 
 SAME = 1e-6  # of times [s] and joint values [rad, m] that were written with few digits
@@ -53,7 +54,7 @@ def open_plan(
                 legs=tuple(Leg(a, b, leg_kind(drive, a, b)) for a, b in pairwise(written.waypoints)),
                 certificate=_certificate(written),
                 trajectory=_trajectory(written, place / "trajectory.csv"),
-                reorder=_made(ReorderReport, content["reorder"]),
+                reorder=_reorder(content["reorder"]),
                 clock_s=content["clock_s"],
                 clock_s_by=content.get("clock_s_by", {}),
                 work_s=content["work_s"],
@@ -82,6 +83,13 @@ def _certificate(written: WrittenPlan) -> Certificate:
         turns = first_turn / settling["amplitude_rad"]
         object.__setattr__(certificate, "settling", _made(Settling, {**settling, "turns": turns.tolist()}))
     return certificate
+
+
+def _reorder(content: Mapping[str, Any]) -> ReorderReport:
+    ways = tuple(_made(ComparedWay, way) for way in content["alternatives"])
+    report = _made(ReorderReport, {**content, "compare": partial(tuple, ways)})
+    assert report.alternatives == ways  # looked at, as when they were written
+    return report
 
 
 def _compensation(written: WrittenPlan) -> Compensation | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -356,7 +357,7 @@ def assemble(
 
 
 def _compared(scenario: Scenario, stage: Reordered, driven: Array, certificate: Certificate) -> dict[str, Any]:
-    """What was reordered on the way to the goal, and what other ways would leave there; nothing for a line.
+    """What was reordered on the way to the goal, and how to compare it with other ways; nothing for a line.
 
     driven (K, m): what settling and compensation made of the reordered way. Of that the certificate says whether it is
     valid, not the search, which keeps more room.
@@ -364,27 +365,28 @@ def _compared(scenario: Scenario, stage: Reordered, driven: Array, certificate: 
     if stage.on_line:
         return {}
     checker = MotionChecker(scenario.stage_from(stage.after[0]))
-    ways = {
-        "as given": stage.before,
-        "as driven": driven,
-        "straight line": straight_line(driven),
-        "translations first": translations_first(checker, driven),
-    }
     return {
         "changes": changes(checker, stage.before, stage.after),
-        "alternatives": tuple(
-            ComparedWay(
-                "as driven",
-                certificate.goal_predicted_m,
-                float(checker.space.lengths_mm(np.diff(driven, axis=0)).sum()),
-                next(iter(certificate.problems), ""),
-                _by_terms(scenario, checker.terms_mm(driven)),
-            )
-            if name == "as driven"
-            else alternative(checker, name, way)
-            for name, way in ways.items()
-        ),
+        "compare": partial(_other_ways, checker.scenario, stage.before, driven, certificate),
     }
+
+
+def _other_ways(scenario: Scenario, before: Array, driven: Array, certificate: Certificate) -> tuple[ComparedWay, ...]:
+    """What a way as it was given (K, m), as it is driven (L, m), and in other orders would leave at the goal."""
+    checker = MotionChecker(scenario)
+    as_driven = ComparedWay(
+        "as driven",
+        certificate.goal_predicted_m,
+        float(checker.space.lengths_mm(np.diff(driven, axis=0)).sum()),
+        next(iter(certificate.problems), ""),
+        _by_terms(scenario, checker.terms_mm(driven)),
+    )
+    return (
+        alternative(checker, "as given", before),
+        as_driven,
+        alternative(checker, "straight line", straight_line(driven)),
+        alternative(checker, "translations first", translations_first(checker, driven)),
+    )
 
 
 def _remarks(certificate: Certificate) -> tuple[str, ...]:

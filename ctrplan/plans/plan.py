@@ -27,7 +27,7 @@ from ctrplan.storage.output_folder import write_atomically
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from ctrplan.plans.planned_motion import Leg
+    from ctrplan.plans.planned_motion import Leg, ReorderReport
     from ctrplan.robot.robot import Robot
     from ctrplan.scenario.scenario import Goal, Scenario
 
@@ -68,7 +68,7 @@ def plan_to_json(plan: PlannedMotion) -> dict[str, Any]:
         "settling": _settling(plan),
         "uncertainty": None if plan.uncertainty is None else plan.uncertainty.to_json(),
         "compensation": _compensation(plan),
-        "reorder": asdict(plan.reorder),
+        "reorder": _reorder(plan.reorder),
         "trajectory": _trajectory(plan),
         "notes": plan.notes,
         "warnings": scenario.warnings,
@@ -124,6 +124,12 @@ def _certificate(plan: PlannedMotion) -> dict[str, Any]:
     targets = [asdict(target) for target in certificate.targets]
     arrival = certificate.arrival and asdict(certificate.arrival)
     return {**summary, **places, "arrival": arrival, "targets": targets, "samples": columns}
+
+
+def _reorder(report: ReorderReport) -> dict[str, Any]:
+    """The figures, and the alternatives where they were looked at, as a report page does."""
+    figures = {entry.name: getattr(report, entry.name) for entry in fields(report) if entry.name != "compare"}
+    return {**figures, "alternatives": [asdict(way) for way in report.known_alternatives]}
 
 
 def _place(plan: PlannedMotion, place: Closest | None) -> dict[str, Any] | None:
@@ -223,14 +229,17 @@ class Plan(PlannedMotion):
         """When [s] the trajectory passes a place of the certificate: `plan.time_of(plan.certificate.closest)`."""
         return place_time_s(self, place)
 
-    def save(self, folder: str | os.PathLike[str], formats: Sequence[str] = ("csv", "ros2")) -> Path:
+    def save(
+        self, folder: str | os.PathLike[str], formats: Sequence[str] = ("csv", "ros2"), *, report: bool = True
+    ) -> Path:
         """Writes what `ctrplan plan` writes: plan.json, the trajectory in these formats, report.html and plan.png.
 
-        All of them or none; the folder is made if need be, and returned. Raises CtrplanError where the system refuses.
+        All of them or none; the folder is made if need be, and returned. Without `report` there is neither page nor
+        picture. Raises CtrplanError where the system refuses.
         """
         import ctrplan  # save_plan is of a package above, and stands in the public names
 
-        return ctrplan.save_plan(self, folder, formats)
+        return ctrplan.save_plan(self, folder, formats, report=report)
 
     @classmethod
     def load(

@@ -4,8 +4,9 @@ place.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Literal, Protocol
 
 import numpy as np
@@ -74,9 +75,19 @@ class ReorderReport:
     stops_before: int
     stops_after: int
     changes: tuple[str, ...] = ()  # sentences: what was reordered on the way to the goal
-    alternatives: tuple[ComparedWay, ...] = ()  # other ways to it from the target before, or the start
+    compare: Callable[[], tuple[ComparedWay, ...]] = tuple  # simulates the alternatives
     terms_before_mm: Mapping[str, float] = field(default_factory=dict)  # what terms of the user's own cost, by name
     terms_after_mm: Mapping[str, float] = field(default_factory=dict)
+
+    @cached_property
+    def alternatives(self) -> tuple[ComparedWay, ...]:
+        """Other ways to the goal from the target before, or the start; simulated when they are first looked at."""
+        return self.compare()
+
+    @property
+    def known_alternatives(self) -> tuple[ComparedWay, ...]:
+        """The alternatives if they were looked at, else none: what a file has of them."""
+        return self.alternatives if "alternatives" in vars(self) else ()
 
 
 @shown

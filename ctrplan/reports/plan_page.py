@@ -177,25 +177,35 @@ def _counted(count: int, thing: str) -> str:
 FORMATS = ("csv", "ros2")  # of the trajectory, where nothing else is asked for
 
 
-def plan_outputs(formats: Sequence[TrajectoryFormat]) -> list[str]:
+PICTURES = ("report.html", "plan.png")
+
+
+def plan_outputs(formats: Sequence[TrajectoryFormat], *, report: bool = True) -> list[str]:
     """The names of the files."""
-    return ["plan.json", *(chosen.file_name for chosen in formats), "report.html", "plan.png"]
+    return ["plan.json", *(chosen.file_name for chosen in formats), *(PICTURES if report else ())]
 
 
-def save_plan(plan: Plan, folder: str | os.PathLike[str], formats: Sequence[str] = FORMATS) -> Path:
+def save_plan(
+    plan: Plan, folder: str | os.PathLike[str], formats: Sequence[str] = FORMATS, *, report: bool = True
+) -> Path:
     """Writes them as `ctrplan plan` does; returns the folder, which is made if need be. Raises CtrplanError.
 
     Scenario, robot and meshes are in inputs.zip, so that the folder opens from anywhere. A name that ends in .ctrplan
-    is that of the folder as one file.
+    is that of the folder as one file. Without its `report` a plan is for programs: no page, no picture, and no
+    comparison with other ways to the goal, which the page shows; a page of an earlier plan is removed.
     """
     if os.fspath(folder).lower().endswith(SUFFIX):
         with tempfile.TemporaryDirectory() as within:
-            write_as_one(save_plan(plan, within, formats), Path(folder))
+            write_as_one(save_plan(plan, within, formats, report=report), Path(folder))
         return Path(folder)
     chosen = trajectory_formats(formats)
-    outputs = plan_outputs(chosen)
+    outputs = plan_outputs(chosen, report=report)
     place = output_folder(os.fspath(folder), outputs)
-    scene, inputs = plan_scene(plan), inputs_of(plan.scenario)  # writers solve nothing
+    scene, inputs = plan_scene(plan) if report else None, inputs_of(plan.scenario)  # writers solve nothing
+    if scene is not None:
+        _ = plan.reorder.alternatives  # simulated now: plan.json has them, too
+    for name in PICTURES if scene is None else ():
+        (place / name).unlink(missing_ok=True)  # of an earlier plan
     if inputs is None:
         (place / INPUTS).unlink(missing_ok=True)  # of an earlier plan
     with written_together(place, [*outputs, *([] if inputs is None else [INPUTS])]) as made:
@@ -203,6 +213,7 @@ def save_plan(plan: Plan, folder: str | os.PathLike[str], formats: Sequence[str]
             write_atomically(made / INPUTS, inputs)
         write_plan_json(made / "plan.json", plan)
         write_trajectory(made, marked_trajectory(plan), chosen)
-        write_plan_png(made / "plan.png", scene)
-        write_plan_report(made / "report.html", scene)
+        if scene is not None:
+            write_plan_png(made / "plan.png", scene)
+            write_plan_report(made / "report.html", scene)
     return place

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -60,3 +61,17 @@ def test_what_is_no_plan_is_refused(written: tuple[ctrplan.Plan, Path], tmp_path
     (tmp_path / "trajectory.csv").write_text("".join([*rows[:1], *rows[1::2], rows[-1]]), encoding="utf-8")
     with pytest.raises(InputError, match="trajectory.csv"):
         ctrplan.Plan.load(tmp_path, overrides=QUICK)
+
+
+def test_other_ways_are_simulated_for_those_who_look(written: tuple[ctrplan.Plan, Path], tmp_path: Path) -> None:
+    """A plan saved without its report compares nothing, and takes the page of an earlier plan away."""
+    plan, _ = written
+    ctrplan.save_plan(plan, tmp_path)
+    assert (tmp_path / "report.html").exists() and (tmp_path / "plan.png").exists()
+    ways = ctrplan.Plan.load(tmp_path, overrides=QUICK).reorder.alternatives
+    assert [way.name for way in ways] == ["as given", "as driven", "straight line", "translations first"]
+
+    other = replace(plan, reorder=replace(plan.reorder, compare=lambda: pytest.fail("nobody looked at other ways")))
+    ctrplan.save_plan(other, tmp_path, report=False)
+    assert not (tmp_path / "report.html").exists() and not (tmp_path / "plan.png").exists()
+    assert ctrplan.Plan.load(tmp_path, overrides=QUICK).reorder.alternatives == ()

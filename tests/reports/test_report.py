@@ -195,7 +195,7 @@ def test_other_ways_stand_beside_the_scene(scene: PlanScene) -> None:
         ComparedWay("translations first", 3.4e-3, 64.0, "too close"),
         ComparedWay("as given", math.inf, 64.0, "no history leads there"),
     )
-    plan = replace(scene.plan, reorder=replace(scene.plan.reorder, alternatives=ways))
+    plan = replace(scene.plan, reorder=replace(scene.plan.reorder, compare=lambda: ways))
     text = Page(plan_report_html(replace(scene, plan=plan))).text
     assert text.index("this plan") < text.index("all joints at once") and "3.40 mm, not valid" in text
     assert "no way, not valid" in text and "that is not compared" in text
