@@ -258,9 +258,9 @@ def _corrected_ways(
             yield _Corrected(whole + share * (moved - whole), share * (moved[-1] - whole[-1]), share == 1)
         return
     legs = certificate.settling.first_leg if certificate.settling else len(corners) - 1
-    places = [_Place(corners, legs), _Place(corners, legs, slides_alone=True)]
+    places = [_CorrectedEnd(corners, legs), _CorrectedEnd(corners, legs, slides_alone=True)]
     if not certificate.settling:  # nothing comes after an oscillation
-        places.insert(1, _Place(corners, legs, of_its_own=True))
+        places.insert(1, _CorrectedEnd(corners, legs, of_its_own=True))
     scenario, deltas = checker.scenario, list[Array]()
     is_interval, is_rotation = bool(friction_variants(scenario.robot)), checker.space.drive.is_rotation
     for place in places:
@@ -277,7 +277,7 @@ def _corrected_ways(
 
 
 @dataclass(frozen=True, eq=False)
-class _Place:
+class _CorrectedEnd:
     """Where on a path its end is corrected."""
 
     corners: Array  # (K, m)
@@ -309,7 +309,7 @@ def _aim(scenario: Scenario, certificate: Certificate) -> Array:
 
 def _correction(
     checker: MotionChecker,
-    place: _Place,
+    place: _CorrectedEnd,
     aim: Array,
     starts: Sequence[FrictionStart],
     delta: Array,

@@ -24,6 +24,7 @@ GOLDEN = {
     "10_least_bound_slsqp.py": (r"mm before, ([\d.]+) mm after", 0.98, 0.02),
     "11_follow_qp.py": (r"least clearance ([\d.]+) mm", 1.45, 0.02),
     "12_tip_tracker.py": (r"^largest distance left: ([\d.]+) mm", 0.05, 0.05),  # the tolerance is 0.1 mm
+    "13_own_rrt_connect.py": (r"certified: True, cost ([\d.]+) mm", 210.0, 1.0),
     "05_sweep_with_executor.py": (r"^largest bound: ([\d.]+) mm", 26.18, 0.1),
 }
 
