@@ -67,6 +67,7 @@ if TYPE_CHECKING:
     from ctrplan.reports.object_figures import show as show
     from ctrplan.reports.plan_page import save_plan as save_plan
     from ctrplan.robot.robot import Robot
+    from ctrplan.scenario.joint_space import l_shaped as l_shaped
     from ctrplan.scenario.scenario import Cost as Cost
     from ctrplan.scenario.scenario import CostTerm as CostTerm
     from ctrplan.scenario.scenario import Goal as Goal
@@ -138,6 +139,7 @@ _HOMES = {
     "plan": "planning.planner",
     "certify": "planning.given_path",
     "reorder": "planning.given_path",
+    "l_shaped": "scenario.joint_space",
     "InverseKinematics": "planning.inverse_kinematics",
     "inverse_kinematics": "planning.inverse_kinematics",
     "TipTracker": "planning.inverse_kinematics",
@@ -217,6 +219,7 @@ __all__ = [
     "check",
     "diagnose",
     "inverse_kinematics",
+    "l_shaped",
     "load_measurements",
     "load_plan",
     "load_robot",

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 import ctrplan
-from ctrplan.planning import MotionChecker, l_shaped
+from ctrplan import MotionChecker, l_shaped
 
 scenario = ctrplan.load_scenario(Path(__file__).resolve().parents[1] / "scenarios" / "ribs.toml")
 checker, rng = MotionChecker(scenario), np.random.default_rng(0)
