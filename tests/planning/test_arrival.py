@@ -337,7 +337,9 @@ def test_a_line_to_type_is_what_its_number_was_computed_from(tmp_path: Path, mon
     better = command.with_keys("goal.tolerance_mm=0.07", "planner.time_s=0.1")
     assert sum(text.startswith("planner.time_s") for text in better.overrides) == 1
     error_m, _, same = _replanned(better)
-    given = argparse.Namespace(output=tmp_path / "a b", time=5.0)  # the search is counted: its time is a key
+    given = argparse.Namespace(
+        output=tmp_path / "a b", time=5.0, no_report=False
+    )  # the search is counted: its time is a key
     assert same is better and main([*shlex.split(better.line(given))[1:], "--quiet"]) == 3
     content = json.loads((tmp_path / "a b" / "plan.json").read_text())
     assert content["certificate"]["arrival"]["error_m"] == pytest.approx(error_m, rel=1e-9)
