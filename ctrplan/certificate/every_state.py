@@ -7,8 +7,10 @@ Every few samples are solved in states of the cube, those between them are inter
 from __future__ import annotations
 
 import itertools
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Generator, Hashable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass, field, replace
 from threading import Lock
 from typing import TYPE_CHECKING
@@ -47,6 +49,24 @@ ACCURACIES: tuple[Accuracy, ...] = ("search", "certificate")  # of friction stat
 CLOSE_TUBES = 4  # of five tubes, cells halved twice have 881 corners and middles
 
 
+Known = dict[Hashable, dict[int, tuple[float, StateMinima]]]  # by piece and sample: clearance asked for, and minima
+_KNOWN: ContextVar[Known | None] = ContextVar("known minima", default=None)
+
+
+@contextmanager
+def remembered_states() -> Iterator[None]:
+    """Within, in this context, what samples of a piece keep is not computed again for another path with that piece.
+
+    For all paths of one plan: of the same robot, anatomy and margins. A path that is walked to judge a certificate
+    knows nothing of the paths before.
+    """
+    token = _KNOWN.set({})
+    try:
+        yield
+    finally:
+        _KNOWN.reset(token)
+
+
 def in_every_friction_state(scenario: Scenario, pieces: Sequence[Piece], spare_m: float) -> list[Piece]:
     """The pieces with clearance, stability and strain of every friction state.
 
@@ -61,16 +81,24 @@ def in_every_friction_state(scenario: Scenario, pieces: Sequence[Piece], spare_m
     enough = max(limits.clearance_m, min(solved - TIGHT_M, limits.clearance_m + spare_m))
     limited = Needed(limits.clearance_m, limits.stability, limits.max_strain)
     needed = replace(limited, clearance_m=enough)
-    looks = [_PieceView(scenario, piece, needed, limits.clearance_m, distance) for piece in pieces]
+    looks, known = [_PieceView(scenario, piece, needed, limits.clearance_m, distance) for piece in pieces], _KNOWN.get()
+    for look in looks:
+        look.recall(known)
     with ThreadPoolExecutor(cores()) as pool:
         places = _narrowest(pieces)
         first = list(pool.map(lambda place: looks[place[0]].least([place[1]])[0], places))
         if any(not one.keeps(limited) for one in first):  # no other sample makes the path valid again
+            for look in looks:
+                look.remember(known)
             return [look.ended(_with(look.piece, *_of_piece(k, places, first))) for k, look in enumerate(looks)]
         enough = max(limits.clearance_m, min([enough, *(one.clearance_m for one in first)]))
         for look in looks:
             look.needed = replace(needed, clearance_m=enough)
-        return _every_sample(pool, looks, limited)
+            look.recall(known)
+        result = _every_sample(pool, looks, limited)
+    for look in looks:
+        look.remember(known)
+    return result
 
 
 def _narrowest(pieces: Sequence[Piece]) -> list[tuple[int, int]]:
@@ -133,8 +161,35 @@ class _PieceView:
     distance: AnatomyDistance | None
     _states: dict[tuple[int, Accuracy], SampleStates] = field(default_factory=dict)
     _found: dict[int, StateMinima] = field(default_factory=dict)
+    _asked_m: dict[int, float] = field(default_factory=dict)  # clearance that was needed when it was computed
     _broken: float = np.inf  # last sample of the first batch of which one breaks a limit
     _lock: Lock = field(default_factory=Lock)
+
+    @property
+    def _key(self) -> Hashable:
+        """Whose samples are alike; of the same variants, as pieces that are not walked again."""
+        piece = self.piece
+        return (
+            id(self.scenario.robot),
+            piece.joints.tobytes(),
+            piece.way.tobytes(),
+            piece.accuracy,
+            piece.variants.large,
+        )
+
+    def recall(self, known: Known | None) -> None:
+        """Takes over what is known of samples: that they keep what is needed, or how little there is where no less was
+        asked for.
+        """
+        for sample, (asked_m, least) in (known or {}).get(self._key, {}).items():
+            if sample not in self._found and (least.keeps(self.needed) or asked_m >= self.needed.clearance_m):
+                self._found[sample], self._asked_m[sample] = least, asked_m
+
+    def remember(self, known: Known | None) -> None:
+        """Keeps what was found, unless a limit was broken: then it depends on when threads came to it."""
+        if known is not None and np.isinf(self._broken):
+            rows = {sample: (self._asked_m[sample], least) for sample, least in self._found.items()}
+            known[self._key] = known.get(self._key, {}) | rows
 
     @property
     def effort(self) -> int:
@@ -180,7 +235,7 @@ class _PieceView:
         tries = {sample: self._tries(sample) for sample in samples if sample not in self._found}
         while going := {sample: asked for sample, one in tries.items() if (asked := next(one, None))}:
             for sample, result in zip(going, self._least(going), strict=True):
-                self._found[sample] = result
+                self._found[sample], self._asked_m[sample] = result, self.needed.clearance_m
                 if result.keeps(self.needed):
                     tries[sample].close()
         for sample in samples:

@@ -18,7 +18,7 @@ from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.motion.checker import MotionChecker
 from ctrplan.planning import compensate as compensation
-from ctrplan.planning.compensate import _Place, compensate
+from ctrplan.planning.compensate import _CorrectedEnd, compensate
 from ctrplan.scenario.joint_space import bare_scenario
 from ctrplan.scenario.prediction import TIP_TOLERANCE_M, predict
 from ctrplan.storage.toml_document import read_document
@@ -26,7 +26,7 @@ from ctrplan.storage.toml_document import read_document
 
 def test_corrections_change_the_last_legs_or_add_two() -> None:
     turns, delta = np.array([True, True, False]), np.array([0.1, -0.2, 0.001])
-    within, added = _Place(PATH, 2), _Place(PATH, 2, of_its_own=True)
+    within, added = _CorrectedEnd(PATH, 2), _CorrectedEnd(PATH, 2, of_its_own=True)
     np.testing.assert_allclose(within.path(turns, delta)[-1], GOAL + delta)
     assert len(within.path(turns, delta)) == len(PATH) and within.unchanged(turns) == 0
     longer = added.path(turns, delta)

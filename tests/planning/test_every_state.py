@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 import pytest
@@ -11,13 +11,14 @@ from places import SCENARIOS
 
 from ctrplan.base.arrays import Array
 from ctrplan.certificate import every_state
-from ctrplan.certificate.every_state import _PieceView, in_every_friction_state
+from ctrplan.certificate.every_state import _PieceView, in_every_friction_state, remembered_states
 from ctrplan.certificate.friction_cube import Needed, StateMinima
-from ctrplan.certificate.friction_states import LOOK_EVERY
+from ctrplan.certificate.friction_states import LOOK_EVERY, State
 from ctrplan.certificate.problems import problems_of_walk
 from ctrplan.certificate.sample_states import SampleStates
 from ctrplan.certificate.walked_piece import Piece, walk_pieces
 from ctrplan.files.scenario_file import load_scenario
+from ctrplan.mechanics.shapes import FrictionBodies
 from ctrplan.motion.checker import path_limits
 from ctrplan.scenario.joint_space import JointSpace
 from ctrplan.scenario.scenario import Scenario
@@ -89,3 +90,38 @@ def test_batches_hold_every_sample_once_and_begin_where_states_are_solved() -> N
         batches = _PieceView(scenario, pieces[0], needed, limits.clearance_m, None).batches()
         assert [sample for batch in batches for sample in batch] == list(range(len(pieces[0].clearance_m)))
         assert all(batch[0] % LOOK_EVERY == 0 for batch in batches)
+
+
+def test_pieces_of_a_path_before_are_not_solved_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same figures with less work, also where more clearance is asked for; and nothing is known outside."""
+    scenario, pieces = _pieces([0.0, 0.3, 0.1])
+    solve, solved = SampleStates.solve, list[int]()
+
+    def counted(self: SampleStates, states: Iterable[State]) -> FrictionBodies:
+        solved.append(1)
+        return solve(self, states)
+
+    monkeypatch.setattr(SampleStates, "solve", counted)
+
+    def looked(spare_m: float) -> tuple[list[Piece], int]:
+        solved.clear()
+        return in_every_friction_state(scenario, pieces, spare_m), len(solved)
+
+    fresh, effort = looked(0.2e-3)
+    wide, wide_effort = looked(np.inf)
+    with remembered_states():
+        first, first_effort = looked(0.2e-3)
+        again, again_effort = looked(0.2e-3)
+        wider, wider_effort = looked(np.inf)
+        last, last_effort = looked(0.2e-3)
+    outside, outside_effort = looked(0.2e-3)
+    assert (
+        first_effort == effort == outside_effort > 0 and again_effort == last_effort == 0 < wider_effort <= wide_effort
+    )
+    for same in (first, again, outside):
+        for ours, piece in zip(same, fresh, strict=True):
+            assert np.array_equal(ours.clearance_m, piece.clearance_m)
+            assert np.array_equal(ours.stability, piece.stability)
+    least = min(float(piece.clearance_m.min()) for piece in wide)
+    assert min(float(piece.clearance_m.min()) for piece in wider) == pytest.approx(least, abs=1e-9)
+    assert min(float(piece.clearance_m.min()) for piece in last) >= min(float(p.clearance_m.min()) for p in fresh)
