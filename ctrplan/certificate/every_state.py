@@ -7,10 +7,8 @@ Every few samples are solved in states of the cube, those between them are inter
 from __future__ import annotations
 
 import itertools
-from collections.abc import Generator, Hashable, Iterator, Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
-from contextlib import contextmanager
-from contextvars import ContextVar
 from dataclasses import dataclass, field, replace
 from threading import Lock
 from typing import TYPE_CHECKING
@@ -29,7 +27,7 @@ from ctrplan.certificate.friction_cube import (
     minima_of_cubes,
 )
 from ctrplan.certificate.friction_states import LOOK_EVERY, TIGHT_M, Solved, State
-from ctrplan.certificate.narrow_samples import NARROWEST
+from ctrplan.certificate.narrow_samples import NARROWEST, CloserLooks, closer_looks, key_of
 from ctrplan.certificate.sample_states import SampleStates, StatesBetween
 from ctrplan.certificate.walked_piece import Piece, narrowest_of
 from ctrplan.motion.checker import path_limits
@@ -49,24 +47,6 @@ ACCURACIES: tuple[Accuracy, ...] = ("search", "certificate")  # of friction stat
 CLOSE_TUBES = 4  # of five tubes, cells halved twice have 881 corners and middles
 
 
-Known = dict[Hashable, dict[int, tuple[float, StateMinima]]]  # by piece and sample: clearance asked for, and minima
-_KNOWN: ContextVar[Known | None] = ContextVar("known minima", default=None)
-
-
-@contextmanager
-def remembered_states() -> Iterator[None]:
-    """Within, in this context, what samples of a piece keep is not computed again for another path with that piece.
-
-    For all paths of one plan: of the same robot, anatomy and margins. A path that is walked to judge a certificate
-    knows nothing of the paths before.
-    """
-    token = _KNOWN.set({})
-    try:
-        yield
-    finally:
-        _KNOWN.reset(token)
-
-
 def in_every_friction_state(scenario: Scenario, pieces: Sequence[Piece], spare_m: float) -> list[Piece]:
     """The pieces with clearance, stability and strain of every friction state.
 
@@ -81,7 +61,10 @@ def in_every_friction_state(scenario: Scenario, pieces: Sequence[Piece], spare_m
     enough = max(limits.clearance_m, min(solved - TIGHT_M, limits.clearance_m + spare_m))
     limited = Needed(limits.clearance_m, limits.stability, limits.max_strain)
     needed = replace(limited, clearance_m=enough)
-    looks, known = [_PieceView(scenario, piece, needed, limits.clearance_m, distance) for piece in pieces], _KNOWN.get()
+    looks, known = (
+        [_PieceView(scenario, piece, needed, limits.clearance_m, distance) for piece in pieces],
+        closer_looks(),
+    )
     for look in looks:
         look.recall(known)
     with ThreadPoolExecutor(cores()) as pool:
@@ -165,31 +148,19 @@ class _PieceView:
     _broken: float = np.inf  # last sample of the first batch of which one breaks a limit
     _lock: Lock = field(default_factory=Lock)
 
-    @property
-    def _key(self) -> Hashable:
-        """Whose samples are alike; of the same variants, as pieces that are not walked again."""
-        piece = self.piece
-        return (
-            id(self.scenario.robot),
-            piece.joints.tobytes(),
-            piece.way.tobytes(),
-            piece.accuracy,
-            piece.variants.large,
-        )
-
-    def recall(self, known: Known | None) -> None:
+    def recall(self, known: CloserLooks | None) -> None:
         """Takes over what is known of samples: that they keep what is needed, or how little there is where no less was
         asked for.
         """
-        for sample, (asked_m, least) in (known or {}).get(self._key, {}).items():
+        for sample, (asked_m, least) in (known.minima.get(key_of(self.piece), {}) if known else {}).items():
             if sample not in self._found and (least.keeps(self.needed) or asked_m >= self.needed.clearance_m):
                 self._found[sample], self._asked_m[sample] = least, asked_m
 
-    def remember(self, known: Known | None) -> None:
+    def remember(self, known: CloserLooks | None) -> None:
         """Keeps what was found, unless a limit was broken: then it depends on when threads came to it."""
         if known is not None and np.isinf(self._broken):
             rows = {sample: (self._asked_m[sample], least) for sample, least in self._found.items()}
-            known[self._key] = known.get(self._key, {}) | rows
+            known.minima.setdefault(key_of(self.piece), {}).update(rows)
 
     @property
     def effort(self) -> int:

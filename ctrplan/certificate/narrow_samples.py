@@ -6,9 +6,11 @@ other are walked to as pieces are, the first of them from scratch.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Hashable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass, field, replace
 from itertools import groupby
 from typing import TYPE_CHECKING
 
@@ -33,6 +35,7 @@ from ctrplan.motion.checker import path_limits
 from ctrplan.uncertainty.body_clearance import GRADIENT_STEP_M
 
 if TYPE_CHECKING:
+    from ctrplan.certificate.friction_cube import StateMinima
     from ctrplan.robot.robot import Robot
     from ctrplan.scenario.scenario import Scenario
 
@@ -41,6 +44,43 @@ LONGEST = 12  # samples that one thread walks to
 ONLY_THESE = PathDensity(near_m=20e-3, point_spacing_m=POINT_SPACING_M)  # samples; more only where shapes leap
 
 Run = tuple[int, list[int]]  # piece, samples one after the other
+Closely = list[tuple[float, CornerShapes | None]]  # clearance and shapes of samples
+
+
+@dataclass
+class CloserLooks:
+    """What closer looks at pieces found, by `key_of`, for the paths of one plan that share them."""
+
+    closely: dict[Hashable, Closely] = field(default_factory=dict)  # by the samples, too
+    minima: dict[Hashable, dict[int, tuple[float, StateMinima]]] = field(default_factory=dict)  # clearance asked for
+
+
+_LOOKS: ContextVar[CloserLooks | None] = ContextVar("closer looks", default=None)
+
+
+@contextmanager
+def remembered_looks() -> Iterator[None]:
+    """Within, in this context, pieces that were looked at closely for one path are not looked at again for another.
+
+    For all paths of one plan: of the same robot, anatomy and margins. A path that is walked to judge a certificate
+    knows nothing of the paths before.
+    """
+    token = _LOOKS.set(CloserLooks())
+    try:
+        yield
+    finally:
+        _LOOKS.reset(token)
+
+
+def closer_looks() -> CloserLooks | None:
+    """What is remembered in this context; None where nothing is."""
+    return _LOOKS.get()
+
+
+def key_of(piece: Piece) -> Hashable:
+    """Alike for pieces with the same samples; of the same variants, as pieces that are not walked again."""
+    ways = piece.joints.tobytes(), piece.way.tobytes()
+    return id(piece.scenario.robot), *ways, piece.accuracy, piece.variants.large
 
 
 def closely_solved(scenario: Scenario, pieces: Sequence[Piece], spare_m: float) -> list[Piece]:
@@ -57,10 +97,20 @@ def closely_solved(scenario: Scenario, pieces: Sequence[Piece], spare_m: float) 
     rows = sorted((float(c), p, k) for p, piece in enumerate(pieces) for k, c in enumerate(piece.clearance_m))
     narrow = [row for row in rows if pieces[row[1]].accuracy == "search"]
     ceiling = limits.clearance_m + spare_m  # of the least clearance that is asked for
+    known = closer_looks()
+
+    def solve(run: Run) -> Closely:
+        piece, key = pieces[run[0]], (key_of(pieces[run[0]]), tuple(run[1]))
+        if known is None:
+            return _on_certificate_mesh(scenario, distance, piece, run[1])
+        if key not in known.closely:
+            known.closely[key] = _on_certificate_mesh(scenario, distance, piece, run[1])
+        return known.closely[key]
+
     with ThreadPoolExecutor(cores()) as pool:
         for some in (narrow[:NARROWEST], narrow[NARROWEST:]):
             runs = _runs([(p, k) for value, p, k in some if value < ceiling])
-            solved = pool.map(lambda run: _on_certificate_mesh(scenario, distance, pieces[run[0]], run[1]), runs)
+            solved = pool.map(solve, runs)
             for (p, samples), result in zip(runs, solved, strict=True):
                 for k, (clearance, shapes) in zip(samples, result, strict=True):
                     closer[p][k] = max(closer[p][k], clearance)
@@ -82,7 +132,7 @@ def _runs(places: Sequence[tuple[int, int]]) -> list[Run]:
 
 def _on_certificate_mesh(
     scenario: Scenario, distance: AnatomyDistance, piece: Piece, samples: Sequence[int]
-) -> list[tuple[float, CornerShapes | None]]:
+) -> Closely:
     """Clearance of each sample's solved shapes, all allowances taken off, and these; -inf on another branch."""
     joints, variants = piece.joints[samples], piece.variants
     walks = [_these(scenario.robot, piece.theta_b[samples], piece.l_b[samples])]
@@ -91,7 +141,7 @@ def _on_certificate_mesh(
         walks += [_these(variants.robot(point), *variants.collars(point, joints)) for point in points]
     places = [_rows_by_sample(walk) for walk in walks]
     offset, nothing = piece.offset_m(scenario, "certificate"), (-np.inf, None)
-    solved: list[tuple[float, CornerShapes | None]] = [nothing] * len(samples)
+    solved: Closely = [nothing] * len(samples)
     for at, sample in enumerate(samples):
         if not all(at in rows for rows in places):
             continue

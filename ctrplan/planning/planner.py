@@ -20,8 +20,8 @@ from ctrplan.base.long_work import Progress as FractionReport
 from ctrplan.certificate.certificate import Certificate, joined_certificates
 from ctrplan.certificate.certify import GoalTest, certify, frictionless_arrives, with_restart
 from ctrplan.certificate.closest import failure_with_place
-from ctrplan.certificate.every_state import remembered_states
 from ctrplan.certificate.friction_cube import refuse_many_tubes
+from ctrplan.certificate.narrow_samples import remembered_looks
 from ctrplan.certificate.other_equilibria import other_start
 from ctrplan.certificate.problems import with_shares
 from ctrplan.certificate.uneven_friction import NEAR_LIMIT_M
@@ -101,7 +101,7 @@ def plan(
         raise NoAnswerError(f"{scenario.path or scenario.name}: start: the start state is not valid: {reason}.")
     friction_law(scenario.robot)  # calibrated before the search's time begins, if it is not known yet
     laps.end("preparation")
-    with interrupt_event(interrupted) as interrupted, ThreadPoolExecutor(1) as beside, remembered_states():
+    with interrupt_event(interrupted) as interrupted, ThreadPoolExecutor(1) as beside, remembered_looks():
         approaches = cache(partial(beside.submit, other_start, scenario, scenario.start))
         asked = _PlanRequest(
             seed, began, budget, budget, time_s is not None, report, interrupted, approaches, compensated

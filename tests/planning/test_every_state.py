@@ -10,10 +10,11 @@ import pytest
 from places import SCENARIOS
 
 from ctrplan.base.arrays import Array
-from ctrplan.certificate import every_state
-from ctrplan.certificate.every_state import _PieceView, in_every_friction_state, remembered_states
+from ctrplan.certificate import every_state, narrow_samples
+from ctrplan.certificate.every_state import _PieceView, in_every_friction_state
 from ctrplan.certificate.friction_cube import Needed, StateMinima
 from ctrplan.certificate.friction_states import LOOK_EVERY, State
+from ctrplan.certificate.narrow_samples import closely_solved, remembered_looks
 from ctrplan.certificate.problems import problems_of_walk
 from ctrplan.certificate.sample_states import SampleStates
 from ctrplan.certificate.walked_piece import Piece, walk_pieces
@@ -109,7 +110,7 @@ def test_pieces_of_a_path_before_are_not_solved_again(monkeypatch: pytest.Monkey
 
     fresh, effort = looked(0.2e-3)
     wide, wide_effort = looked(np.inf)
-    with remembered_states():
+    with remembered_looks():
         first, first_effort = looked(0.2e-3)
         again, again_effort = looked(0.2e-3)
         wider, wider_effort = looked(np.inf)
@@ -125,3 +126,16 @@ def test_pieces_of_a_path_before_are_not_solved_again(monkeypatch: pytest.Monkey
     least = min(float(piece.clearance_m.min()) for piece in wide)
     assert min(float(piece.clearance_m.min()) for piece in wider) == pytest.approx(least, abs=1e-9)
     assert min(float(piece.clearance_m.min()) for piece in last) >= min(float(p.clearance_m.min()) for p in fresh)
+
+
+def test_samples_of_a_path_before_are_solved_closely_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    scenario, pieces = _pieces([0.0, 0.3, 0.1])
+    fresh = closely_solved(scenario, pieces, np.inf)
+    assert any(piece.finer for piece in fresh)
+    with remembered_looks():
+        first = closely_solved(scenario, pieces, np.inf)
+        monkeypatch.setattr(narrow_samples, "_on_certificate_mesh", lambda *_: pytest.fail("solved once more"))
+        again = closely_solved(scenario, pieces, np.inf)
+    for same in (first, again):
+        for ours, piece in zip(same, fresh, strict=True):
+            assert np.array_equal(ours.clearance_m, piece.clearance_m) and ours.finer.keys() == piece.finer.keys()
