@@ -61,10 +61,8 @@ def in_every_friction_state(scenario: Scenario, pieces: Sequence[Piece], spare_m
     enough = max(limits.clearance_m, min(solved - TIGHT_M, limits.clearance_m + spare_m))
     limited = Needed(limits.clearance_m, limits.stability, limits.max_strain)
     needed = replace(limited, clearance_m=enough)
-    looks, known = (
-        [_PieceView(scenario, piece, needed, limits.clearance_m, distance) for piece in pieces],
-        closer_looks(),
-    )
+    looks = [_PieceView(scenario, piece, needed, limits.clearance_m, distance) for piece in pieces]
+    known = closer_looks()
     for look in looks:
         look.recall(known)
     with ThreadPoolExecutor(cores()) as pool:
