@@ -20,7 +20,7 @@ from stated_plans import in_si, rvim
 import ctrplan
 from ctrplan.__main__ import main
 from ctrplan.base.arrays import Array
-from ctrplan.certificate.other_equilibria import other_start
+from ctrplan.certificate.other_equilibria import other_start, shape_notes
 from ctrplan.errors import InputError, SolverError
 from ctrplan.files.robot_file import load_robot, robot_from_dict
 from ctrplan.files.scenario_file import load_scenario
@@ -30,6 +30,7 @@ from ctrplan.mechanics.shapes import Status
 from ctrplan.reports.live_state import LiveState
 from ctrplan.robot.robot import Robot
 from ctrplan.scenario.joint_space import JointSpace, bare_scenario
+from ctrplan.scenario.scenario import Goal
 from ctrplan.storage.toml_document import read_document
 
 PAIR = dict(read_document(ROBOTS / "table_5_pair.toml").content)
@@ -139,12 +140,32 @@ def test_turns_that_count_lead_from_home_to_the_shape_that_is_walked_from() -> N
     wound = unwound - [0, 0, 2 * np.pi, 0, 0, 0]
     for at, is_refused in ((unwound, False), (wound, True)):
         scenario = replace(bare_scenario(robot), start=at, start_turns="absolute", start_friction="released")
-        assert ("straight from home" in other_start(scenario, at)) == is_refused
+        said = other_start(scenario, at)
+        assert ("straight from home" in said) == ("to unwind it turn r2 by +360 deg" in said) == is_refused
         theta, l = robot.drive.collars(np.array([np.where(robot.drive.is_rotation, 0.0, at), at]))  # noqa: E741
         end = robot.history().follow(theta, l).position_m[-1]
         bound = robot.bound(theta[-1], l[-1])
         assert (np.linalg.norm(end - bound.frictionless.tip_m) > bound.position_m + 5e-3) == is_refused
         assert not other_start(replace(scenario, start_turns="followed"), at)
+
+
+@pytest.mark.parametrize("name", ["rvim", "bent"])
+def test_a_plan_says_which_of_several_shapes_it_is_made_of(name: str) -> None:
+    """At its ends; the shape at the end is the one that the robot is in that was driven there from the start."""
+    robot = rvim() if name == "rvim" else bent(2.5)
+    drawn = JointSpace.of_robot(robot).sample(np.random.default_rng(8), 40)
+    several = [q for q in drawn if not is_unique(robot, robot.drive.collars(q)[1])]
+    start = several[0]
+    goal = start + np.where(robot.drive.is_rotation, 0.0, 1e-3) * (start < robot.drive.upper - 1e-3)
+    scenario = replace(bare_scenario(robot), start=start, goal=Goal(joints=goal), start_turns="followed")
+    each = robot.equilibria(*robot.drive.collars(goal)).branches
+    notes = shape_notes(scenario, [goal])
+    driven = robot.history("released").follow(*robot.drive.collars(np.array([start, goal])))
+    assert len(each) > 1 and len(notes) == 2 and "At the start" in notes[0] and "At goal" in notes[1]
+    said = [float(x) for x in re.findall(r"twisted by \(([^)]*)\)", notes[1])[0].split(",")]
+    own = min(each, key=lambda one: float(np.linalg.norm(one.tip_m[one.first] - driven.position_m[-1])))
+    np.testing.assert_allclose(said, np.degrees(own.twist_rad[own.first]), atol=0.6)
+    assert not shape_notes(bare_scenario(bent(0.5)), [np.array([0.0, 1.0, -29.6e-3])])
 
 
 def test_robots_of_another_kind_are_refused_in_one_sentence() -> None:
