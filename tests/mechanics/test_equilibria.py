@@ -133,6 +133,19 @@ def test_a_shape_that_friction_alone_holds_refuses_the_start(angle_deg: float) -
     assert not other_start(replace(scenario, start_friction="released"), at)
 
 
+def test_a_wound_shape_that_no_branch_is_solved_to_refuses_the_start() -> None:
+    """A whole turn leads 83 mm away, without a snap, where friction holds the pair next to a fold."""
+    robot = bent(2.5)
+    theta, l = collars(robot, 264, 11)[263]  # noqa: E741 (as in the equations)
+    at = JointSpace.of_robot(robot).sample(np.random.default_rng(11), 264)[263]
+    path = robot.history().follow(np.array([theta + [0, 2 * np.pi], theta]), np.array([l, l]))
+    assert not path.snaps.any()
+    assert np.linalg.norm(path.position_m[-1] - robot.solve(theta, l).tip_m) > 80e-3
+    scenario = bare_scenario(robot)
+    assert "approached by relative turns" in other_start(scenario, at)
+    assert not other_start(replace(scenario, start_turns="absolute", start_friction="released"), at)
+
+
 def test_turns_that_count_lead_from_home_to_the_shape_that_is_walked_from() -> None:
     """The inner tube at -314.9 deg is wound up when it was turned there; at 45.1 deg, the same place, it is not."""
     robot = rvim()
