@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import sys
 import time
 from collections import Counter
 from collections.abc import Iterator
@@ -309,7 +310,8 @@ def simulator(count: int = ROBOTS_DRAWN) -> None:
         except (NoEquilibrium, np.linalg.LinAlgError):
             off[n] += 1
         worst = max((away - most for _, away, most in tally.get(n, [])), default=np.nan)
-        print(f"robot {number}, {n} tubes, bound {1e3 * bound.position_m:.2f} mm: {worst:+.2f} mm", flush=True)
+        said = f"robot {number}, {n} tubes, bound {1e3 * bound.position_m:.2f} mm: {worst:+.2f} mm"
+        print(said, file=sys.stderr, flush=True)
     rows = []
     for n, each in sorted(tally.items()):
         excess = np.array([away - most for _, away, most in each])
