@@ -1,10 +1,12 @@
 """What does path history do to a robot, and is its simulation right? Figures and tables of docs/history.md.
 
     python benchmarks/run.py [--write] history [--histories N] [section_v] [loop] [erasure] [bound] [release] [numerics]
+        [simulator]
 
 All sections if none is named. `bound` simulates 2,000 random histories, which takes tens of minutes; with --histories N
 of each robot. section_v: Section V-B of the paper, eight path histories to each of 37 base angles; loop: the hysteresis
-of Fig. 1; erasure: corners of friction and the released state at one configuration, driven one way until tips agree.
+of Fig. 1; erasure: corners of friction and the released state at one configuration, driven one way until tips agree;
+simulator: tips of the tests' independent rods beside the bound, of random robots of two to five tubes.
 """
 
 from __future__ import annotations
@@ -16,7 +18,7 @@ import common
 import numpy as np
 from common import ROBOTS, panels, save, table
 from history_bound import HISTORIES as COUNT
-from history_bound import PAIR, PAIR_L_M, bound, norm_mm
+from history_bound import PAIR, PAIR_L_M, ROBOTS_DRAWN, bound, norm_mm, simulator
 from history_numerics import numerics, release
 from matplotlib.figure import Figure
 
@@ -282,6 +284,8 @@ def main() -> None:
     parser = common.parser(__doc__)
     parser.add_argument("sections", nargs="*", metavar="SECTION")
     parser.add_argument("--histories", type=int, default=COUNT, help="random histories of each robot")
+    parser.add_argument("--robots", type=int, default=ROBOTS_DRAWN, help="drawn ones, beside the independent simulator")
     given = parser.parse_args()
     known = {"section_v": section_v, "loop": loop, "erasure": erasure, "release": release, "numerics": numerics}
-    common.sections(given.sections, {**known, "bound": lambda: bound(given.histories)}, parser.error)
+    counted = {"bound": lambda: bound(given.histories), "simulator": lambda: simulator(given.robots)}
+    common.sections(given.sections, {**known, **counted}, parser.error)

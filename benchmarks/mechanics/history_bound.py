@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import itertools
+import sys
 import time
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from common import ROBOTS, table
 
 from ctrplan.base.arrays import Array
-from ctrplan.files.robot_file import load_robot
+from ctrplan.files.robot_file import load_robot, robot_from_dict
 from ctrplan.mechanics.shapes import Accuracy, Status
 from ctrplan.robot.robot import Robot
 
@@ -184,3 +186,138 @@ def tell(rows: list[Row], listed: list[Row]) -> None:
     labels = ("the robot snaps without friction too", "within the bound walked there", "neither")
     rows = [(label, kinds[kind]) for label, kind in zip(labels, ("snaps", "within", "missed"), strict=True)]
     table("walked", ("a walk along the path says", "violations"), rows)
+
+
+ROBOTS_DRAWN, TURNS, STEP_RAD = 60, 2, np.radians(15.0)  # of the simulator; a robot's turns end at one configuration
+FARTHEST_RAD = np.radians(120.0)
+Drawn = tuple[Robot, Any, Array, Array]  # and the simulator's world, and collars
+
+
+def drawn(n: int, rng: np.random.Generator) -> Drawn | None:
+    """A robot of n tubes, its collars; None where it has no bound.
+
+    One to three sections, bent by up to 120 deg; neighbours up to 30 times as stiff; clearances 0.01 to 0.5 mm and at
+    most 2 % of the least radius of curvature; friction up to 0.5; 40 to 250 mm long.
+    """
+    from hidden_effects.contact import Pair
+    from hidden_effects.tube import Section, Tube
+    from hidden_effects.world import World
+
+    l_b, tip = -np.cumsum(rng.uniform(5e-3, 40e-3, n)), rng.uniform(0.04, 0.12)
+    stiff, bent = 10 ** rng.uniform(-2.5, -1.0, n), rng.uniform(0, np.radians(120), n)
+    poisson, sections, sharpest = rng.uniform(0.2, 0.5, n), list[tuple[Section, ...]](), list[float]()
+    for k in range(n):
+        shares = rng.dirichlet(np.ones(int(rng.integers(1, 4))))
+        lengths, towards = shares * (tip - l_b[k]), rng.uniform(-np.pi, np.pi, len(shares))
+        size = bent[k] * rng.dirichlet(np.ones(len(shares))) / lengths
+        size = np.where((rng.random(len(shares)) < 0.3) | (lengths < 5e-3), 0.0, np.minimum(size, 20.0))
+        curved = zip(size * np.cos(towards), size * np.sin(towards), strict=True)
+        sections.append(
+            tuple(Section(float(a), (float(x), float(y))) for a, (x, y) in zip(lengths, curved, strict=True))
+        )
+        sharpest.append(float(size.max()))
+        tip += rng.uniform(2e-3, 40e-3)
+    outer_m, inner_m, pairs = [0.5e-3 * rng.uniform(0.6, 1.5)], list[float](), list[Pair]()
+    for k in range(n - 1, -1, -1):  # from the innermost tube outwards
+        inner_m.append(outer_m[-1] - 0.1e-3)
+        if k:
+            most = min(0.5e-3, 0.02 / max(sharpest[k], sharpest[k - 1], 1.0))
+            gap = float(10 ** rng.uniform(-5, np.log10(most)))
+            pairs.append(Pair(gap, float(rng.uniform(0, 0.5)), outer_m[-1] + gap, outer_m[-1]))
+            outer_m.append(outer_m[-1] + gap + 0.1e-3)
+    outer_m, inner_m, pairs = outer_m[::-1], inner_m[::-1], pairs[::-1]
+    world = World(
+        tuple(Tube(*row) for row in zip(outer_m, inner_m, stiff.tolist(), poisson.tolist(), sections, strict=True)),
+        tuple(pairs),
+    )
+    robot = robot_from_dict(
+        {
+            "name": "drawn",
+            "tube": [
+                {
+                    "outer_diameter_mm": 2e3 * tube.outer_radius_m,
+                    "inner_diameter_mm": 2e3 * tube.inner_radius_m,
+                    "bending_stiffness_Nm2": tube.bending_stiffness_Nm2,
+                    "poisson_ratio": tube.poisson_ratio,
+                    "section": [
+                        {"length_mm": 1e3 * s.length_m, "curvature_x_per_m": x, "curvature_y_per_m": y}
+                        for s in tube.sections
+                        for x, y in [s.curvature_per_m]
+                    ],
+                }
+                for tube in world.tubes
+            ],
+            "contact": [{"friction_coefficient": p.friction, "clearance_mm": 1e3 * p.clearance_m} for p in pairs],
+        }
+    )
+    theta = np.cumsum(rng.uniform(-np.pi, np.pi, n))
+    bound = robot.bound(theta, l_b, accuracy="certificate")
+    each = (bound.frictionless, *bound.corners)
+    sound = np.isfinite(bound.position_m) and all(shape.status is Status.CONVERGED for shape in each)
+    return (robot, world, theta, l_b) if sound else None
+
+
+def simulated(
+    robot: Robot, world: Any, theta: Array, l_b: Array, rng: np.random.Generator
+) -> Iterator[tuple[str, Array]]:
+    """Tips of the independent rods: in friction states, and after turns whose slip they follow, each ended at theta."""
+    from hidden_effects.equilibrium import CORNER_BARRIER, System, corner, tip_pose
+    from hidden_effects.friction import SlipHistory
+    from hidden_effects.poses import Solver
+
+    pairs, solver = robot.n - 1, Solver(world)
+    corners = np.array(list(itertools.product((1.0, -1.0), repeat=pairs)))
+    chosen = corners if len(corners) <= 4 else rng.permutation(corners)[:4]
+    for phi in [*chosen, *rng.uniform(-1, 1, (2, pairs))]:
+        yield "states", solver.pose(theta, l_b, phi)[0]
+    for _ in range(TURNS):
+        away = rng.uniform(-FARTHEST_RAD, FARTHEST_RAD, pairs)
+        way = np.linspace(away, 0.0, int(np.ceil(np.abs(away).max() / STEP_RAD)) + 1)
+        history: SlipHistory | None = None
+        for by in way:
+            system = System(world.tubes, world.pairs, theta + np.append(0.0, np.cumsum(by)), l_b, world.loads)
+            free = corner([0.0] * pairs)
+            middle = system.solve(system.cold(), free, CORNER_BARRIER, 1e-4)
+            if history is None:
+                loaded = rng.uniform(-1, 1, pairs)
+                history = SlipHistory.begin(system, system.solve(middle, corner(loaded.tolist())), loaded)
+                continue
+            history = history.moved(system)
+            state = system.solve(middle, history)
+            history = history.after(system, state)
+        yield "turns", tip_pose(system, state)[0]
+
+
+def simulator(count: int = ROBOTS_DRAWN) -> None:
+    """Robots that nobody chose: do the tips of another simulator stay within the bound?"""
+    from hidden_effects.equilibrium import NoEquilibrium
+
+    rng, tally, number = np.random.default_rng(47), dict[int, list[tuple[str, float, float]]](), 0
+    refused, robots, off = Counter[int](), Counter[int](), Counter[int]()
+    while sum(robots.values()) < count:
+        n, number = 2 + sum(robots.values()) % 4, number + 1
+        made = drawn(n, rng)
+        if made is None:
+            refused[n] += 1
+            continue
+        robot, _, theta, l_b = made
+        robots[n] += 1
+        bound = robot.bound(theta, l_b, accuracy="certificate")
+        try:
+            for kind, tip_m in simulated(*made, rng):
+                away_mm = float(norm_mm(tip_m - bound.frictionless.tip_m))
+                tally.setdefault(n, []).append((kind, away_mm, 1e3 * bound.position_m))
+        except (NoEquilibrium, np.linalg.LinAlgError):
+            off[n] += 1
+        worst = max((away - most for _, away, most in tally.get(n, [])), default=np.nan)
+        said = f"robot {number}, {n} tubes, bound {1e3 * bound.position_m:.2f} mm: {worst:+.2f} mm"
+        print(said, file=sys.stderr, flush=True)
+    rows = []
+    for n, each in sorted(tally.items()):
+        excess = np.array([away - most for _, away, most in each])
+        within = [f"{np.sum(excess <= limit)} of {len(excess)}" for limit in (0.0, 0.1)]
+        bounds_mm = sorted({most for *_, most in each})
+        rows.append((n, robots[n], refused[n], off[n], f"{np.median(bounds_mm):.2f}", *within, f"{excess.max():+.2f}"))
+    head = ("tubes", "robots", "without a bound", "lost by the simulator", "median bound, mm", "tips within",
+            "or 0.1 mm beyond", "farthest, mm")  # fmt: skip
+    table("simulator", head, rows)

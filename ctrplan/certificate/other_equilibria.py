@@ -113,18 +113,62 @@ def _turned_from_home(robot: Robot, joints: Array, bound: Bound) -> str:
     theta_b, l_b = robot.drive.collars(np.array([home, joints]))
     if np.allclose(np.diff(np.diff(theta_b), axis=0), 0.0) or is_unique(robot, l_b[-1]):
         return ""
-    history = robot.history()
+    nearest = joints - 2 * np.pi * np.where(robot.drive.is_rotation, np.round(joints / (2 * np.pi)), 0.0)
+    history, free = robot.history(), np.zeros(robot.n - 1)
     try:
-        history.follow(theta_b, l_b)
-        let_go = history.tip_beside(np.zeros(robot.n - 1))
+        wound = history.follow(theta_b, l_b)
+        let_go = history.tip_beside(free)
+        unwound = history.follow(*robot.drive.collars(np.array([joints, home, nearest])))
+        back = history.tip_beside(free)
     except SolverError:  # there is no equilibrium to come from
         return ""
     away = float(np.linalg.norm(let_go - bound.frictionless.tip_m))
     if not away > SAME_SHAPE_M:
         return ""
+    is_back = np.linalg.norm(back - bound.frictionless.tip_m) < SAME_SHAPE_M
+    is_smooth = not (np.nansum(wound.snaps) or np.nansum(unwound.snaps))
+    turns = np.round((nearest - joints) / (2 * np.pi)).astype(int).tolist()
+    ways = f"to unwind it turn {_turned(robot, turns)}" if is_back and is_smooth and any(turns) else ""
     return (
         f"The start has another stable equilibrium, where rotations straight from home end: the tip stands "
-        f"{away * MM_PER_M:.1f} mm away there; start within half a turn of home, or where there is one equilibrium"
+        f"{away * MM_PER_M:.1f} mm away there; {ways or 'start within half a turn of home, or where there is one'}"
+    )
+
+
+def _turned(robot: Robot, turns: Sequence[int]) -> str:
+    """Whole turns (m,) of joints in words."""
+    names = zip(robot.drive.names, turns, strict=True)
+    return ", ".join(f"{name} by {360 * k:+d} deg" for name, k in names if k)
+
+
+def shape_notes(scenario: Scenario, ends: Sequence[Array]) -> tuple[str, ...]:
+    """Sentences about which of several stable shapes a plan begins and ends in; `ends` are joints (m,) at each target.
+
+    The shape is the one that is solved at these joints by themselves: a walk that leads to another one is refused.
+    """
+    names = [f"At {goal.name or goal.table}" for goal in scenario.targets]
+    places = zip(("At the start", *names), (scenario.start, *ends), strict=True)
+    return tuple(note for where, joints in places if (note := _shape_note(scenario.robot, joints, where)))
+
+
+def _shape_note(robot: Robot, joints: Array, where: str) -> str:
+    theta_b, l_b = robot.drive.collars(joints)
+    if robot.n == 1 or is_unique(robot, l_b):
+        return ""
+    try:
+        each = branches(robot, theta_b, l_b)
+    except InputError:  # of a kind whose equilibria are not enumerated
+        return ""
+    tip_m = robot.mechanics.solve(theta_b, l_b).tip_m
+    by_distance = sorted(each, key=lambda one: float(np.linalg.norm(one.tip_m[one.first] - tip_m)))
+    away_mm = [float(np.linalg.norm(one.tip_m[one.first] - tip_m)) * MM_PER_M for one in by_distance]
+    others = [mm for mm in away_mm if mm > SAME_SHAPE_M * MM_PER_M]
+    if not others or len(others) == len(each):
+        return ""
+    twisted = ", ".join(f"{np.degrees(x):+.0f}" for x in by_distance[0].twist_rad[by_distance[0].first])
+    return (
+        f"{where} the robot stands in one of {len(others) + 1} stable shapes, that with pairs of tubes twisted by "
+        f"({twisted}) deg; the nearest other one is {others[0]:.1f} mm away."
     )
 
 
@@ -139,17 +183,16 @@ def _elsewhere(robot: Robot, joints: Array, bound: Bound, is_loaded: bool, is_co
         pattern = None if is_counted and other.turns.any() else _pattern(robot, joints, other.turns)
         if np.isnan(seen).all() or pattern is None:
             continue
-        names = [f"{name} by {-360 * k:+d} deg" for name, k in zip(robot.drive.names, pattern, strict=True) if k]
         twisted = ", ".join(f"{np.degrees(x):+.0f}" for x in other.branch.twist_rad[other.branch.first])
         away_mm, bound_mm = float(np.nanmax(seen)) * MM_PER_M, bound.position_m * MM_PER_M
         sentence = (
             f"The start has another stable equilibrium with clearance and friction, {away_mm:.1f} mm away, where "
             f"friction moves the tip by {bound_mm:.2f} mm: the pairs of tubes are twisted by ({twisted}) deg"
         )
-        if names:
+        if any(pattern):
             sentence += (
-                f"; to unwind it turn {', '.join(names)}; a drive that was homed, whose turns count, says so by "
-                'turns = "absolute" in [start]'
+                f"; to unwind it turn {_turned(robot, [-k for k in pattern])}; a drive that was homed, whose turns "
+                'count, says so by turns = "absolute" in [start]'
             )
         return sentence
     return ""

@@ -22,7 +22,7 @@ from ctrplan.certificate.certify import GoalTest, certify, frictionless_arrives,
 from ctrplan.certificate.closest import failure_with_place
 from ctrplan.certificate.friction_cube import refuse_many_tubes
 from ctrplan.certificate.narrow_samples import remembered_looks
-from ctrplan.certificate.other_equilibria import other_start
+from ctrplan.certificate.other_equilibria import other_start, shape_notes
 from ctrplan.certificate.problems import with_shares
 from ctrplan.certificate.uneven_friction import NEAR_LIMIT_M
 from ctrplan.certificate.walked_legs import WalkedLegs, walk_legs
@@ -128,7 +128,7 @@ def plan(
         work_s=1e-9 * sum(spent_ns),
         first_found_s=first.found_s,
         first_certified_s=first.certified_s,
-        notes=(*notes, *finish.notes),
+        notes=(*notes, *finish.notes, *shape_notes(scenario, [way[-1] for way in finish.ways])),
         ends=finish.ways,
         compensation=finish.compensation,
         ended_by="interruption" if interrupted.is_set() else ended_by,
