@@ -87,13 +87,6 @@ def of_configurations(fit: Linearised, configuration: NDArray[np.int_]) -> Discr
     return _most_probable(fit, rows, SHARES, lambda poses, share: shared(len(poses), share))
 
 
-def over_joints(fit: Linearised, share: float, correlation: Array) -> Discrepancy:
-    """The most probable sizes where configurations go along with each other, `correlation` (K, K) of their poses."""
-    rows = [np.arange(len(correlation))]
-    own = np.eye(len(correlation))
-    return _most_probable(fit, rows, np.array([share]), lambda _, a: a * correlation + (1 - a) * own)
-
-
 def decay(time_s: Array, memory_s: float) -> Array:
     """(K, K) correlation of a discrepancy that is forgotten exponentially."""
     correlation: Array = np.exp(-np.abs(time_s[:, None] - time_s[None]) / memory_s)

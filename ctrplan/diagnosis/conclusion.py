@@ -21,9 +21,8 @@ from ctrplan.diagnosis.built_term import Built, build
 from ctrplan.diagnosis.partial_diagnosis import PartialDiagnosis, diagnose_partially
 from ctrplan.diagnosis.posterior import Compared, compared
 from ctrplan.diagnosis.selection import SelectionStep, Selector
-from ctrplan.diagnosis.smooth_evidence import remaining_error
 from ctrplan.diagnosis.usable_poses import MOST_POSES, bench_of, checked_split, thinned, without_outliers
-from ctrplan.diagnosis.verdict import NAMED, Finding, Judgement, judge, names_of, specific
+from ctrplan.diagnosis.verdict import NAMED, Finding, Judgement, judge, names_of, shown
 from ctrplan.diagnosis.workbench import Candidates, Scored, Workbench
 from ctrplan.measurement.measurements import Measurements, Split, groups
 from ctrplan.robot.robot import Robot
@@ -95,14 +94,10 @@ def conclude(
         first = _beside_a_remainder(nothing, data, usable, noise, known, teller)
         if first.interrupted or (first.partly and not first.partly.is_noise):
             return _with_built(first, first, teller)
-    result = _unless_something_remains(_ordinary(data, usable, wrong, bench, parts, known, teller))
-    result = result if is_long else _unless_improbable(result, known, teller)
-    explained = result.judgement.verdict != "unexplained" or result.judgement.adequacy.is_adequate
-    if explained or result.interrupted or is_long:
+    result = _unless_improbable(_ordinary(data, usable, wrong, bench, parts, known, teller), known, teller)
+    if result.judgement.verdict != "unexplained" or result.interrupted or is_long:
         return result
     part = _beside_a_remainder(result, data, usable, noise, known, teller)
-    if whole := _explaining_all(part, known, teller):
-        return whole
     return _with_built(part, part if part.judgement.verdict == "partial" or part.interrupted else result, teller)
 
 
@@ -158,24 +153,11 @@ def _beside_a_remainder(
     )
 
 
-def _unless_something_remains(conclusion: Conclusion) -> Conclusion:
-    """The answer, its names taken back where what they leave has a memory: effects are at work then, but not alone."""
-    judgement = conclusion.judgement
-    if judgement.verdict not in ("named", "ambiguous") or conclusion.interrupted:
-        return conclusion
-    remains_too = remaining_error(conclusion.bench, conclusion.chosen)
-    if not remains_too:
-        return conclusion
-    kept = specific(conclusion.bench, conclusion.chosen, judgement.findings, judgement.adequacy)
-    notes = (*judgement.notes, remains_too)
-    return replace(conclusion, judgement=replace(judgement, verdict="unexplained", findings=kept, notes=notes))
-
-
 def _unless_improbable(conclusion: Conclusion, known: Candidates, teller: Teller) -> Conclusion:
     """The answer, or the most probable set of effects where its names are not, or where it has none.
 
     The search goes by poses left out, one effect at a time, and may not come to effects that only explain together. A
-    set that the posterior prefers is judged as any other.
+    set that the posterior prefers is judged as any other. Names beside which something unknown acts are taken back.
     """
     judgement = conclusion.judgement
     if conclusion.interrupted:
@@ -190,7 +172,7 @@ def _unless_improbable(conclusion: Conclusion, known: Candidates, teller: Teller
         told = compared(bench, chosen, known, more, search=True)
         best = bench.corrected(told.sets[0])
         certain = best.terms and told.is_alone and all(told.posterior.of_effect(name) >= NAMED for name in best.names)
-        if certain and remains(bench, best).is_adequate and not remaining_error(bench, best):
+        if certain and remains(bench, best).is_adequate:
             selector = Selector(bench, known, teller, best)
             other = judge(selector, selector.found)
             if other.verdict in ("named", "ambiguous"):
@@ -203,38 +185,16 @@ def _unless_improbable(conclusion: Conclusion, known: Candidates, teller: Teller
     finally:
         bench.pause = lambda: None
     if judgement.verdict in ("named", "ambiguous") and not _is_probable(told, judgement):
-        judgement = replace(judgement, verdict="unexplained", findings=())
+        beside = f"Something unknown acts besides, {shown(told.posterior.of_unknown)}: what it is, no name says."
+        judgement = replace(judgement, verdict="unexplained", findings=(), notes=(*judgement.notes, beside))
     return replace(conclusion, judgement=judgement, compared=told)
 
 
 def _is_probable(told: Compared, judgement: Judgement) -> bool:
-    """Whether what is named acts more probably than not."""
-    return all(told.posterior.of_effect(*names) > 1 / 2 for names in names_of(judgement))
-
-
-def _explaining_all(part: Conclusion, known: Candidates, teller: Teller) -> Conclusion | None:
-    """What was found beside a rest, judged as any other set: None where something remains after all.
-
-    Effects that hide one another are found beside a rest, where each need not leave noise alone.
-    """
-    if part.partly is None or part.interrupted or not part.judgement.findings:
-        return None
-    there = part.partly.bench
-    bench = Workbench(there.robot, there.data, part.noise, there.group, there.fold)
-    frames = [f.term for f in part.judgement.findings if f.term.name not in part.chosen.names]
-    chosen = bench.corrected(bench.scored([*part.chosen.terms, *frames], part.chosen.fit))
-    if not remains(bench, chosen).is_adequate or remaining_error(bench, chosen):
-        return None
-    selector = Selector(bench, known, teller, chosen)
-    try:
-        bench.pause = teller.pause
-        judgement = judge(selector, selector.found)
-    except Interrupted:
-        return None
-    bench.pause = lambda: None
-    if judgement.verdict not in ("named", "ambiguous"):
-        return None
-    return replace(part, bench=bench, chosen=chosen, judgement=judgement, partly=None)
+    """Whether what is named acts more probably than not, and nothing unknown besides."""
+    names = names_of(judgement)
+    alone = not names or told.posterior.of_unknown < 1 / 2
+    return alone and all(told.posterior.of_effect(*those) > 1 / 2 for those in names)
 
 
 def _nothing(data: Measurements, parts: Split, bench: Workbench, wrong: NDArray[np.bool_]) -> Conclusion:

@@ -197,7 +197,7 @@ class Diagnosis:
                 for a in self.judgement.compared
                 if finding.term.key not in {t.key for t in a.scored.terms}
             ],
-            **(self.partly.evidence_json(finding.term) if self.partly else {}),
+            **(self.partly.shares_json(finding.term) if self.partly else {}),
         }
 
 

@@ -89,7 +89,7 @@ class Selector:
 
     def _threshold(self, here: Scored, screened: Sequence[Screened]) -> float:
         beside = [s.linear for s in screened]
-        return null_threshold(linear(here.fit), beside, self.bench.null_scores, self.bench.null_draws(here))
+        return null_threshold(linear(here.fit), beside, self.bench.fold)
 
     def _is_certain(self, here: Scored, candidate: Scored, gain: float, error: float) -> bool:
         """Whether a gain is no matter of a few configurations, or leaves noise alone where there was more before."""

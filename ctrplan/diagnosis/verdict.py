@@ -1,8 +1,7 @@
-"""From a selected set of effects to a verdict: named, ambiguous, unexplained, or nothing missing; partial: `partly.py`.
+"""From a selected set of effects to a verdict: named, ambiguous, unexplained, or nothing missing.
 
 A name is given only when what remains looks like noise, on the poses of the selection and in the held-out set. Where
-it does not, the best of the wrong names would be given with confidence; then only effects stay listed whose evidence
-lies in a part of the data that they explain completely.
+it does not, the best of the wrong names would be given with confidence.
 
 How probable a verdict is, a posterior over sets of effects says.
 """
@@ -21,7 +20,7 @@ from ctrplan.base.arrays import Array
 from ctrplan.calibration.fit_warnings import is_strained, strained
 from ctrplan.diagnosis.adequacy import Adequacy, remains
 from ctrplan.diagnosis.selection import Selection, Selector
-from ctrplan.diagnosis.workbench import OVERWHELMING, SURE, Scored, Workbench
+from ctrplan.diagnosis.workbench import Scored, Workbench
 from ctrplan.pipeline.term import Term, term
 
 Verdict = Literal["named", "no_missing_effect", "ambiguous", "partial", "unexplained"]
@@ -68,8 +67,7 @@ def judge(selector: Selector, selection: Selection) -> Judgement:
     compared = [a for t in chosen.terms for a in _compared(selector, selection, t)]
     findings = tuple(_finding(bench, chosen, t, compared, left) for t in chosen.terms)
     if not left.is_adequate or _is_strained(bench, chosen):
-        kept = () if _is_enlarged(bench) else specific(bench, chosen, findings, left)
-        return Judgement("unexplained", kept, left, tuple(compared))
+        return Judgement("unexplained", (), left, tuple(compared))
     clear = tuple(f for f in findings if len(f.alternatives) <= MOST_RIVALS)
     if len(findings) > 1 and len(clear) < len(findings):  # beside others, what anything can stand in for is nothing
         return Judgement("unexplained", clear, left, tuple(compared))
@@ -140,19 +138,6 @@ def _disbelieved(t: Term) -> str:
         f"{t.name} would explain the measurements, but {parameters} of its {len(t.parameters)} parameters do so alone, "
         f"and by these other causes act as well: it is not named."
     )
-
-
-def specific(bench: Workbench, chosen: Scored, findings: Sequence[Finding], left: Adequacy) -> tuple[Finding, ...]:
-    """Findings that explain all of the differences between approaches, or all between configurations, alone."""
-    kept = []
-    for finding in findings:
-        history = finding.term.effect.depends_on_history
-        explained = left.within.is_noise if history else left.between.is_noise
-        others = [t for t in chosen.terms if t is not finding.term]
-        gain, error = bench.difference(chosen, bench.scored(others, chosen.fit))
-        if explained and gain > max(OVERWHELMING, SURE * error):
-            kept.append(finding)
-    return tuple(kept)
 
 
 ACTS = 0.03  # prior probability that an effect of the catalogue acts: of some 20, one in every other robot
