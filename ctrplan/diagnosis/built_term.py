@@ -21,8 +21,8 @@ from ctrplan.calibration.estimates import estimates
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
 from ctrplan.diagnosis.cross_validation import Linear
 from ctrplan.diagnosis.partial_diagnosis import PartialDiagnosis, mean_square, most_probable, remainder_beside
+from ctrplan.diagnosis.posterior import MOST_EFFECTS, SelectionStep
 from ctrplan.diagnosis.remainder import Remainder
-from ctrplan.diagnosis.selection import MOST_EFFECTS, SelectionStep
 from ctrplan.diagnosis.term_dictionary import TermPiece, pieces
 from ctrplan.diagnosis.term_search import WideLinearisation, is_built, wide_linearisation, with_piece
 from ctrplan.diagnosis.unknown_errors import Peak, UnknownErrors
@@ -202,7 +202,7 @@ def _rms(error: Array) -> float:
 
 def _step(one: Round) -> SelectionStep:
     piece, gain = one.tried[0] if one.taken is None else (one.taken, one.gain)
-    return SelectionStep("build", piece.on.effect_name, piece.parts, round(gain, 2), 0.0, 0.0, one.taken is not None)
+    return SelectionStep("build", piece.on.effect_name, piece.parts, round(gain, 2), one.taken is not None)
 
 
 def _term_json(t: Term, scored: Scored) -> dict[str, Any]:

@@ -19,10 +19,9 @@ from ctrplan.calibration.residuals import Noise
 from ctrplan.diagnosis.adequacy import ignored, remains, rescaled_noise
 from ctrplan.diagnosis.built_term import Built, build
 from ctrplan.diagnosis.partial_diagnosis import PartialDiagnosis, diagnose_partially
-from ctrplan.diagnosis.posterior import Compared, compared
-from ctrplan.diagnosis.selection import SelectionStep, Selector
+from ctrplan.diagnosis.posterior import Compared, SelectionStep, settled
 from ctrplan.diagnosis.usable_poses import MOST_POSES, bench_of, checked_split, thinned, without_outliers
-from ctrplan.diagnosis.verdict import NAMED, Finding, Judgement, judge, names_of, shown
+from ctrplan.diagnosis.verdict import Judgement, judge
 from ctrplan.diagnosis.workbench import Candidates, Scored, Workbench
 from ctrplan.measurement.measurements import Measurements, Split, groups
 from ctrplan.robot.robot import Robot
@@ -94,7 +93,7 @@ def conclude(
         first = _beside_a_remainder(nothing, data, usable, noise, known, teller)
         if first.interrupted or (first.partly and not first.partly.is_noise):
             return _with_built(first, first, teller)
-    result = _unless_improbable(_ordinary(data, usable, wrong, bench, parts, known, teller), known, teller)
+    result = _ordinary(data, usable, wrong, bench, parts, known, teller)
     if result.judgement.verdict != "unexplained" or result.interrupted or is_long:
         return result
     part = _beside_a_remainder(result, data, usable, noise, known, teller)
@@ -153,50 +152,6 @@ def _beside_a_remainder(
     )
 
 
-def _unless_improbable(conclusion: Conclusion, known: Candidates, teller: Teller) -> Conclusion:
-    """The answer, or the most probable set of effects where its names are not, or where it has none.
-
-    The search goes by poses left out, one effect at a time, and may not come to effects that only explain together. A
-    set that the posterior prefers is judged as any other. Names beside which something unknown acts are taken back.
-    """
-    judgement = conclusion.judgement
-    if conclusion.interrupted:
-        return conclusion
-    bench, chosen, more = conclusion.bench, conclusion.chosen, [a.scored for a in judgement.compared]
-    told = compared(bench, chosen, known, more)
-    if judgement.verdict != "unexplained" and _is_probable(told, judgement):
-        return replace(conclusion, compared=told)
-    try:
-        bench.pause = teller.pause
-        teller("comparing sets of effects")
-        told = compared(bench, chosen, known, more, search=True)
-        best = bench.corrected(told.sets[0])
-        certain = best.terms and told.is_alone and all(told.posterior.of_effect(name) >= NAMED for name in best.names)
-        if certain and remains(bench, best).is_adequate:
-            selector = Selector(bench, known, teller, best)
-            other = judge(selector, selector.found)
-            if other.verdict in ("named", "ambiguous"):
-                names = tuple(q.name for t in best.terms for q in t.parameters)
-                taken = SelectionStep("compare", " and ".join(best.names), names, round(told.gain, 2), 0.0, 0.0, True)
-                path = (*conclusion.path, taken)
-                return replace(conclusion, chosen=best, judgement=other, compared=told, path=path)
-    except Interrupted:
-        return replace(conclusion, interrupted=True, notes=(*conclusion.notes, INTERRUPTED))
-    finally:
-        bench.pause = lambda: None
-    if judgement.verdict in ("named", "ambiguous") and not _is_probable(told, judgement):
-        beside = f"Something unknown acts besides, {shown(told.posterior.of_unknown)}: what it is, no name says."
-        judgement = replace(judgement, verdict="unexplained", findings=(), notes=(*judgement.notes, beside))
-    return replace(conclusion, judgement=judgement, compared=told)
-
-
-def _is_probable(told: Compared, judgement: Judgement) -> bool:
-    """Whether what is named acts more probably than not, and nothing unknown besides."""
-    names = names_of(judgement)
-    alone = not names or told.posterior.of_unknown < 1 / 2
-    return alone and all(told.posterior.of_effect(*those) > 1 / 2 for those in names)
-
-
 def _nothing(data: Measurements, parts: Split, bench: Workbench, wrong: NDArray[np.bool_]) -> Conclusion:
     """Before any search."""
     base = bench.scored([])
@@ -214,55 +169,73 @@ def _ordinary(
     teller: Teller,
 ) -> Conclusion:
     """The search for what leaves noise alone, once more without poses that something missing had hidden."""
-    selector, judgement, notes, stopped = _searched(bench, known, teller)
-    more = gross_outliers(selector.found.chosen.fit, data, usable & ~wrong)
-    if more.any() and not too_many(wrong | more, usable) and not stopped:
+    result = _searched(bench, known, teller)
+    more = gross_outliers(result.chosen.fit, data, usable & ~wrong)
+    if more.any() and not too_many(wrong | more, usable) and not result.interrupted:
         wrong = wrong | more
         parts = checked_split(data, usable & ~wrong)
         bench = bench_of(bench.robot, data, parts, bench.noise)
-        selector, judgement, notes, stopped = _searched(bench, known, teller)
-    selector.bench.pause = lambda: None  # what follows is short, and nothing is told without it
-    noise, result = selector.bench.noise, selector.found
-    base = selector.bench.scored([])
-    is_rescaled = noise.position_m < bench.noise.position_m
+        result = _searched(bench, known, teller)
+    found = result.bench  # what follows is short, and nothing is told without it
     return Conclusion(
-        selector.bench,
-        tuple(result.path),
+        found,
+        result.path,
         result.chosen,
-        base,
-        judgement,
+        found.scored([]),
+        result.judgement,
         parts,
         groups(data),
-        noise,
-        is_rescaled,
+        found.noise,
+        found.noise.position_m < bench.noise.position_m,
         wrong,
-        tuple(notes),
-        stopped,
+        result.notes,
+        result.interrupted,
+        compared=result.told,
     )
 
 
-def _searched(bench: Workbench, known: Candidates, teller: Teller) -> tuple[Selector, Judgement, list[str], bool]:
-    """Selection and judgement, once more with the noise that the data show if it is not the stated one."""
-    selector, notes = Selector(bench, known, teller), list[str]()
-    bench.pause = teller.pause
+@dataclass(frozen=True, eq=False)
+class _Searched:
+    """The most probable set and its verdict; of an interrupted search the calibrated robot."""
+
+    bench: Workbench
+    chosen: Scored
+    judgement: Judgement
+    path: tuple[SelectionStep, ...]
+    notes: tuple[str, ...]
+    told: Compared | None
+
+    @property
+    def interrupted(self) -> bool:
+        return self.told is None
+
+
+def _searched(bench: Workbench, known: Candidates, teller: Teller) -> _Searched:
+    """Search and judgement, once more with the noise that the data show if it is not the stated one."""
+    notes = list[str]()
     try:
         teller("calibrating")
-        selector.run()
-        judgement = judge(selector, selector.found)
-        scaled, note = rescaled_noise(judgement.adequacy, bench.noise, *_norms(selector.found.chosen))
+        result = _most_probable(bench, known, teller)
+        adequacy = result.judgement.adequacy
+        scaled, note = rescaled_noise(adequacy, bench.noise, *_norms(result.chosen))
         notes += [note] if note else []
         if scaled is not None:
-            again = Workbench(bench.robot, bench.data, scaled, bench.group, bench.fold)
-            selector = Selector(again, known, teller)
-            again.pause = teller.pause
-            selector.run()
-            judgement = judge(selector, selector.found)
+            bench = Workbench(bench.robot, bench.data, scaled, bench.group, bench.fold)
+            result = _most_probable(bench, known, teller)
+        return replace(result, notes=tuple(notes))
     except Interrupted:
-        notes.append(INTERRUPTED)
-        chosen = selector.found.chosen
-        findings = tuple(Finding(t) for t in chosen.terms)
-        return selector, Judgement("unexplained", findings, remains(bench, chosen), ()), notes, True
-    return selector, judgement, notes, False
+        bench.pause = lambda: None
+        base = bench.scored([])
+        judgement = Judgement("unexplained", (), remains(bench, base), ())
+        return _Searched(bench, base, judgement, (), (*notes, INTERRUPTED), None)
+
+
+def _most_probable(bench: Workbench, known: Candidates, teller: Teller) -> _Searched:
+    bench.pause = teller.pause
+    told, chosen, path = settled(bench, bench.scored([]), known, teller)
+    judgement = judge(bench, chosen, known, told.posterior, told.sets)
+    bench.pause = lambda: None
+    return _Searched(bench, chosen, judgement, path, (), told)
 
 
 def _norms(scored: Scored) -> tuple[Array, Array]:

@@ -1,5 +1,4 @@
-"""Grouped cross-validation of a fit in closed form around it, and the largest gain that chance makes when nothing is
-missing.
+"""Grouped cross-validation of a fit in closed form around it.
 
 With r = y - J p and H = J^T W J + prior, leaving a fold out moves its own residual to
 r_f + J_f (H - J_f^T W J_f)^-1 J_f^T W r_f: one factorisation per fold, no refit.
@@ -7,7 +6,6 @@ r_f + J_f (H - J_f^T W J_f)^-1 J_f^T W r_f: one factorisation per fold, no refit
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +14,6 @@ from scipy.linalg import cho_factor, cho_solve
 
 from ctrplan.base.arrays import Array
 from ctrplan.calibration.residuals import PER_POSE, information_inverse, robust_square
-from ctrplan.measurement.measurements import SEED
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,21 +89,6 @@ def cross_validation_loss(fit: Linear, fold: NDArray[np.int_]) -> Array:
     return robust_square(np.linalg.norm(left_out_residuals(fit, fold), axis=1))
 
 
-def null_scores(fit: Linear, fold: NDArray[np.int_], noise: Array) -> Array:
-    """(D,) held-out log-likelihood of D draws of pure noise (5 K, D) after a fit of the same parameters."""
-    J = fit.J.reshape(-1, fit.J.shape[2])
-    H = J.T @ J + np.diag(fit.precision)
-    noise = noise * fit.given.reshape(-1, 1)
-    r = noise - J @ solved(H, J.T @ noise)
-    score = np.zeros(noise.shape[1])
-    ones = np.ones(len(fit.r))
-    for number in np.unique(fold):
-        inside = fold == number
-        rows = np.repeat(inside, PER_POSE)
-        score -= (_left_out(fit.J[inside], ones[inside], H, r[rows]) ** 2).sum(axis=0) / 2
-    return score
-
-
 def _left_out(J: Array, weight: Array, H: Array, r: Array) -> Array:
     """Residuals (5 k, D) of a fold when it is left out of the fit."""
     flat, w = J.reshape(-1, J.shape[2]), np.repeat(weight, PER_POSE)[:, None]
@@ -124,16 +106,3 @@ def solved(matrix: Array, right: Array) -> Array:
     except np.linalg.LinAlgError:  # not positive definite by rounding: what nothing determines stays where it is
         solved = shaped * np.linalg.lstsq(scaled, shaped * right, rcond=1e-13)[0]
     return solved
-
-
-DRAWS = 400
-ALARM_RATE = 0.02  # of pure noise that makes some candidate pass
-LEAST_THRESHOLD = 3.0  # log-likelihood: what a single pair of odds of 20 to 1 weighs
-
-
-def null_threshold(here: Linear, beside: Sequence[Linear], fold: NDArray[np.int_]) -> float:
-    """Gain in held-out log-likelihood that the best of all candidates exceeds in 2 % of draws of white noise."""
-    noise = np.random.default_rng(SEED).standard_normal((here.r.size, DRAWS))
-    plain, *others = [null_scores(system, fold, noise) for system in (here, *beside)]
-    best = np.max(others, axis=0) - plain
-    return max(LEAST_THRESHOLD, float(np.quantile(best, 1 - ALARM_RATE)))

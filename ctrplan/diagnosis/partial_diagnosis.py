@@ -20,18 +20,15 @@ from ctrplan.diagnosis.adequacy import Adequacy, remains
 from ctrplan.diagnosis.correlated_bench import FRAMES, CorrelatedBench, frames_beside
 from ctrplan.diagnosis.cross_validation import left_out_residuals
 from ctrplan.diagnosis.gap import localise
-from ctrplan.diagnosis.posterior import Compared, compared
+from ctrplan.diagnosis.posterior import Compared, Report, SelectionStep, settled
 from ctrplan.diagnosis.remainder import Remainder
-from ctrplan.diagnosis.selection import Report, SelectionStep
 from ctrplan.diagnosis.term_search import is_built
 from ctrplan.diagnosis.usable_poses import block_split, blocks, on_one_branch, thinned, thinning
-from ctrplan.diagnosis.verdict import MOST_RIVALS, NAMED, Alternative, Finding, Judgement, Posterior, Verdict
+from ctrplan.diagnosis.verdict import Judgement, Verdict, findings_of
 from ctrplan.diagnosis.workbench import Candidates, Scored, Workbench, linear
 from ctrplan.measurement.measurements import Measurements, Split
 from ctrplan.pipeline.term import Term
 from ctrplan.robot.robot import Robot
-
-ROUNDS = 3  # of a search, each with the size and the memory that the set before leaves
 
 
 @dataclass(frozen=True)
@@ -138,68 +135,22 @@ def most_probable(
 
     What remains is what the catalogue leaves: a built term explains nothing.
     """
-    asked, here, path = testable_beside(known, bench), begun, list[SelectionStep]()
-    for _ in range(ROUNDS):
-        tell("comparing sets of effects beside " + (", ".join(here.names) or "a rest"))
-        told = compared(bench, here, asked, search=True)
-        best, before = told.sets[0], {t.key for t in here.terms}
-        here = bench.corrected(best)
-        if {t.key for t in best.terms} == before:
-            break
-        names = tuple(q.name for t in best.terms for q in t.parameters)
-        path.append(
-            SelectionStep("compare", " and ".join(best.names), names, round(told.gain, 2), 0.0, 0.0, bool(names))
-        )
-    findings = _findings(bench, here, known, told)
+    told, here, path = settled(bench, begun, testable_beside(known, bench), tell)
+    listed = [*frames_beside(bench.robot, bench.data, here.terms), *(t for t in here.terms if not is_built(t))]
+    findings = findings_of(bench, here, listed, known, told.posterior, told.sets)
     beside, named = _by_name(bench, here)
     verdict: Verdict = "partial" if findings else "unexplained"
     others = tuple(a for f in findings for a in f.alternatives)
     judgement = Judgement(verdict, findings, left_by_names(beside, named), others)
     shares = tuple(_part(bench, base, here, f.term) for f in findings)
     rest = remainder_beside(beside, named, bench.plain)
-    return PartialDiagnosis(bench, parts, block, base, here, judgement, shares, rest, tuple(path), known, told)
+    return PartialDiagnosis(bench, parts, block, base, here, judgement, shares, rest, path, known, told)
 
 
 def testable_beside(known: Candidates, bench: CorrelatedBench) -> Candidates:
     """What may be missing beside free frames and, on a continuous motion, friction that follows its history."""
     always = {*FRAMES, "translation_release"} if bench.data.is_stream else {*FRAMES}
     return Candidates(tuple(t for t in known.terms if t.name not in always), known.not_testable)
-
-
-def _findings(bench: CorrelatedBench, chosen: Scored, known: Candidates, told: Compared) -> tuple[Finding, ...]:
-    """Effects of a set, and frames, that act with the probability of a name, each with what may stand for it."""
-    results = list[Finding]()
-    for t in [*frames_beside(bench.robot, bench.data, chosen.terms), *(t for t in chosen.terms if not is_built(t))]:
-        if (others := standing_for(told.posterior, t.name)) is not None:
-            results.append(Finding(t, tuple(_instead(bench, chosen, t, name, known, told) for name in others)))
-    return tuple(results)
-
-
-def standing_for(told: Posterior, name: str) -> list[str] | None:
-    """Effects of which one acts with 0.99 if another does not, the most probable first; None where these are many."""
-    group = [name]
-    others = sorted({other for one in told.hypotheses for other in one.names} - {name})
-    if told.of_effect(name) < 1 / 2:
-        return None
-    while told.of_effect(*group) < NAMED:
-        best = max(others, key=lambda other: told.of_effect(*group, other), default=None)
-        if best is None or len(group) > MOST_RIVALS:
-            return None
-        group.append(best)
-        others.remove(best)
-    return group[1:]
-
-
-def _instead(
-    bench: CorrelatedBench, chosen: Scored, t: Term, name: str, known: Candidates, told: Compared
-) -> Alternative:
-    """The best set in which another effect stands for one of the chosen ones; a frame stays free."""
-    rest = [other for other in chosen.terms if other is not t]
-    seen = [one for fitted in told.sets if name in fitted.names for one in fitted.terms if one.name == name]
-    variants = seen[:1] or [one for one in known.terms if one.name == name]
-    fits = [bench.scored([*rest, one], chosen.fit) for one in variants]
-    best = min(fits, key=lambda one: one.fit.loss)
-    return Alternative(best.terms[-1], best, *bench.difference(chosen, best))
 
 
 def _part(bench: CorrelatedBench, base: Scored, chosen: Scored, t: Term) -> Part:

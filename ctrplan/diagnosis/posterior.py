@@ -18,7 +18,7 @@ What something unknown may be, `unknown_errors.py` has.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -28,13 +28,29 @@ from ctrplan.calibration.least_squares import Fit
 from ctrplan.calibration.residuals import Noise
 from ctrplan.diagnosis.correlated_bench import FRAMES
 from ctrplan.diagnosis.cross_validation import Linear
-from ctrplan.diagnosis.selection import MOST_EFFECTS, REFITTED
 from ctrplan.diagnosis.term_dictionary import pieces
 from ctrplan.diagnosis.term_search import is_built
 from ctrplan.diagnosis.unknown_errors import Peak, UnknownErrors, without_error
 from ctrplan.diagnosis.verdict import ACTS, UNKNOWN_ACTS, Posterior, log_odds, normalised
 from ctrplan.diagnosis.workbench import Candidates, Scored, Workbench, linear
 from ctrplan.pipeline.term import Term
+
+MOST_EFFECTS = 4  # of a set
+REFITTED = 5  # different effects that are fitted for good beside a set
+ROUNDS = 3  # of a search, each with the friction states and the rest that the set before leaves
+
+Report = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class SelectionStep:
+    """One step of the path: how much more probable (logarithm) the poses are with it."""
+
+    action: str  # "compare", "build"
+    effect: str
+    parameters: tuple[str, ...]
+    gain: float
+    taken: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,6 +88,23 @@ def compared(
     gain = best.weight - asking.weight(chosen)
     along = asking.errors.along(asking.as_fitted(ranked[0]))
     return Compared(normalised(asking.by_names(), along), tuple(ranked), is_alone, gain)
+
+
+def settled(
+    bench: Workbench, here: Scored, known: Candidates, tell: Report = lambda _: None
+) -> tuple[Compared, Scored, tuple[SelectionStep, ...]]:
+    """The most probable set from one on, with what friction states and the rest are beside it, and the path taken."""
+    path = list[SelectionStep]()
+    while True:
+        tell("comparing sets of effects beside " + (", ".join(here.names) or "the calibrated robot"))
+        told = compared(bench, here, known, search=True)
+        best, before, here = told.sets[0], {t.key for t in here.terms}, bench.corrected(told.sets[0])
+        if {t.key for t in best.terms} == before:
+            return told, here, tuple(path)
+        names = tuple(q.name for t in best.terms for q in t.parameters)
+        path.append(SelectionStep("compare", " and ".join(best.names), names, round(told.gain, 2), bool(names)))
+        if here is best or len(path) == ROUNDS:
+            return told, here, tuple(path)
 
 
 def posterior(bench: Workbench, chosen: Scored, known: Candidates, more: Sequence[Scored] = ()) -> Posterior:
@@ -116,6 +149,7 @@ class _Asking:
         self.known_sets: dict[Scored, _Set] = {}
         self._evidence: dict[frozenset[str], _Set] = {}
         self._expanded: set[Scored] = set()
+        self._near: dict[Scored, list[tuple[list[Term], _Set]]] = {}
         for one in fitted:
             self.add(one)
 
@@ -198,7 +232,13 @@ class _Asking:
             if _key(terms) not in self._evidence:
                 self._note(terms, one)
 
-    def _neighbours(self, here: Scored) -> Iterator[tuple[list[Term], _Set]]:
+    def _neighbours(self, here: Scored) -> list[tuple[list[Term], _Set]]:
+        """Those of a set, asked once."""
+        if here not in self._near:
+            self._near[here] = list(self._added(here))
+        return self._near[here]
+
+    def _added(self, here: Scored) -> Iterator[tuple[list[Term], _Set]]:
         """Effects that may be added, one or two where one needs the other, and the sets with them to first order."""
         mine, widths = self.known_sets[here], self._widths(here)[0]
         others = [t for t in self.known.beside(here.terms) if t.name not in {*mine.names, *here.names}]

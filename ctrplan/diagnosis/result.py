@@ -20,9 +20,9 @@ from ctrplan.diagnosis.correlated_bench import FRAMES
 from ctrplan.diagnosis.gap import Gap, Place
 from ctrplan.diagnosis.next_experiment import Decision, Proposal
 from ctrplan.diagnosis.partial_diagnosis import PartialDiagnosis
+from ctrplan.diagnosis.posterior import SelectionStep
 from ctrplan.diagnosis.reading import MisreadError, Reading
 from ctrplan.diagnosis.remainder import Remainder
-from ctrplan.diagnosis.selection import SelectionStep
 from ctrplan.diagnosis.slips import Slip
 from ctrplan.diagnosis.verdict import Judgement, Posterior, Verdict, names_of
 from ctrplan.diagnosis.workbench import Scored

@@ -281,7 +281,7 @@ def test_an_interrupted_run_keeps_what_it_had() -> None:
     def progress(step: str, share: float) -> None:
         steps.append(step)
         assert 0 <= share <= 1
-        if step.startswith("trying"):
+        if step.startswith("comparing"):
             stop.set()
 
     found = diagnose(ROBOT, measured(ROBOT, PLAN, BASE), progress, catalogue=QUICK, interrupted=stop)

@@ -12,8 +12,6 @@ from ctrplan.diagnosis.cross_validation import (
     Linear,
     cross_validation_loss,
     left_out_residuals,
-    null_scores,
-    null_threshold,
     steps_without,
 )
 
@@ -54,26 +52,6 @@ def test_a_step_leaves_residuals_across_the_columns() -> None:
     fit = problem(3, 1).refitted()
     gradient = np.einsum("kcp,kc->p", fit.J, fit.r) / np.logspace(-3, 3, 3)
     np.testing.assert_allclose(gradient, 0, atol=1e-8)
-
-
-def test_null_scores_are_the_scores_of_pure_noise() -> None:
-    noise = np.random.default_rng(2).standard_normal((POSES * PER_POSE, 3))
-    fit = problem(3, 2)
-    scores = null_scores(fit, FOLD, noise)
-    for draw, score in zip(noise.T, scores, strict=True):
-        alone = problem(3, 2, draw.reshape(POSES, PER_POSE)).refitted()
-        robust = cross_validation_loss(alone, FOLD).sum()
-        assert -score * 2 == pytest.approx(robust, rel=2e-3)  # but for poses beyond the robust limit
-
-
-def test_noise_passes_the_threshold_as_rarely_as_it_says() -> None:
-    base = problem(3, 3)
-    wider = [np.concatenate([base.J, problem(2, k).J], axis=2) for k in range(10, 22)]
-    others = [Linear(base.r, J, base.weight, np.full(5, 1e-12), np.zeros(5), base.given) for J in wider]
-    noise = np.random.default_rng(99).standard_normal((POSES * PER_POSE, 600))
-    threshold = null_threshold(base, others, FOLD)
-    plain, *wide = (null_scores(fit, FOLD, noise) for fit in [base, *others])
-    assert np.mean(np.max(wide, axis=0) - plain > threshold) < 0.04
 
 
 @pytest.mark.parametrize("seed", range(5))

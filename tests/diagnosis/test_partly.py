@@ -15,7 +15,7 @@ from measured_data import measured, pair_robot, waypoints, write_csv
 from unbuilt import build_nothing
 
 from ctrplan.__main__ import main
-from ctrplan.diagnosis import CATALOGUE, Diagnosis, diagnose, selection
+from ctrplan.diagnosis import CATALOGUE, Diagnosis, diagnose
 from ctrplan.diagnosis.adequacy import noise_floor, remains
 from ctrplan.diagnosis.conclusion import Conclusion
 from ctrplan.diagnosis.confirmation import confirm
@@ -177,17 +177,6 @@ def test_a_frame_and_what_may_stand_for_it_are_told_apart_by_an_experiment() -> 
     said, proposed = next_experiment(chosen, judgement, found.data, bench.plain, ())
     assert {one.between for one in proposed} == {("base_misalignment", "sensor_distortion")}
     assert "base_misalignment from sensor_distortion" in said
-
-
-def test_what_is_found_beside_a_rest_and_leaves_none_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Effects that hide one another: the ordinary search ends too early, and a part of the truth was all of it."""
-    monkeypatch.setattr(selection, "MOST_EFFECTS", 1)
-    values = {"backlash": {"theta_2_deg": 8.0}, "tip_load": {"force_x_N": 0.3, "force_y_N": -0.25}}
-    data = measured(ROBOT, waypoints(ROBOT, 18), values)
-    few = {name: CATALOGUE[name] for name in ("backlash", "tip_load", "homing_offset")}
-    found = diagnose(ROBOT, data, catalogue=few)
-    assert found.verdict == "named" and set(found.chosen.names) == set(values) and found.partly is None
-    assert found.gap.after.rms_m < 1.3 * found.gap.floor_m
 
 
 def test_the_report_splits_the_gap() -> None:

@@ -13,7 +13,7 @@ from ctrplan.calibration.fit_warnings import is_strained, strained, symptoms
 from ctrplan.diagnosis import CATALOGUE, diagnose
 from ctrplan.diagnosis.adequacy import noise_floor
 from ctrplan.diagnosis.gap import LARGEST_REST, contradiction, largest_remainder
-from ctrplan.diagnosis.selection import Selector
+from ctrplan.diagnosis.posterior import settled
 from ctrplan.diagnosis.sentences import verdict_sentence
 from ctrplan.diagnosis.verdict import judge
 from ctrplan.diagnosis.workbench import Workbench, candidates
@@ -82,8 +82,9 @@ def test_beside_enlarged_noise_no_effect_is_larger_than_is_plausible(play_deg: f
         "tangent_sigma_deg": float(np.degrees(noise.tangent_rad)) / 2,
     }
     for robot, told in ((ROBOT, "named"), (pair_robot(measurement=half), verdict)):
-        selector = Selector(Workbench(robot, data, noise, data.configuration, data.configuration % 6), few)
-        assert judge(selector, selector.run()).verdict == told
+        bench = Workbench(robot, data, noise, data.configuration, data.configuration % 6)
+        found, chosen, _ = settled(bench, bench.scored([]), few)
+        assert judge(bench, chosen, few, found.posterior, found.sets).verdict == told
 
 
 def test_what_parameters_leave_open_is_no_contradiction_and_is_told() -> None:

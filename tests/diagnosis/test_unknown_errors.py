@@ -16,12 +16,11 @@ from ctrplan.calibration.discrepancy import SIZES, Linearised, Spectrum, block_o
 from ctrplan.calibration.residuals import Noise
 from ctrplan.diagnosis import CATALOGUE, partial_diagnosis
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
-from ctrplan.diagnosis.partial_diagnosis import standing_for
 from ctrplan.diagnosis.posterior import Compared, compared
 from ctrplan.diagnosis.term_search import built_term
 from ctrplan.diagnosis.unknown_errors import Peak
 from ctrplan.diagnosis.usable_poses import block_split, blocks
-from ctrplan.diagnosis.verdict import Posterior, normalised
+from ctrplan.diagnosis.verdict import Posterior, normalised, standing_for
 from ctrplan.diagnosis.workbench import candidates
 from ctrplan.effects.learned.inputs import InputRange, Target
 from ctrplan.measurement.measurements import Measurements
