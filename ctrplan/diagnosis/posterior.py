@@ -59,20 +59,17 @@ class Compared:
 
     posterior: Posterior
     sets: tuple[Scored, ...]
-    is_alone: bool  # whether nothing unknown acts besides in the first set's more probable hypothesis
     gain: float  # logarithm of how much more probable the first set is than the chosen one
 
 
-def compared(
-    bench: Workbench, chosen: Scored, known: Candidates, more: Sequence[Scored] = (), search: bool = False
-) -> Compared:
-    """The sets that a bench has fitted, and `more` of the same poses; search: whether more probable ones are sought.
+def compared(bench: Workbench, chosen: Scored, known: Candidates, search: bool = False) -> Compared:
+    """The sets that a bench has fitted; search: whether more probable ones are sought.
 
     Built terms are no effects: what they do is done by something unknown.
     """
     base = bench.scored([])
     less = [bench.scored([t for t in chosen.terms if t is not gone], chosen.fit) for gone in chosen.terms]
-    among = [one for one in (base, *bench.visited, *more, *less, chosen) if _is_alike(one.fit, chosen.fit)]
+    among = [one for one in (base, *bench.visited, *less, chosen) if _is_alike(one.fit, chosen.fit)]
     asking = _Asking(bench, known, base, chosen)
     for one in among:
         asking.add(one)
@@ -83,11 +80,9 @@ def compared(
     for here in (base, chosen, asking.best):
         asking.ask_neighbours(here)
     ranked = sorted(asking.fitted, key=asking.weight, reverse=True)
-    best = asking.known_sets[ranked[0]]
-    is_alone = best.alone > best.beside + log_odds(UNKNOWN_ACTS)
-    gain = best.weight - asking.weight(chosen)
+    gain = asking.weight(ranked[0]) - asking.weight(chosen)
     along = asking.errors.along(asking.as_fitted(ranked[0]))
-    return Compared(normalised(asking.by_names(), along), tuple(ranked), is_alone, gain)
+    return Compared(normalised(asking.by_names(), along), tuple(ranked), gain)
 
 
 def settled(
@@ -105,11 +100,6 @@ def settled(
         path.append(SelectionStep("compare", " and ".join(best.names), names, round(told.gain, 2), bool(names)))
         if here is best or len(path) == ROUNDS:
             return told, here, tuple(path)
-
-
-def posterior(bench: Workbench, chosen: Scored, known: Candidates, more: Sequence[Scored] = ()) -> Posterior:
-    """The posterior over the sets that a search on a bench has compared; more: sets that it no longer has."""
-    return compared(bench, chosen, known, more).posterior
 
 
 def _is_alike(fit: Fit, other: Fit) -> bool:

@@ -107,12 +107,6 @@ class Screened:
     term: Term
     linear: Linear  # of the columns of base, fit and variant
     owners: tuple[str, ...]  # (P,) the effect of each column
-    held_out: Array  # (K,) robust squares
-
-    @property
-    def score(self) -> float:
-        """Held-out log-likelihood, up to a constant."""
-        return float(-self.held_out.sum() / 2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -303,7 +297,7 @@ class Workbench:
     def screened(
         self, here: Scored, others: Sequence[Term], completed: Callable[[Sequence[Term], Term], Sequence[Term]]
     ) -> list[Screened]:
-        """Variants beside a fit by one Gauss-Newton step each, best first: cheap, for choosing what to fit.
+        """Variants beside a fit by one Gauss-Newton step each: cheap, for choosing what to fit.
 
         `completed` adds what a variant needs to the terms that it stands beside.
         """
@@ -318,9 +312,9 @@ class Workbench:
             same = [t for t in here.terms if t.name != other.name]
             together = [*self.basis([*same, other]), *same, other]
             columns = panel.of(together).refitted()
-            screened.append(Screened(other, columns, panel.owners(together), self.loss(columns)))
-        self._screened[key] = sorted(screened, key=lambda s: -s.score)
-        return self._screened[key]
+            screened.append(Screened(other, columns, panel.owners(together)))
+        self._screened[key] = screened
+        return screened
 
     def panel(self, here: Scored, others: Sequence[Term]) -> Linearisation:
         """A fit linearised in its own parameters and those of other variants, which vanish there."""
@@ -343,7 +337,7 @@ class Workbench:
         chain = self.chain([*self.basis(terms), *terms])
         start, _ = self._start(chain, [here.fit])
         there = linear(fit_at(chain, self.noise, self.whitening_group, start)).refitted()
-        return Screened(other, there, tuple(t.name for t in chain.terms for _ in t.parameters), self.loss(there))
+        return Screened(other, there, tuple(t.name for t in chain.terms for _ in t.parameters))
 
     def by_group(self, gain: Array) -> Array:
         """(B,) sums over poses that count as one, of values (K,)."""

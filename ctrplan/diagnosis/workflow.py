@@ -25,7 +25,7 @@ from ctrplan.diagnosis.conclusion import HELD_OUT_SHARE, Conclusion, Teller, con
 from ctrplan.diagnosis.gap import Gap, Place, contradiction, localise, open_test_set
 from ctrplan.diagnosis.next_experiment import decision, next_experiment
 from ctrplan.diagnosis.partial_diagnosis import PartialDiagnosis, left_by_names
-from ctrplan.diagnosis.posterior import posterior
+from ctrplan.diagnosis.posterior import compared
 from ctrplan.diagnosis.reading import MisreadError, read_again
 from ctrplan.diagnosis.result import Diagnosis
 from ctrplan.diagnosis.slips import after_slip, found_slip
@@ -319,7 +319,7 @@ def diagnose(
 def _posterior(answer: Conclusion, known: Candidates) -> Posterior:
     """How probable it is that each effect acts."""
     told = answer.partly.compared if answer.partly else answer.compared
-    return told.posterior if told else posterior(answer.bench, answer.chosen, known)
+    return (told or compared(answer.bench, answer.chosen, known)).posterior
 
 
 def decide(

@@ -13,7 +13,7 @@ from ctrplan.calibration import least_squares
 from ctrplan.calibration.discrepancy import Linearised
 from ctrplan.calibration.residuals import Noise
 from ctrplan.diagnosis import CATALOGUE
-from ctrplan.diagnosis.posterior import compared, posterior
+from ctrplan.diagnosis.posterior import compared
 from ctrplan.diagnosis.unknown_errors import UnknownErrors, without_error
 from ctrplan.diagnosis.verdict import Hypothesis, Posterior, normalised, shown
 from ctrplan.diagnosis.workbench import Workbench, candidates
@@ -110,7 +110,7 @@ def test_acting_effect_has_nearly_all_and_nothing_else_any() -> None:
     bench, data = bench_of("sensor_offset")
     known = candidates(ROBOT, data, QUICK)
     best = max((bench.scored([t]) for t in known.terms if t.name == "sensor_offset"), key=lambda one: one.score)
-    told = posterior(bench, best, known)
+    told = compared(bench, best, known).posterior
     assert told.probabilities.sum() == pytest.approx(1)
     assert told.of_effect("sensor_offset") > 0.99 and told.of_verdict("named", [{"sensor_offset"}]) > 0.8
     assert told.of_unknown < 0.2 and told.of_effect("joint_scale", "tip_load") < 0.2
@@ -121,9 +121,9 @@ def test_search_comes_to_the_true_pair_that_something_unknown_stood_for() -> Non
     known = candidates(ROBOT, data, QUICK)
     base = bench.scored([])
     before = compared(bench, base, known)
-    assert before.posterior.of_unknown > 0.99 and before.sets == (base,) and not before.is_alone
+    assert before.posterior.of_unknown > 0.99 and before.sets == (base,)
     told = compared(bench, base, known, search=True)
-    assert set(told.sets[0].names) == {"sensor_offset", "joint_scale"} and told.is_alone
+    assert set(told.sets[0].names) == {"sensor_offset", "joint_scale"}
     assert told.posterior.of_effect("sensor_offset") > 0.99 and told.posterior.of_effect("joint_scale") > 0.99
     assert told.posterior.of_unknown < 0.2 and told.posterior.probabilities.sum() == pytest.approx(1)
 
@@ -131,7 +131,7 @@ def test_search_comes_to_the_true_pair_that_something_unknown_stood_for() -> Non
 def test_search_in_a_null_ends_with_nothing() -> None:
     bench, data = bench_of("", 7)
     told = compared(bench, bench.scored([]), candidates(ROBOT, data, QUICK), search=True)
-    assert told.sets[0].names == () and told.is_alone
+    assert told.sets[0].names == ()
     assert told.posterior.of_verdict("no_missing_effect", []) > 0.8
 
 
@@ -149,14 +149,14 @@ def test_fit_that_has_used_up_its_steps_goes_on_from_there(monkeypatch: pytest.M
 
 def test_null_has_no_effect_and_nothing_unknown() -> None:
     bench, data = bench_of("", 7)
-    told = posterior(bench, bench.scored([]), candidates(ROBOT, data, QUICK))
+    told = compared(bench, bench.scored([]), candidates(ROBOT, data, QUICK)).posterior
     assert told.of_verdict("no_missing_effect", []) > 0.8
 
 
 def test_effect_that_nobody_knows_is_something_unknown() -> None:
     bench, data = bench_of("sensor_offset")
     few = {name: effect for name, effect in QUICK.items() if name != "sensor_offset"}
-    told = posterior(bench, bench.scored([]), candidates(ROBOT, data, few))
+    told = compared(bench, bench.scored([]), candidates(ROBOT, data, few)).posterior
     assert told.of_verdict("no_missing_effect", []) < 0.01
 
 
