@@ -94,7 +94,9 @@ def conclude(
         if first.interrupted or (first.partly and not first.partly.is_noise):
             return _with_built(first, first, teller)
     result = _ordinary(data, usable, wrong, bench, parts, known, teller)
-    if result.judgement.verdict != "unexplained" or result.interrupted or is_long:
+    is_alone = result.compared is None or result.compared.posterior.of_unknown < 1 / 2
+    explained = result.judgement.verdict != "unexplained" or (result.judgement.adequacy.is_adequate and is_alone)
+    if explained or result.interrupted or is_long:
         return result
     part = _beside_a_remainder(result, data, usable, noise, known, teller)
     return _with_built(part, part if part.judgement.verdict == "partial" or part.interrupted else result, teller)

@@ -17,7 +17,7 @@ from ctrplan.base.arrays import Array
 from ctrplan.calibration.residuals import Noise
 from ctrplan.diagnosis import remainder
 from ctrplan.diagnosis.adequacy import Adequacy, remains
-from ctrplan.diagnosis.correlated_bench import FRAMES, CorrelatedBench, frames_beside
+from ctrplan.diagnosis.correlated_bench import FRAMES, HOMED, SHIFT, CorrelatedBench, frames_beside
 from ctrplan.diagnosis.cross_validation import left_out_residuals
 from ctrplan.diagnosis.gap import localise
 from ctrplan.diagnosis.posterior import Compared, Report, SelectionStep, settled
@@ -136,7 +136,9 @@ def most_probable(
     What remains is what the catalogue leaves: a built term explains nothing.
     """
     told, here, path = settled(bench, begun, testable_beside(known, bench), tell)
-    listed = [*frames_beside(bench.robot, bench.data, here.terms), *(t for t in here.terms if not is_built(t))]
+    asked = {SHIFT, HOMED, *(t.name for t in known.terms)}  # set-ups and homings are no matter of the catalogue
+    free = [t for t in frames_beside(bench.robot, bench.data, here.terms) if t.name in asked]
+    listed = [*free, *(t for t in here.terms if not is_built(t))]
     findings = findings_of(bench, here, listed, known, told.posterior, told.sets)
     beside, named = _by_name(bench, here)
     verdict: Verdict = "partial" if findings else "unexplained"

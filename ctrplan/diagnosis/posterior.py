@@ -199,7 +199,8 @@ class _Asking:
                 continue
             self._expanded.add(here)
             for terms in [*self._more(here), *([t for t in here.terms if t is not gone] for gone in here.terms)]:
-                self.add(self.bench.scored(terms, here.fit))
+                self.bench.scored(terms, here.fit)
+                self.add(self.bench.scored(terms, None))  # the first fit may have ended in another valley
 
     def _more(self, here: Scored) -> list[list[Term]]:
         """The most probable neighbours of a set by their first step, of different effects.

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from ctrplan.base.arrays import Array
-from ctrplan.calibration.fit_warnings import is_strained, strained
+from ctrplan.calibration.fit_warnings import excused, is_strained, strained
 from ctrplan.diagnosis.adequacy import Adequacy, remains
 from ctrplan.diagnosis.workbench import Candidates, Scored, Workbench
 from ctrplan.pipeline.term import Term, term
@@ -85,8 +85,13 @@ def findings_of(
     told: Posterior,
     sets: Sequence[Scored],
 ) -> tuple[Finding, ...]:
-    """Those of some effects that act with the probability of a name, each with what may stand for it."""
+    """Those of some effects that act with the probability of a name, each with what may stand for it.
+
+    A model without a solution in many poses explains nothing.
+    """
     results = list[Finding]()
+    if chosen.failed.any() and not excused(chosen.failed).any():
+        return ()
     for t in terms:
         if (others := standing_for(told, t.name)) is not None:
             results.append(Finding(t, tuple(_instead(bench, chosen, t, name, known, sets) for name in others)))
