@@ -199,8 +199,10 @@ class _Asking:
                 continue
             self._expanded.add(here)
             for terms in [*self._more(here), *([t for t in here.terms if t is not gone] for gone in here.terms)]:
-                self.bench.scored(terms, here.fit)
-                self.add(self.bench.scored(terms, None))  # the first fit may have ended in another valley
+                one = self.bench.scored(terms, here.fit)
+                if self.bench.noise.discrepancy is None:  # beside noise alone a fit may end in another valley
+                    one = self.bench.scored(terms, None)
+                self.add(one)
 
     def _more(self, here: Scored) -> list[list[Term]]:
         """The most probable neighbours of a set by their first step, of different effects.
