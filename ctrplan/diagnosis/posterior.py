@@ -78,9 +78,9 @@ def compared(bench: Workbench, chosen: Scored, known: Candidates, search: bool =
         if asking.best is not chosen:  # poses count as they do in the most probable set
             asking = _Asking(bench, known, base, asking.best, asking.fitted)
     for here in (base, chosen, asking.best):
-        asking.ask_neighbours(here)
+        asking.ask_neighbours(asking.as_known(here))
     ranked = sorted(asking.fitted, key=asking.weight, reverse=True)
-    gain = asking.weight(ranked[0]) - asking.weight(chosen)
+    gain = asking.weight(ranked[0]) - asking.weight(asking.as_known(chosen))
     along = asking.errors.along(asking.as_fitted(ranked[0]))
     return Compared(normalised(asking.by_names(), along), tuple(ranked), gain)
 
@@ -152,6 +152,11 @@ class _Asking:
     def best(self) -> Scored:
         """The most probable of them."""
         return max(self.known_sets, key=self.weight)
+
+    def as_known(self, scored: Scored) -> Scored:
+        """The set as it is fitted by now: further on where its fit had used up its steps."""
+        terms = _key(scored.terms)
+        return scored if scored in self.known_sets else next(one for one in self.known_sets if _key(one.terms) == terms)
 
     def weight(self, scored: Scored) -> float:
         """Logarithm of prior times likelihood of a set."""
