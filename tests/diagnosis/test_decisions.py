@@ -92,7 +92,9 @@ def test_sentences_and_waypoints() -> None:
     np.testing.assert_allclose(places, [[0.0, -0.02]] * 6)
 
 
-def test_the_command_proposes_and_says_what_new_poses_leave_open(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_proposes_and_says_what_new_poses_leave_open(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     robot = tmp_path / "pair.toml"
     robot.write_text(tomli_w.dumps(ROBOT.content), encoding="utf-8")
     loaded = BASE | {"tip_load": {"force_x_N": 0.03, "force_y_N": -0.02}}
