@@ -203,23 +203,36 @@ class _Asking:
                 self.add(further)
                 continue
             self._expanded.add(here)
-            for terms in [*self._more(here), *([t for t in here.terms if t is not gone] for gone in here.terms)]:
-                one = self.bench.scored(terms, here.fit)
-                if self.bench.noise.discrepancy is None:  # beside noise alone a fit may end in another valley
-                    one = self.bench.scored(terms, None)
-                self.add(one)
+            for terms in self._more(here):
+                self._fit(terms, here)
+            for gone in here.terms:
+                parent = self.as_known(self._fit([t for t in here.terms if t is not gone], here))
+                for terms in self._more(parent, gone):
+                    self._fit(terms, here)
 
-    def _more(self, here: Scored) -> list[list[Term]]:
-        """The most probable neighbours of a set by their first step, of different effects.
+    def _fit(self, terms: list[Term], here: Scored) -> Scored:
+        """A set near another one, fitted."""
+        one = self.bench.scored(terms, here.fit)
+        if self.bench.noise.discrepancy is None:  # beside noise alone a fit may end in another valley
+            one = self.bench.scored(terms, None)
+        self.add(one)
+        return one
 
-        One that brings nothing loses no more than its prior odds, and as much again for its parameters.
+    def _more(self, here: Scored, instead: Term | None = None) -> list[list[Term]]:
+        """The most probable neighbours of a set by their first step, of different effects; `instead` of one of them.
+
+        One that brings nothing loses no more than its prior odds, and as much again for its parameters; one that stands
+        in the place of another no more than that beside it.
         """
         best: dict[str, tuple[float, list[Term]]] = {}
         for added, one in self._neighbours(here):
             name = added[-1].name
             if name not in best or one.weight > best[name][0]:
                 best[name] = one.weight, [*here.terms, *added]
-        least = self.weight(here) + 2 * log_odds(ACTS)
+        replaced = best.pop(instead.name, None) if instead else None
+        if instead and not replaced:
+            return []
+        least = (replaced[0] if replaced else self.weight(here)) + 2 * log_odds(ACTS)
         ranked = sorted((one for one in best.values() if one[0] > least), key=lambda one: -one[0])
         return [terms for _, terms in ranked[:REFITTED]]
 
