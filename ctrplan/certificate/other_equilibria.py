@@ -131,7 +131,7 @@ def _turned_from_home(robot: Robot, joints: Array, bound: Bound) -> str:
     ways = f"to unwind it turn {_turned(robot, turns)}" if is_back and is_smooth and any(turns) else ""
     return (
         f"The start has another stable equilibrium, where rotations straight from home end: the tip stands "
-        f"{away * MM_PER_M:.1f} mm away there; {ways or 'start within half a turn of home, or where there is one'}"
+        f"{away * MM_PER_M:.1f} mm away there; {ways or 'start within half a turn of home, or where there is no other'}"
     )
 
 
