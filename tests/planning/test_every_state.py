@@ -94,7 +94,7 @@ def test_batches_hold_every_sample_once_and_begin_where_states_are_solved() -> N
 
 
 def test_pieces_of_a_path_before_are_not_solved_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The same figures with less work, also where more clearance is asked for; and nothing is known outside."""
+    """Figures are those of looks from scratch, also where more clearance is asked for; outside nothing is known."""
     scenario, pieces = _pieces([0.0, 0.3, 0.1])
     solve, solved = SampleStates.solve, list[int]()
 
