@@ -146,17 +146,17 @@ class _PieceView:
     _broken: float = np.inf  # last sample of the first batch of which one breaks a limit
     _lock: Lock = field(default_factory=Lock)
 
-    def recall(self, known: CloserLooks | None) -> None:
+    def recall(self, known: CloserLooks) -> None:
         """Takes over what is known of samples: that they keep what is needed, or how little there is where no less was
         asked for.
         """
-        for sample, (asked_m, least) in (known.minima.get(key_of(self.piece), {}) if known else {}).items():
+        for sample, (asked_m, least) in known.minima.get(key_of(self.piece), {}).items():
             if sample not in self._found and (least.keeps(self.needed) or asked_m >= self.needed.clearance_m):
                 self._found[sample], self._asked_m[sample] = least, asked_m
 
-    def remember(self, known: CloserLooks | None) -> None:
+    def remember(self, known: CloserLooks) -> None:
         """Keeps what was found, unless a limit was broken: then it depends on when threads came to it."""
-        if known is not None and np.isinf(self._broken):
+        if np.isinf(self._broken):
             rows = {sample: (self._asked_m[sample], least) for sample, least in self._found.items()}
             known.minima.setdefault(key_of(self.piece), {}).update(rows)
 

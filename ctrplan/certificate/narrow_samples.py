@@ -72,9 +72,9 @@ def remembered_looks() -> Iterator[None]:
         _LOOKS.reset(token)
 
 
-def closer_looks() -> CloserLooks | None:
-    """What is remembered in this context; None where nothing is."""
-    return _LOOKS.get()
+def closer_looks() -> CloserLooks:
+    """What is remembered in this context; nothing, and not for long, where no path shares it."""
+    return _LOOKS.get() or CloserLooks()
 
 
 def key_of(piece: Piece) -> Hashable:
@@ -100,11 +100,10 @@ def closely_solved(scenario: Scenario, pieces: Sequence[Piece], spare_m: float) 
     known = closer_looks()
 
     def solve(run: Run) -> Closely:
-        piece, key = pieces[run[0]], (key_of(pieces[run[0]]), tuple(run[1]))
-        if known is None:
-            return _on_certificate_mesh(scenario, distance, piece, run[1])
+        piece, samples = pieces[run[0]], run[1]
+        key = key_of(piece), tuple(samples)
         if key not in known.closely:
-            known.closely[key] = _on_certificate_mesh(scenario, distance, piece, run[1])
+            known.closely[key] = _on_certificate_mesh(scenario, distance, piece, samples)
         return known.closely[key]
 
     with ThreadPoolExecutor(cores()) as pool:

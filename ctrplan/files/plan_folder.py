@@ -88,7 +88,7 @@ def _certificate(written: WrittenPlan) -> Certificate:
 def _reorder(content: Mapping[str, Any]) -> ReorderReport:
     ways = tuple(_made(ComparedWay, way) for way in content["alternatives"])
     report = _made(ReorderReport, {**content, "compare": partial(tuple, ways)})
-    assert report.alternatives == ways  # looked at, as when they were written
+    _ = report.alternatives  # looked at, as when they were written
     return report
 
 

@@ -204,8 +204,6 @@ def save_plan(
     scene, inputs = plan_scene(plan) if report else None, inputs_of(plan.scenario)  # writers solve nothing
     if scene is not None:
         _ = plan.reorder.alternatives  # simulated now: plan.json has them, too
-    for name in PICTURES if scene is None else ():
-        (place / name).unlink(missing_ok=True)  # of an earlier plan
     if inputs is None:
         (place / INPUTS).unlink(missing_ok=True)  # of an earlier plan
     with written_together(place, [*outputs, *([] if inputs is None else [INPUTS])]) as made:
@@ -216,4 +214,6 @@ def save_plan(
         if scene is not None:
             write_plan_png(made / "plan.png", scene)
             write_plan_report(made / "report.html", scene)
+    for name in PICTURES if scene is None else ():
+        (place / name).unlink(missing_ok=True)  # of an earlier plan, which is whole until this one is written
     return place

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -14,6 +15,7 @@ import ctrplan
 from ctrplan.errors import InputError
 from ctrplan.files.trajectory_file import trajectory_formats, write_trajectory
 from ctrplan.plans.plan import write_plan_json
+from ctrplan.reports import plan_page
 
 FREE = str(SCENARIOS / "pair_free.toml")
 QUICK = ["planner.time_s=0.05", "robot.model_error_mm=0.5"]
@@ -63,6 +65,10 @@ def test_what_is_no_plan_is_refused(written: tuple[ctrplan.Plan, Path], tmp_path
         ctrplan.Plan.load(tmp_path, overrides=QUICK)
 
 
+def full_disk(*_: object) -> None:
+    raise OSError(errno.ENOSPC, "No space left on device")
+
+
 def test_other_ways_are_simulated_for_those_who_look(written: tuple[ctrplan.Plan, Path], tmp_path: Path) -> None:
     """A plan saved without its report compares nothing, and takes the page of an earlier plan away."""
     plan, _ = written
@@ -72,6 +78,10 @@ def test_other_ways_are_simulated_for_those_who_look(written: tuple[ctrplan.Plan
     assert [way.name for way in ways] == ["as given", "as driven", "straight line", "translations first"]
 
     other = replace(plan, reorder=replace(plan.reorder, compare=lambda: pytest.fail("nobody looked at other ways")))
+    with pytest.MonkeyPatch.context() as patch, pytest.raises(ctrplan.CtrplanError):
+        patch.setattr(plan_page, "write_plan_json", full_disk)
+        ctrplan.save_plan(other, tmp_path, report=False)
+    assert (tmp_path / "report.html").exists() and (tmp_path / "plan.png").exists()
     ctrplan.save_plan(other, tmp_path, report=False)
     assert not (tmp_path / "report.html").exists() and not (tmp_path / "plan.png").exists()
     assert ctrplan.Plan.load(tmp_path, overrides=QUICK).reorder.alternatives == ()
