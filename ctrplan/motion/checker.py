@@ -6,10 +6,10 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ctrplan.anatomy.parts import exact_clearance_of_many
 from ctrplan.base.arguments import Choice, Flag, Made, Number, Texts, checked
@@ -64,6 +64,14 @@ class Motion:
     def end_error_m(self) -> float:
         """What friction leaves at its end that no compensation knows, by the friction law."""
         return self.left_m()
+
+
+class Stations(NamedTuple):
+    """Zero-clearance shapes along a motion."""
+
+    joints: Array  # (S, m)
+    room_m: Array  # (S,) smallest clearance beyond what is required
+    jumps: bool  # whether the tip does, which is a cheap hint that the robot snaps: the solution changes its branch
 
 
 class MotionChecker:
@@ -221,6 +229,11 @@ class MotionChecker:
             result = self._states[key] = self._probe(q[None, :])
         return result
 
+    def solved_room_m(self, q: Array) -> float:
+        """What a state (m,) that was solved leaves beyond the clearance required; NaN where none was."""
+        _, samples = self._states.get(q.tobytes(), (None, None))
+        return np.nan if samples is None else float(samples.clearance_m[-1]) - self.limits.clearance_m
+
     def _probe(self, q: Array) -> tuple[Motion, PathSamples | None]:
         if not self.space.allowed(q):
             return invalid(self.space.violation(q)), None
@@ -271,25 +284,19 @@ class MotionChecker:
         """
         if self.field is None or not ways:
             return np.full(len(ways), np.inf)
-        return self.look(ways)[0]
+        return np.array([stations.room_m.min() for stations in self.look(ways)])
 
-    def look(self, ways: list[Array]) -> tuple[Array, NDArray[np.bool_]]:
-        """`rooms` of polylines, and (E,) whether the tips of their zero-clearance shapes jump on the way.
-
-        A jump is a cheap hint that the robot snaps there: past two stable shapes, the solution along the branch of
-        vanishing precurvature changes from one to the other.
-        """
+    def look(self, ways: list[Array]) -> list[Stations]:
+        """Zero-clearance shapes on polylines (K, m) each, which say cheaply what to expect of them."""
         points = [self._stations(way) for way in ways]
         theta_b, l_b = self.space.drive.collars(np.concatenate(points))
         rooms, tips = self._rooms_and_tips(theta_b, l_b)
-        firsts = np.cumsum([0, *map(len, points[:-1])])
-        ends = zip(np.split(tips, firsts[1:]), np.split(l_b, firsts[1:]), strict=True)
-        return np.minimum.reduceat(rooms, firsts), np.array([_jumps(*rows) for rows in ends])
+        lasts = np.cumsum([len(of_way) for of_way in points[:-1]], dtype=int)
+        rows = zip(points, *(np.split(values, lasts) for values in (rooms, tips, l_b)), strict=True)
+        return [Stations(q, room_m, _jumps(tip_m, lengths)) for q, room_m, tip_m, lengths in rows]
 
     def _rooms_and_tips(self, theta_b: Array, l_b: Array) -> tuple[Array, Array]:
-        """Clearances (K,) [m] of zero-clearance shapes at collars (K, n) beyond what is required, and tips (K, 3)
-        [m].
-        """
+        """Clearances (K,) [m] of shapes at collars (K, n) beyond what is required, and tips (K, 3) [m]."""
         self.watch.ask()
         self.meter.add(ROOM_NS * len(l_b))
         threads = 0 if len(l_b) > FEW else 1

@@ -10,11 +10,19 @@ import numpy as np
 import pytest
 from places import SCENARIOS
 
-from ctrplan.base.arrays import Array
+from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.base.long_work import SearchClock, WorkMeter
 from ctrplan.files.scenario_file import load_scenario
-from ctrplan.motion.checker import MotionChecker
+from ctrplan.motion.checker import MotionChecker, Stations
 from ctrplan.planning.goal_states import descended, goal_states
+from ctrplan.planning.search.clearance_surrogate import (
+    LOSS_M,
+    LOSS_MM,
+    LOSS_SD_M,
+    SCATTER_M,
+    ClearanceSurrogate,
+    expected_share,
+)
 from ctrplan.planning.search.insertion_chains import Roadmap
 from ctrplan.planning.search.ompl_set_up import SearchProblem
 from ctrplan.planning.search.roadmap_search import RoadmapSearch
@@ -103,7 +111,9 @@ def test_a_motion_of_the_next_path_is_checked_ahead(vessel: MotionChecker, monke
         together.wait(10.0)
         ahead.append(k)
 
-    monkeypatch.setattr(MotionChecker, "look", lambda _, ways: (np.ones(len(ways)), np.zeros(len(ways), dtype=bool)))
+    monkeypatch.setattr(
+        MotionChecker, "look", lambda _, ways: [Stations(way, np.ones(len(way)), jumps=False) for way in ways]
+    )
     monkeypatch.setattr(RoadmapSearch, "_check", check)
     monkeypatch.setattr(RoadmapSearch, "_check_ahead", check_ahead)
     search = RoadmapSearch(vessel, roadmap, goals)
@@ -235,7 +245,55 @@ def test_motions_that_snap_are_suspected_beforehand_and_others_are_not() -> None
     for a, b in [(start, goal), (goal, start), *zip(joints[:-1], joints[1:], strict=True)]:
         if checker.state(a).valid and checker.state(b).valid:
             way = checker.space.corners(a, b, checker.style)
-            found.append((bool(checker.look([way])[1][0]), checker.motion(a, b).valid))
+            found.append((checker.look([way])[0].jumps, checker.motion(a, b).valid))
     assert found[:2] == [(True, False), (True, False)]  # what the scenario was made for
     assert np.mean([suspected != valid for suspected, valid in found]) > 0.95
     assert sum(valid for _, valid in found) > 20
+
+
+def test_a_surrogate_expects_what_regression_on_all_solved_states_does(vessel: MotionChecker) -> None:
+    space, rng = vessel.space, np.random.default_rng(5)
+    joints, room_m = space.sample(rng, 40), rng.uniform(0, 6e-3, 40)
+    clearance_m = room_m - rng.normal(LOSS_M, LOSS_SD_M, 40)
+    surrogate, order = ClearanceSurrogate(space), rng.permutation(25)
+    places = surrogate.extend(joints[:30], room_m[:30])
+    for place in order:
+        surrogate.learn(int(places[place]), float(clearance_m[place]))
+    surrogate.extend(joints[30:], room_m[30:])  # after it has learned
+    turns = space.drive.is_rotation
+    at = np.concatenate([np.exp(1j * joints[:, turns]), joints[:, ~turns] * MM_PER_M / space.weights_mm[0]], axis=1)
+    apart = np.linalg.norm(at[:, None] - at, axis=2) * space.weights_mm[0] * np.sqrt(3) / LOSS_MM
+    prior = LOSS_SD_M**2 * (1 + apart) * np.exp(-apart)
+    gain = prior[:, :25] @ np.linalg.inv(prior[:25, :25] + SCATTER_M**2 * np.eye(25))
+    np.testing.assert_allclose(surrogate.loss_m, LOSS_M + gain @ ((room_m - clearance_m)[:25] - LOSS_M), atol=1e-9)
+    np.testing.assert_allclose(surrogate.variance, LOSS_SD_M**2 - (gain * prior[:, :25]).sum(axis=1), atol=1e-12)
+    beside = surrogate.share_valid_at(joints[30:] + 2 * np.pi * turns, room_m[30:])
+    np.testing.assert_allclose(beside, surrogate.share_valid()[30:], atol=1e-9)  # and it is the same after a turn
+
+
+def test_many_solved_states_in_one_place_leave_a_surrogate_sound(vessel: MotionChecker) -> None:
+    surrogate, q = ClearanceSurrogate(vessel.space), np.tile(vessel.scenario.start, (60, 1))
+    q[:, 0] += np.linspace(0, 1e-9, 60)
+    for place in surrogate.extend(q, np.full(60, 2e-3)):
+        surrogate.learn(int(place), 0.5e-3)
+    np.testing.assert_allclose(surrogate.loss_m, 1.5e-3, atol=1e-5)
+    assert np.all(surrogate.variance > -1e-12) and np.all(surrogate.variance < SCATTER_M**2)
+
+
+def test_what_a_search_has_solved_tells_which_states_are_valid() -> None:
+    checker = MotionChecker(load_scenario(SCENARIOS / "sinus.toml"))
+    q = checker.space.sample(np.random.default_rng(2), 900)
+    room_m = checker.rooms([row[None] for row in q])
+    near = np.flatnonzero((room_m > -1e-3) & (room_m < 5e-3))[:60]
+    q, room_m = q[near], room_m[near]
+    valid = np.array([checker.state(row).valid for row in q])
+    beside = checker.space.wound_into_limits(q + 0.01 * np.random.default_rng(3).normal(size=q.shape) * [1, 1, 1, 0, 0])
+    surrogate = ClearanceSurrogate(checker.space)
+    for place, row in zip(surrogate.extend(q, room_m), q, strict=True):
+        surrogate.learn(int(place), checker.solved_room_m(row))
+    rooms = checker.rooms([row[None] for row in beside])
+    is_expected = surrogate.share_valid_at(beside, rooms) > 1 / 2
+    is_guessed = expected_share(rooms) > 1 / 2
+    truly = np.array([checker.state(row).valid for row in beside])
+    assert 10 < valid.sum() < 50
+    assert np.mean(is_expected == truly) > 0.95 > np.mean(is_guessed == truly)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.motion.checker import MotionChecker
+from ctrplan.planning.search.clearance_surrogate import expected_share
 from ctrplan.scenario.tip_solver import GoalState, TipSolver, TipTarget
 
 STATION_MM = 6.0  # along the body between neighbours of a chain
@@ -44,11 +45,14 @@ def direct_roadmap(checker: MotionChecker, goals: list[GoalState]) -> Roadmap:
 def retreat_roadmap(checker: MotionChecker, goals: list[GoalState]) -> Roadmap:
     """Chains from the goals back to the plate, joined to each other and to the start.
 
+    Of many goals, those that would cost least if the way there were free, and as many whose chains are likeliest free.
     Start and goals alone where the drive can't withdraw the robot far along its body.
     """
-    ends = np.array([goal.joints for goal in goals])
     start = checker.scenario.start
-    chains, stations = _chains(checker, np.vstack([ends, start]))
+    chains, stations = _chains(checker, np.array([*(goal.joints for goal in goals), start]))
+    chosen = _chosen(checker, goals, chains, stations)
+    ends = [goals[k] for k in chosen]
+    chains, stations = [chains[k] for k in [*chosen, -1]], [stations[k] for k in [*chosen, -1]]
     if all(len(chain) < FAR_SHARE * count for chain, count in zip(chains[:-1], stations[:-1], strict=True)):
         return direct_roadmap(checker, goals)
     joints, owner, station = [start], [-1], [0]
@@ -68,12 +72,17 @@ def retreat_roadmap(checker: MotionChecker, goals: list[GoalState]) -> Roadmap:
     )
 
 
-def promising(checker: MotionChecker, goals: list[GoalState]) -> list[GoalState]:
-    """At most MOST_GOALS: those that would cost least if the way there were free, and as many of the nearest others."""
-    weights, space, start = checker.scenario.cost, checker.space, checker.scenario.start
-    way = {goal: space.length_mm(space.difference(start, goal.joints)) for goal in goals}
-    ranked = sorted(goals, key=lambda g: weights.path * way[g] + weights.error_goal * g.bound_m * MM_PER_M)
-    return ranked[: MOST_GOALS // 2] + sorted(ranked[MOST_GOALS // 2 :], key=lambda g: way[g])[: MOST_GOALS // 2]
+def _chosen(
+    checker: MotionChecker, goals: list[GoalState], chains: list[list[Array]], stations: list[int]
+) -> list[int]:
+    """Numbers of at most MOST_GOALS goals: half the cheapest if the way were free, half with least of a chain lost."""
+    weights, space = checker.scenario.cost, checker.space
+    way_mm = space.lengths_mm(space.difference(checker.scenario.start, np.array([goal.joints for goal in goals])))
+    cost = weights.path * way_mm + weights.error_goal * MM_PER_M * np.array([goal.bound_m for goal in goals])
+    open_stations = [expected_share(checker.rooms([q[None] for q in chain])).sum() for chain in chains[: len(goals)]]
+    blocked = np.array(stations[: len(goals)]) - open_stations
+    cheap, others = np.split(np.argsort(cost), [MOST_GOALS // 2])
+    return [*cheap.tolist(), *others[np.argsort(blocked[others])][: MOST_GOALS // 2].tolist()]
 
 
 def _chains(checker: MotionChecker, ends: Array) -> tuple[list[list[Array]], list[int]]:

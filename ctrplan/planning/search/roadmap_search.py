@@ -20,6 +20,7 @@ from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.base.long_work import EDGE_NS, ROOM_NS, counted_aside
 from ctrplan.motion.checker import DEFINITE_COLLISION_M, MotionChecker
 from ctrplan.planning.goal_states import Trail
+from ctrplan.planning.search.clearance_surrogate import ClearanceSurrogate
 from ctrplan.planning.search.insertion_chains import SKIPS, Roadmap
 from ctrplan.scenario.tip_solver import GoalState, TipSolver, TipTarget
 
@@ -31,15 +32,9 @@ AT_MM = 1e-6  # of joint length, within which a place is at a motion's end
 NEAR_MM = 30.0  # of joint length, standard deviation of random states beside others, before their tips are brought back
 TIP_STEPS, NEAR_TIP_M = 4, 4e-3  # for that, and how near they must come
 TRIES = 4  # random states looked at for each that is added
-ROOM_M = 1e-3  # that a random state must have around its zero-clearance shape
-# Share of motions that are valid, by the room [m] around their zero-clearance shapes: a line through 1,833 states and
-# motions of three scenarios (0 % of 214 below -1 mm, 38 % at 1 mm, 87 % at 3 mm, 98 % at 5 mm)
-VALID_AT_M, VALID_SHARE = (-0.5e-3, 3e-3), (0.02, 1.0)
 VALID_JUMPS = 0.05  # of motions along which the zero-clearance tip jumps
-WARNING, ALIKE = (
-    0.7,
-    0.8,
-)  # what is left of the trust in others from the same state, of that share of its length or more
+LEAST_HOPE = 0.01  # however little is expected: the surrogate may be wrong
+WALK_PER_STATE = 30  # solves of a motion's walk for one of a state: with less doubt than that it is walked at once
 
 
 Result = TypeVar("Result")
@@ -59,10 +54,12 @@ class RoadmapSearch:
         self.left: Array = np.empty(0)  # cost of the error left if the path ends with that motion; inf but at goals
         self.least: Array = np.empty(0)  # length and stops alone
         self.least_left: Array = np.empty(0)  # bound at the goal alone
-        self.room: Array = np.empty(0)  # [m] of states' zero-clearance shapes
-        self.hope: Array = np.empty(0)  # share of such motions that are valid, by the room at their ends before a look
+        self.clearance = ClearanceSurrogate(checker.space)
+        self.place: NDArray[np.int_] = np.empty(0, dtype=int)  # of states there
+        self.narrowest: NDArray[np.int_] = np.empty(0, dtype=int)  # place of a motion; its end before a look
+        self.jumps: NDArray[np.bool_] = np.empty(0, dtype=bool)  # the zero-clearance tip along it
+        self.hope: Array = np.empty(0)  # probability that a motion is valid
         self.seen: NDArray[np.bool_] = np.empty(0, dtype=bool)  # the zero-clearance shapes along them
-        self.trust: Array = np.empty(0)  # beside the hope, while any path will do
         self.known: NDArray[np.bool_] = np.empty(0, dtype=bool)
         self.asked: NDArray[np.bool_] = np.empty(0, dtype=bool)  # where it is narrowest
         self.probed: NDArray[np.bool_] = np.empty(0, dtype=bool)
@@ -70,13 +67,14 @@ class RoadmapSearch:
         self.row: dict[tuple[int, int], int] = {}
         self._threads = ThreadPoolExecutor(AT_ONCE)  # which end with this search
         self.extend(roadmap.joints, roadmap.edges)
+        self._learn(self.place)  # of start and goals, which are solved
 
     def extend(self, joints: Array, edges: NDArray[np.int_]) -> None:
         """Adds states (N, m), counted on from the last one, and motions (E, 2) that there were not."""
         weights, space = self.checker.scenario.cost, self.checker.space
         self.joints = np.concatenate([self.joints, joints])
         self.probed = np.concatenate([self.probed, np.zeros(len(joints), dtype=bool)])
-        self.room = np.concatenate([self.room, self.checker.rooms([q[None] for q in joints])])
+        self.place = np.append(self.place, self.clearance.extend(joints, self.checker.rooms([q[None] for q in joints])))
         a, b = edges.T
         delta = space.difference(self.joints[a], self.joints[b])
         length = space.lengths_mm(delta)
@@ -90,17 +88,31 @@ class RoadmapSearch:
         self.known = np.concatenate([self.known, np.zeros(len(edges), dtype=bool)])
         self.asked = np.concatenate([self.asked, np.zeros(len(edges), dtype=bool)])
         self.seen = np.concatenate([self.seen, np.zeros(len(edges), dtype=bool)])
-        self.hope = np.concatenate([self.hope, _valid_share(np.minimum(self.room[a], self.room[b]))])
-        self.trust = np.concatenate([self.trust, np.ones(len(edges))])
+        self.narrowest = np.concatenate([self.narrowest, self.place[b]])
+        self.jumps = np.concatenate([self.jumps, np.zeros(len(edges), dtype=bool)])
+        self._weigh()
+
+    def _weigh(self) -> None:
+        """Puts the hopes of motions to what is known of clearances now."""
+        share = np.maximum(self.clearance.share_valid(), LEAST_HOPE)
+        ends = share[self.place[self.edges]].min(axis=1, initial=1.0)
+        self.hope = np.minimum(np.minimum(ends, share[self.narrowest]), np.where(self.jumps, VALID_JUMPS, 1.0))
+
+    def _learn(self, places: NDArray[np.int_]) -> None:
+        """Takes in what solved places leave."""
+        self.checker.meter.add(EDGE_NS * len(self.clearance.room_m) * len(places))
+        for place in places.tolist():
+            self.clearance.learn(place, self.checker.solved_room_m(self.clearance.joints[place]))
+        self._weigh()
 
     def grow(self, rng: np.random.Generator, count: int) -> None:
-        """Adds up to `count` random states with room around their zero-clearance shapes.
+        """Adds up to `count` random states that are likely valid.
 
         Half of them have the tip where that of another state is, of those first from or to which no motion was valid.
         """
         space, q = self.checker.space, self.joints
-        results = [self._with_room(self._beside(q[self._troubled(rng, TRIES * count // 2)], rng), count // 2)]
-        results.append(self._with_room(space.sample(rng, TRIES * count), count - len(results[0])))
+        results = [self._likely_valid(self._beside(q[self._troubled(rng, TRIES * count // 2)], rng), count // 2)]
+        results.append(self._likely_valid(space.sample(rng, TRIES * count), count - len(results[0])))
         added = np.concatenate(results)
         everything, edges = np.concatenate([q, added]), set()
         for i in range(len(q), len(everything)):
@@ -165,8 +177,9 @@ class RoadmapSearch:
         self.checker.meter.add(ROOM_NS * TIP_STEPS * len(near))
         return result.joints[result.error_m < NEAR_TIP_M]
 
-    def _with_room(self, q: Array, most: int) -> Array:
-        return q[self.checker.rooms([row[None] for row in q]) > ROOM_M][:most]
+    def _likely_valid(self, q: Array, most: int) -> Array:
+        share = self.clearance.share_valid_at(q, self.checker.rooms([row[None] for row in q]))
+        return q[share > 1 / 2][:most]
 
     def any_path(self, stop: Callable[[], bool], least_hope: float = 0.0) -> Array | None:
         """(K, m) states of some good path from the start to a goal; None without a way, or if `stop` came first.
@@ -203,29 +216,24 @@ class RoadmapSearch:
             if self._refuses_a_state(nodes):
                 continue
             unknown = sorted((k for k in edges if not self.known[k]), key=lambda k: self.hope[k])
-            if self._refuses_a_motion([k for k in unknown if self.hope[k] < 1 and not self.asked[k]][:AT_ONCE]):
+            doubtful = [k for k in unknown if WALK_PER_STATE * (1 - self.hope[k]) > 1 and not self.asked[k]]
+            if self._refuses_a_motion(doubtful[:AT_ONCE]):
                 continue
             todo = unknown[:AT_ONCE]
             if not todo:
                 return self.joints[nodes]
             ahead = self._likely_next(price, todo) if is_any_enough and len(todo) < AT_ONCE else []
             self._together([*(partial(self._check, k) for k in todo), *(partial(self._check_ahead, k) for k in ahead)])
-            self._warn([k for k in todo if not np.isfinite(self.cost[k])])
         return None
-
-    def _warn(self, refused: list[int]) -> None:
-        """Trusts motions as long as refused ones from the same state less."""
-        for k in refused:
-            alike = (self.edges[:, 0] == self.edges[k, 0]) & (self.length >= ALIKE * self.length[k])
-            self.trust[alike] *= WARNING
 
     def _refuses_a_motion(self, doubtful: list[int]) -> bool:
         """Looks at motions where they are narrowest, before any of their path is walked; whether there were any."""
-        refusals = self._together([partial(self.checker.refusal, self._way(k)) for k in doubtful])
-        refused = [k for k, refusal in zip(doubtful, refusals, strict=True) if refusal]
+        places = self.narrowest[doubtful]
+        states = self._together([partial(self.checker.state, self.clearance.joints[place]) for place in places])
+        refused = [k for k, state in zip(doubtful, states, strict=True) if not state.valid]
         self.asked[doubtful] = True
+        self._learn(places)
         self.known[refused], self.cost[refused] = True, np.inf
-        self._warn(refused)
         return bool(doubtful)
 
     def _motions(self, nodes: list[int]) -> list[int]:
@@ -284,8 +292,8 @@ class RoadmapSearch:
 
     def _effort(self, least_hope: float) -> tuple[Array, Array]:
         """What it takes to check motions: the length by the share of such motions that are valid; whatever is left."""
-        is_open = np.isfinite(self.cost) & (self.known | ~self.seen | (self.hope >= least_hope))
-        cost = np.where(self.known, SURE, 1 / (self.hope * self.trust)) * self.length + 1e-6
+        is_open = np.isfinite(self.cost) & (self.known | (self.hope >= least_hope))
+        cost = np.where(self.known, SURE, 1 / self.hope) * self.length + 1e-6
         return np.where(is_open, cost, np.inf), np.where(np.isfinite(self.left), 0.0, np.inf)
 
     def _likely_cost(self, doubt: float) -> tuple[Array, Array]:
@@ -303,6 +311,7 @@ class RoadmapSearch:
         motions = self._together([partial(self.checker.state, self.joints[node]) for node in todo])
         refused = [node for node, motion in zip(todo, motions, strict=True) if not motion.valid]
         self.probed[todo] = True
+        self._learn(self.place[todo])
         self.refused = np.concatenate([self.refused, np.array(refused, dtype=int)])
         self.cost[np.isin(self.edges, refused).any(axis=1)] = np.inf
         return bool(refused)
@@ -310,9 +319,16 @@ class RoadmapSearch:
     def _finds_doubt(self, rows: list[int]) -> bool:
         """Looks at the zero-clearance shapes along motions; whether there is any new doubt about them."""
         expected = self.hope[rows]
-        rooms, jumps = self.checker.look([self._way(k) for k in rows])
-        self.hope[rows] = np.minimum(_valid_share(rooms), np.where(jumps, VALID_JUMPS, 1.0))
+        looks = self.checker.look([self._way(k) for k in rows])
+        rooms = np.array([stations.room_m.min() for stations in looks])
+        self.jumps[rows] = [stations.jumps for stations in looks]
+        joints, room_m = np.concatenate([way.joints for way in looks]), np.concatenate([way.room_m for way in looks])
+        firsts = np.cumsum([0, *(len(way.room_m) for way in looks)])
+        share = self.clearance.share_valid_at(joints, room_m)
+        least = [a + int(np.argmin(share[a:b])) for a, b in itertools.pairwise(firsts.tolist())]
+        self.narrowest[rows] = self.clearance.extend(joints[least], room_m[least])
         self.seen[rows] = True
+        self._weigh()
         self.cost[np.array(rows, dtype=int)[rooms < DEFINITE_COLLISION_M]] = np.inf
         return bool(np.any(self.hope[rows] < expected))
 
@@ -352,8 +368,3 @@ class RoadmapSearch:
         futures = [self._threads.submit(one) for one in work]
         wait(futures)  # all of them, also where one raises: nothing works on behind whoever asked
         return [future.result() for future in futures]
-
-
-def _valid_share(room_m: Array) -> Array:
-    """Share of motions that are valid, by the smallest room [m] around their zero-clearance shapes."""
-    return np.interp(room_m, VALID_AT_M, VALID_SHARE)

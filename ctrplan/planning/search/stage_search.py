@@ -24,7 +24,7 @@ from ctrplan.motion.checker import MotionChecker
 from ctrplan.planning.compensate import aimed, brought_to_goal
 from ctrplan.planning.goal_states import descended, distinct
 from ctrplan.planning.reordering import Reordered, as_given, least_error_order
-from ctrplan.planning.search.insertion_chains import direct_roadmap, promising, retreat_roadmap
+from ctrplan.planning.search.insertion_chains import direct_roadmap, retreat_roadmap
 from ctrplan.planning.search.ompl_set_up import SearchProblem
 from ctrplan.planning.search.polish import Polish
 from ctrplan.planning.search.roadmap_search import RoadmapSearch
@@ -195,8 +195,7 @@ class StageSearch:
 
     def _first_path(self) -> RoadmapSearch:
         """Any path, soon: straight to a goal where that looks free, or on a roadmap that grows while there is none."""
-        goals = promising(self.checker, self.goals)
-        search = RoadmapSearch(self.checker, direct_roadmap(self.checker, goals), goals)
+        search = RoadmapSearch(self.checker, direct_roadmap(self.checker, self.goals), self.goals)
         states, until, hope = FIRST_STATES, self.clock.now() + FIRST_ROUND_S, STRAIGHT_HOPE
         latest = FIRST_SHARE * self.budget
         while self.best is None and not self._is_over(latest):
@@ -219,7 +218,7 @@ class StageSearch:
 
     def _add_chains(self, search: RoadmapSearch) -> None:
         """Adds chains that withdraw from the goals."""
-        search.add_chains(retreat_roadmap(self.checker, promising(self.checker, self.goals)))
+        search.add_chains(retreat_roadmap(self.checker, self.goals))
         self.has_chains = True
 
     def _cheapest_of(self, search: RoadmapSearch) -> None:
@@ -254,7 +253,7 @@ class StageSearch:
             return
         search.add_trails(trails)
         lowest = distinct(self.checker, [trail[-1] for trail in trails])
-        search.add_chains(retreat_roadmap(self.checker, promising(self.checker, lowest)))
+        search.add_chains(retreat_roadmap(self.checker, lowest))
         self.goals = lowest + self.goals
 
     def _expanded(self, states: Array) -> Array:
