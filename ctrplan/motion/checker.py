@@ -59,6 +59,7 @@ class Motion:
     left_m: Callable[[], float] = field(compare=False, repr=False)  # `end_error_m`, which is asked for at goals only
     legs: int = 0  # the drive stops after each
     terms_mm: tuple[float, ...] = ()  # what the scenario's own terms cost, in their order
+    room_m: float = np.inf  # smallest clearance of corner shapes beyond what is required
 
     @cached_property
     def end_error_m(self) -> float:
@@ -258,8 +259,8 @@ class MotionChecker:
         length, integral = self.price(corners, samples, error)
         bound, last = float(samples.position_m[-1]), samples.at_end()
         left = partial(left_at_end, self.scenario, corners, last, float(error[-1]))
-        terms_mm = self.terms_mm(corners)
-        return Motion(True, "", length, integral, bound, left, count_legs(corners), terms_mm)
+        terms_mm, room_m = self.terms_mm(corners), float(samples.clearance_m.min()) - self.limits.clearance_m
+        return Motion(True, "", length, integral, bound, left, count_legs(corners), terms_mm, room_m)
 
     @cached_property
     def _legs(self) -> KnownLegs:

@@ -147,8 +147,8 @@ def test_a_path_through_one_of_two_equal_states_can_be_forbidden(vessel: MotionC
     search = RoadmapSearch(vessel, roadmap, [goal])
     search.cost[:], search.known[:] = 1.0, True
     path = search.known_path()
-    assert path is not None and len(path) == 3
-    search.forbid(path, "refused")
+    assert path is not None and len(path.states) == 3 and path.cost_mm == pytest.approx(2.0 + search.left[-1])
+    search.forbid(path.states, "refused")
     search.extend(np.empty((0, len(start))), np.array([[0, 1]]))
     search.known[-1] = True
     assert search.known_path() is None and not vessel.motion(beside, goal.joints).valid
@@ -165,13 +165,26 @@ def test_only_motions_on_which_a_limit_is_broken_are_forbidden(
     roadmap = Roadmap(np.array([start, middle, goal.joints]), np.array([[0, 1], [1, 2]]), np.array([2]))
     search = RoadmapSearch(checker, roadmap, [goal])
     search.cost[:], search.known[:] = 1.0, True
-    path = search.known_path()
-    assert path is not None
+    known = search.known_path()
+    assert known is not None
+    path = known.states
     whole = float(checker.space.lengths_mm(checker.space.difference(path[:-1], path[1:])).sum())
     search.forbid_at(path, whole * np.array(broken_share), "refused")
     assert np.flatnonzero(~np.isfinite(search.cost)).tolist() == refused
     forbidden = [checker.motion(a, b).reason == "refused" for a, b in zip(path[:-1], path[1:], strict=True)]
     assert np.flatnonzero(forbidden).tolist() == refused
+
+
+def test_a_path_leaves_the_room_that_certificates_turned_out_to_need(vessel: MotionChecker) -> None:
+    goals = goal_states(vessel, np.random.default_rng(0))[:2]
+    joints = np.vstack([vessel.scenario.start, *(goal.joints for goal in goals)])
+    search = RoadmapSearch(vessel, Roadmap(joints, np.array([[0, 1], [0, 2]]), np.array([1, 2])), goals)
+    search.known[:], search.cost[:], search.left[:], search.solved_m[:] = True, [1.0, 2.0], 0.0, [0.2e-3, 0.9e-3]
+    paths = []
+    for needed_m in (0.0, 0.5e-3, 1e-3):
+        search.needed_m = needed_m
+        paths.append(search.known_path())
+    assert [path and (path.cost_mm, path.room_m) for path in paths] == [(1.0, 0.2e-3), (2.0, 0.9e-3), None]
 
 
 def test_no_random_state_is_drawn_twice() -> None:

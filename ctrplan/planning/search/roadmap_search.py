@@ -9,7 +9,7 @@ import itertools
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from functools import partial
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +40,14 @@ WALK_PER_STATE = 30  # solves of a motion's walk for one of a state: with less d
 Result = TypeVar("Result")
 
 
+class KnownPath(NamedTuple):
+    """A path whose motions were all checked."""
+
+    states: Array  # (K, m)
+    cost_mm: float
+    room_m: float  # that its narrowest motion leaves around corner shapes
+
+
 class RoadmapSearch:
     """Checks motions of a roadmap when they are needed, and remembers what they cost."""
 
@@ -59,6 +67,8 @@ class RoadmapSearch:
         self.narrowest: NDArray[np.int_] = np.empty(0, dtype=int)  # place of a motion; its end before a look
         self.jumps: NDArray[np.bool_] = np.empty(0, dtype=bool)  # the zero-clearance tip along it
         self.hope: Array = np.empty(0)  # probability that a motion is valid
+        self.needed_m = 0.0  # room around corner shapes that certificates turned out to need
+        self.solved_m: Array = np.empty(0)  # the room that motions known to be valid leave around their corner shapes
         self.seen: NDArray[np.bool_] = np.empty(0, dtype=bool)  # the zero-clearance shapes along them
         self.known: NDArray[np.bool_] = np.empty(0, dtype=bool)
         self.asked: NDArray[np.bool_] = np.empty(0, dtype=bool)  # where it is narrowest
@@ -88,6 +98,7 @@ class RoadmapSearch:
         self.known = np.concatenate([self.known, np.zeros(len(edges), dtype=bool)])
         self.asked = np.concatenate([self.asked, np.zeros(len(edges), dtype=bool)])
         self.seen = np.concatenate([self.seen, np.zeros(len(edges), dtype=bool)])
+        self.solved_m = np.concatenate([self.solved_m, np.full(len(edges), np.nan)])
         self.narrowest = np.concatenate([self.narrowest, self.place[b]])
         self.jumps = np.concatenate([self.jumps, np.zeros(len(edges), dtype=bool)])
         self._weigh()
@@ -236,6 +247,11 @@ class RoadmapSearch:
         self.known[refused], self.cost[refused] = True, np.inf
         return bool(doubtful)
 
+    @property
+    def _is_tight(self) -> NDArray[np.bool_]:
+        """(E,) motions known to leave less room than certificates need."""
+        return self.solved_m < self.needed_m
+
     def _motions(self, nodes: list[int]) -> list[int]:
         """The motions of a path."""
         return [self.row[pair] for pair in itertools.pairwise(nodes)]
@@ -264,10 +280,14 @@ class RoadmapSearch:
     def _check_ahead(self, k: int) -> None:
         self.checker.look_ahead(*self.joints[self.edges[k]])
 
-    def known_path(self) -> Array | None:
-        """(K, m) the cheapest path of motions known to be valid; None without one."""
-        nodes = self._shortest(np.where(self.known, self.cost, np.inf), self.left)
-        return None if nodes is None else self.joints[nodes]
+    def known_path(self) -> KnownPath | None:
+        """The cheapest path of motions known to be valid and to leave enough room; None without one."""
+        nodes = self._shortest(np.where(self.known & ~self._is_tight, self.cost, np.inf), self.left)
+        if nodes is None:
+            return None
+        motions = self._motions(nodes)
+        cost_mm = float(self.cost[motions].sum() + self.left[motions[-1]])
+        return KnownPath(self.joints[nodes], cost_mm, float(self.solved_m[motions].min()))
 
     def forbid_at(self, path: Array, broken_mm: Array, reason: str) -> None:
         """Forbids the motions of a path (K, m) of states on which its certificate found a limit broken.
@@ -303,7 +323,8 @@ class RoadmapSearch:
         worse = self.left[ends].sum() / self.least_left[ends].sum() if self.least_left[ends].any() else 1.0
         worse = max(worse, 1e-9)  # infinity stays, where nothing was left at those that are known
         cost = self.cost * (dearer / self.hope) ** doubt
-        return np.where(self.known, self.cost, cost), np.where(self.known, self.left, self.left * worse**doubt)
+        cost = np.where(self.known, np.where(self._is_tight, np.inf, self.cost), cost)
+        return cost, np.where(self.known, self.left, self.left * worse**doubt)
 
     def _refuses_a_state(self, nodes: list[int]) -> bool:
         """Looks at the states themselves; whether any of them is not valid, with all motions from and to it."""
@@ -336,6 +357,7 @@ class RoadmapSearch:
         a, b = self.edges[k]
         motion = self.checker.motion(self.joints[a], self.joints[b])
         self.cost[k] = self.checker.cost_mm(motion, ends_at_goal=False) if motion.valid else np.inf
+        self.solved_m[k] = motion.room_m
         if motion.valid and np.isfinite(self.left[k]):
             self.left[k] = self.checker.cost_mm(motion, ends_at_goal=True) - self.cost[k]
         self.known[k] = True

@@ -20,7 +20,7 @@ from ctrplan.certificate.uneven_friction import NEAR_LIMIT_M
 from ctrplan.certificate.walked_legs import WalkedLegs, walk_legs
 from ctrplan.drive.legs import merge_legs
 from ctrplan.errors import NoAnswerError
-from ctrplan.motion.checker import MotionChecker
+from ctrplan.motion.checker import MotionChecker, path_limits
 from ctrplan.planning.compensate import aimed, brought_to_goal
 from ctrplan.planning.goal_states import descended, distinct
 from ctrplan.planning.reordering import Reordered, as_given, least_error_order
@@ -33,6 +33,7 @@ from ctrplan.scenario.tip_solver import GoalState
 # Shares of the time by which a first path and the cheapest of the roadmap are sought
 FIRST_SHARE, ROADMAP_SHARE = 0.85, 0.6
 WORTH_A_CERTIFICATE = 5e-3  # of the cost: less gain than that is not worth a certificate, which takes longer
+AGAIN_SHARE = 0.15  # of the time, for a path instead of one that failed its certificate
 POLISH_SHARE = 0.3  # of the time, whenever polish begins: a first path that took all of it is where it gains most
 # Share by which L-shaped motions are sampled that led to no path; and that of simultaneous ones, whenever they begin
 SAMPLED_SHARE, FALLBACK_SHARE = 0.9, 0.18
@@ -222,24 +223,39 @@ class StageSearch:
         self.has_chains = True
 
     def _cheapest_of(self, search: RoadmapSearch) -> None:
-        """The cheapest path found on a roadmap that grows further, put in order and certified."""
-        until = ROADMAP_SHARE * self.budget
-        if not self._is_over(until):
+        """The cheapest path found on a roadmap that grows further, put in order and certified.
+
+        Where it fails, friction states between the corners, or the finer mesh, take more room than the search keeps:
+        another is sought that leaves as much.
+        """
+        until, limit_m = ROADMAP_SHARE * self.budget, path_limits(self.checker.scenario).clearance_m
+        with self._ending(until):
+            self._prepare(search, until)
+        while not self._is_enough():
             with self._ending(until):
                 self._grow_cheaper(search, until)
-        while not self._is_enough() and (cheapest := search.known_path()) is not None:
-            failed = self._tidied(self.checker, self._expanded(cheapest), ROADMAP)
+            cheapest = search.known_path()
+            if cheapest is None or (self.best is not None and cheapest.cost_mm >= self.best.cost_mm):
+                break
+            failed = self._tidied(self.checker, self._expanded(cheapest.states), ROADMAP)
             if not failed:
                 break
-            search.forbid(cheapest, failed)
+            assert self.failed is not None
+            search.forbid(cheapest.states, failed)
+            short_m = limit_m - float(self.failed.samples.clearance_m.min())
+            search.needed_m = max(search.needed_m, cheapest.room_m + short_m)
+            until = max(until, min(self.clock.now() + AGAIN_SHARE * self.budget, FIRST_SHARE * self.budget))
+
+    def _prepare(self, search: RoadmapSearch, until: float) -> None:
+        """Adds chains and goal states of less error to a roadmap."""
+        if not self.has_chains and not self._is_over(until):
+            self._add_chains(search)
+        if self.best is not None and self.checker.scenario.cost.error_goal > 0 and not self._is_over(until):
+            self._descend(search)
 
     def _grow_cheaper(self, search: RoadmapSearch, until: float) -> None:
-        """Seeks the cheapest path of a roadmap that grows, with more goal states, until time is up."""
+        """Seeks the cheapest path of a roadmap that grows until time is up."""
         states, doubt = FIRST_STATES, 1.0
-        if not self.has_chains:
-            self._add_chains(search)
-        if self.best is not None and self.checker.scenario.cost.error_goal > 0:
-            self._descend(search)
         while not self._is_over(until) and len(search.joints) <= MOST_STATES:
             if search.cheap_path(lambda: self._is_over(until), doubt) is None and not self._is_over(until):
                 break  # not even a way
