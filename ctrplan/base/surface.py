@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,15 +49,19 @@ class Rod:
 def _frames(tangent: Array) -> tuple[Array, Array]:
     """Normals and binormals (N, 3), (N, 3) that are twisted as little as the tangents allow."""
     start = np.eye(3)[np.argsort(np.abs(tangent[0]), kind="stable")[0]]
+    x, y, z = start.tolist()
     normals = []
-    for t in tangent:
-        across = start - (start @ t) * t
-        start = across / np.linalg.norm(across)
-        normals.append(start)
+    for a, b, c in tangent.tolist():  # one after the other, for which plain numbers are faster
+        along = x * a + y * b + z * c
+        x, y, z = x - along * a, y - along * b, z - along * c
+        size = math.sqrt(x * x + y * y + z * z)
+        x, y, z = x / size, y / size, z / size
+        normals.append((x, y, z))
     normal = np.array(normals)
     return normal, np.cross(tangent, normal)
 
 
+@cache
 def _rod_faces(stations: int, sides: int) -> NDArray[np.int64]:
     ring, side = np.meshgrid(np.arange(stations - 1), np.arange(sides), indexing="ij")
     a, b = ring * sides + side, ring * sides + (side + 1) % sides
@@ -64,7 +70,9 @@ def _rod_faces(stations: int, sides: int) -> NDArray[np.int64]:
     start, end = np.full(sides, stations * sides), np.full(sides, stations * sides + 1)
     first_cap = np.stack([start, (around + 1) % sides, around], axis=1)
     last_cap = np.stack([end, last + around, last + (around + 1) % sides], axis=1)
-    return np.asarray(np.concatenate([wall, first_cap, last_cap]), dtype=np.int64)
+    faces = np.asarray(np.concatenate([wall, first_cap, last_cap]), dtype=np.int64)
+    faces.setflags(write=False)  # shared by all rods of as many stations
+    return faces
 
 
 def capsule(start_m: Array, end_m: Array, radius_m: float, sides: int = 32) -> Surface:
