@@ -45,7 +45,6 @@ class KnownPath(NamedTuple):
 
     states: Array  # (K, m)
     cost_mm: float
-    room_m: float  # that its narrowest motion leaves around corner shapes
 
 
 class RoadmapSearch:
@@ -287,7 +286,13 @@ class RoadmapSearch:
             return None
         motions = self._motions(nodes)
         cost_mm = float(self.cost[motions].sum() + self.left[motions[-1]])
-        return KnownPath(self.joints[nodes], cost_mm, float(self.solved_m[motions].min()))
+        return KnownPath(self.joints[nodes], cost_mm)
+
+    def needs_more(self, path: Array, short_m: float) -> None:
+        """Takes in what a certificate found missing [m] of clearance on a path (K, m) of states, whose motions hold."""
+        if short_m > 0:
+            motions = [self.checker.motion(a, b) for a, b in itertools.pairwise(path)]
+            self.needed_m = max(self.needed_m, min(motion.room_m for motion in motions) + short_m)
 
     def forbid_at(self, path: Array, broken_mm: Array, reason: str) -> None:
         """Forbids the motions of a path (K, m) of states on which its certificate found a limit broken.
@@ -313,7 +318,8 @@ class RoadmapSearch:
     def _effort(self, least_hope: float) -> tuple[Array, Array]:
         """What it takes to check motions: the length by the share of such motions that are valid; whatever is left."""
         is_open = np.isfinite(self.cost) & (self.known | (self.hope >= least_hope))
-        cost = np.where(self.known, SURE, 1 / self.hope) * self.length + 1e-6
+        hope = np.where(self._is_tight, LEAST_HOPE, self.hope)
+        cost = np.where(self.known & ~self._is_tight, SURE, 1 / hope) * self.length + 1e-6
         return np.where(is_open, cost, np.inf), np.where(np.isfinite(self.left), 0.0, np.inf)
 
     def _likely_cost(self, doubt: float) -> tuple[Array, Array]:

@@ -194,6 +194,12 @@ class StageSearch:
         """The generator of a roadmap's random states: one for all phases, so that none draws those of another again."""
         return np.random.default_rng(self.seed)
 
+    @property
+    def _short_m(self) -> float:
+        """What the last walk that failed is short of in clearance [m]; negative where it failed for another reason."""
+        assert self.failed is not None
+        return path_limits(self.checker.scenario).clearance_m - float(self.failed.samples.clearance_m.min())
+
     def _first_path(self) -> RoadmapSearch:
         """Any path, soon: straight to a goal where that looks free, or on a roadmap that grows while there is none."""
         search = RoadmapSearch(self.checker, direct_roadmap(self.checker, self.goals), self.goals)
@@ -214,6 +220,7 @@ class StageSearch:
                 until = min(until, latest)
             elif failed := self._certified(self.checker, self._expanded(path), ROADMAP):
                 assert self.failed is not None
+                search.needs_more(path, self._short_m)
                 search.forbid_at(path, self.failed.broken_mm, failed)
         return search
 
@@ -228,7 +235,7 @@ class StageSearch:
         Where it fails, friction states between the corners, or the finer mesh, take more room than the search keeps:
         another is sought that leaves as much.
         """
-        until, limit_m = ROADMAP_SHARE * self.budget, path_limits(self.checker.scenario).clearance_m
+        until = ROADMAP_SHARE * self.budget
         with self._ending(until):
             self._prepare(search, until)
         while not self._is_enough():
@@ -240,10 +247,8 @@ class StageSearch:
             failed = self._tidied(self.checker, self._expanded(cheapest.states), ROADMAP)
             if not failed:
                 break
-            assert self.failed is not None
+            search.needs_more(cheapest.states, self._short_m)
             search.forbid(cheapest.states, failed)
-            short_m = limit_m - float(self.failed.samples.clearance_m.min())
-            search.needed_m = max(search.needed_m, cheapest.room_m + short_m)
             until = max(until, min(self.clock.now() + AGAIN_SHARE * self.budget, FIRST_SHARE * self.budget))
 
     def _prepare(self, search: RoadmapSearch, until: float) -> None:
