@@ -25,7 +25,7 @@ from ctrplan.certificate.other_equilibria import other_start, shape_notes
 from ctrplan.errors import InputError, SolverError
 from ctrplan.files.robot_file import load_robot, robot_from_dict
 from ctrplan.files.scenario_file import load_scenario
-from ctrplan.mechanics.equilibria import SAME_SHAPE_M, Torus, equilibria, is_unique
+from ctrplan.mechanics.equilibria import SAME_SHAPE_M, Torus, equilibria, is_unique, other_shapes
 from ctrplan.mechanics.friction import corner_signs
 from ctrplan.mechanics.shapes import Status
 from ctrplan.reports.live_state import LiveState
@@ -134,17 +134,50 @@ def test_a_shape_that_friction_alone_holds_refuses_the_start(angle_deg: float) -
     assert not other_start(replace(scenario, start_friction="released"), at)
 
 
-def test_a_wound_shape_that_no_branch_is_solved_to_refuses_the_start() -> None:
-    """A whole turn leads 83 mm away, without a snap, where friction holds the pair next to a fold."""
+def test_a_shape_that_friction_holds_beside_a_fold_is_known() -> None:
+    """A whole turn leads 83 mm away, without a snap: friction holds the pair there fully loaded, and less does not."""
     robot = bent(2.5)
-    theta, l = collars(robot, 264, 11)[263]  # noqa: E741 (as in the equations)
     at = JointSpace.of_robot(robot).sample(np.random.default_rng(11), 264)[263]
-    path = robot.history().follow(np.array([theta + [0, 2 * np.pi], theta]), np.array([l, l]))
-    assert not path.snaps.any()
-    assert np.linalg.norm(path.position_m[-1] - robot.solve(theta, l).tip_m) > 80e-3
+    theta, l = robot.drive.collars(at)  # noqa: E741 (as in the equations)
+    history = robot.history()
+    path = history.follow(np.array([theta + [0, 2 * np.pi], theta]), np.array([l, l]))
+    assert not path.snaps.any() and np.isnan(history.tip_beside([-0.9])[0])
+    tip_m = robot.solve(theta, l).tip_m
+    (away_m, held), *_ = other_shapes(robot, theta, l, tip_m)
+    assert away_m > 80e-3 and held.solved.tolist() == [False, False, True]
+    np.testing.assert_allclose(held.tip_m[2], path.position_m[-1], atol=1e-6)
     scenario = bare_scenario(robot)
-    assert "approached by relative turns" in other_start(scenario, at)
+    shown = LiveState(scenario).at([float(np.degrees(at[0])), float(np.degrees(at[1])), float(at[2] * 1e3)])
+    assert shown["other_shape_mm"] == pytest.approx(away_m * 1e3)
+    assert "with clearance and friction" in other_start(scenario, at)
     assert not other_start(replace(scenario, start_turns="absolute", start_friction="released"), at)
+
+
+@pytest.mark.parametrize("name", ["bent", "bent without friction", "rvim", "three_tube"])
+def test_where_a_history_ends_is_solved_again_from_its_shape(name: str) -> None:
+    """From whole turns of every pair; where all contacts of a pair are at one end of what friction holds, or free."""
+    robot = rvim() if name == "rvim" else load_robot(ROBOTS / f"{name}.toml") if "three" in name else bent(2.5)
+    if name == "bent without friction":
+        robot = robot_from_dict({**robot.content, "contact": [{"friction_coefficient": 0.0}]}, file="bent.toml")
+    drawn, count = JointSpace.of_robot(robot).sample(np.random.default_rng(3), 500 if FUZZ else 40), 0
+    for q in drawn if FUZZ else drawn[[5, 15]]:
+        theta, l = robot.drive.collars(q)  # noqa: E741 (as in the equations)
+        for turns in itertools.product((-1, 0, 1), repeat=robot.n - 1):
+            before, history = 2 * np.pi * np.append(0, np.cumsum(turns)), robot.history()
+            with suppress(SolverError):
+                end = history.advance(theta - before, l) and history.advance(theta, l)
+                phi = np.array([pair.phi[np.argmax(pair.force_N)] for pair in end.friction]) * robot.friction.any()
+                apart = [np.abs(pair.phi[pair.force_N > 0] - x) for pair, x in zip(end.friction, phi, strict=True)]
+                if robot.friction.any() and np.concatenate(apart).max(initial=0.0) > 1e-9:
+                    continue
+                s_m = np.unique(np.concatenate([tube.s_m for tube in end.shape.tubes]))
+                angles = np.array([np.interp(s_m, tube.s_m, tube.theta_rad) for tube in end.shape.tubes])
+                again = robot.mechanics.core_solve_from(theta[None], l, phi[None], s_m, angles[None], "search")
+                count += 1
+                assert again.status[0] == Status.CONVERGED
+                np.testing.assert_allclose(again.tip_m[0], end.shape.tip_m, atol=1e-7)
+    print(f"{name}: {count} ends")
+    assert count > 3
 
 
 def test_turns_that_count_lead_from_home_to_the_shape_that_is_walked_from() -> None:
@@ -244,7 +277,7 @@ def test_histories_with_friction_end_on_branches_that_are_known(name: str) -> No
 
 
 def test_a_shape_is_solved_again_from_itself_and_turns_with_its_collars() -> None:
-    """Each state is a fixed point but beside folds, where friction alone holds a shape; whole turns change nothing."""
+    """Each state is a fixed point; whole turns change nothing."""
     robot = rvim()
     theta, l = collars(robot, 1, 11)[0]  # noqa: E741
     looked = [branch for branch in robot.equilibria(theta, l).branches if branch.solved[0]]
