@@ -2,11 +2,11 @@
 
 Nobody knows what the robot did before a plan. Corners of friction are solved from the frictionless shape. Where a
 corner has a second equilibrium, far from it, an approach may end there and break the bound. Approaches are simulated:
-all pairs turned by APPROACH_DEG at once, from either side each, which loads friction fully. Where whole turns of joints
-before the start are not known, the robot may be wound up: every branch with clearance and friction is solved from the
-equilibria without them (`ctrplan.mechanics.equilibria`), and those that turns within the joints' limits lead to are
-not walked to. Of robots that are not enumerated, whole turns are simulated. Where turns count, rotations straight from
-home lead to the start, and have to end in the shape that is walked from.
+all pairs turned by APPROACH_DEG at once, from either side each, which loads friction fully. Every branch with clearance
+and friction is solved from the equilibria without them (`ctrplan.mechanics.equilibria`). Unless turns are known, those
+count that whole turns within the joints' limits lead to, and those that can be led, within the limits, to where they
+are the shape of a robot that was put there. Of robots that are not enumerated, such turns are simulated. Where turns
+count, rotations straight from home lead to the start, and have to end in the shape that is walked from.
 
 Corners of friction are solved from the frictionless shape. A robot may come to the same corner from another one, or by
 a turn, and stand elsewhere. Along the path each corner is solved from the shapes of all others, and from the equilibria
@@ -18,7 +18,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary
 
@@ -30,10 +30,12 @@ from ctrplan.base.long_work import cores
 from ctrplan.certificate.friction_states import BEYOND_BOUND_M
 from ctrplan.certificate.walked_piece import Piece
 from ctrplan.errors import InputError, SolverError
-from ctrplan.mechanics.equilibria import SAME_SHAPE_M, branches, is_unique
+from ctrplan.mechanics.equilibria import SAME_SHAPE_M, Torus, branches, is_unique
+from ctrplan.mechanics.friction import corner_signs
 from ctrplan.mechanics.shapes import Status
 from ctrplan.mechanics.walk import PathDensity
 from ctrplan.robot.robot import Robot
+from ctrplan.scenario.joint_space import JointSpace
 
 if TYPE_CHECKING:
     from ctrplan.mechanics.equilibria import Branch
@@ -127,18 +129,20 @@ def _turned_from_home(robot: Robot, joints: Array, bound: Bound) -> str:
         return ""
     is_back = np.linalg.norm(back - bound.frictionless.tip_m) < SAME_SHAPE_M
     is_smooth = not (np.nansum(wound.snaps) or np.nansum(unwound.snaps))
-    turns = np.round((nearest - joints) / (2 * np.pi)).astype(int).tolist()
-    ways = f"to unwind it turn {_turned(robot, turns)}" if is_back and is_smooth and any(turns) else ""
+    way = nearest - joints
+    ways = f"to unwind it {_moved(robot, way)}" if is_back and is_smooth and way.any() else ""
     return (
         f"The start has another stable equilibrium, where rotations straight from home end: the tip stands "
         f"{away * MM_PER_M:.1f} mm away there; {ways or 'start within half a turn of home, or where there is no other'}"
     )
 
 
-def _turned(robot: Robot, turns: Sequence[int]) -> str:
-    """Whole turns (m,) of joints in words."""
-    names = zip(robot.drive.names, turns, strict=True)
-    return ", ".join(f"{name} by {360 * k:+d} deg" for name, k in names if k)
+def _moved(robot: Robot, by: Array) -> str:
+    """A motion (m,) of joints in words: rotations, then translations."""
+    named = list(zip(robot.drive.names, by.tolist(), robot.drive.is_rotation, strict=True))
+    turned = ", ".join(f"{name} by {np.degrees(x):+.0f} deg" for name, x, is_turn in named if is_turn and x)
+    pushed = ", ".join(f"{name} by {x * MM_PER_M:+.1f} mm" for name, x, is_turn in named if x and not is_turn)
+    return " and ".join([f"turn {turned}"] * bool(turned) + [f"move {pushed}"] * bool(pushed))
 
 
 def shape_notes(scenario: Scenario, ends: Sequence[Array]) -> tuple[str, ...]:
@@ -180,8 +184,11 @@ def _elsewhere(robot: Robot, joints: Array, bound: Bound, is_loaded: bool, is_co
     states = [bound.frictionless, *bound.corners]
     for other in other_branches(branches(robot, theta_b, l_b), np.array([shape.tip_m for shape in states])):
         seen = other.apart_m if is_loaded else other.apart_m[:1]
-        pattern = None if is_counted and other.turns.any() else _pattern(robot, joints, other.turns)
-        if np.isnan(seen).all() or pattern is None:
+        if np.isnan(seen).all() or (is_counted and other.turns.any()):
+            continue
+        pattern = _pattern(robot, joints, other.turns)
+        way = _led_home(robot, joints, other.branch) if pattern is None else -2 * np.pi * np.array(pattern)
+        if way is None:
             continue
         twisted = ", ".join(f"{np.degrees(x):+.0f}" for x in other.branch.twist_rad[other.branch.first])
         away_mm, bound_mm = float(np.nanmax(seen)) * MM_PER_M, bound.position_m * MM_PER_M
@@ -189,10 +196,10 @@ def _elsewhere(robot: Robot, joints: Array, bound: Bound, is_loaded: bool, is_co
             f"The start has another stable equilibrium with clearance and friction, {away_mm:.1f} mm away, where "
             f"friction moves the tip by {bound_mm:.2f} mm: the pairs of tubes are twisted by ({twisted}) deg"
         )
-        if any(pattern):
+        if way.any():
             sentence += (
-                f"; to unwind it turn {_turned(robot, [-k for k in pattern])}; a drive that was homed, whose turns "
-                'count, says so by turns = "absolute" in [start]'
+                f"; to unwind it {_moved(robot, way)}; a drive that was homed, whose turns count, says so by "
+                'turns = "absolute" in [start]'
             )
         return sentence
     return ""
@@ -243,6 +250,94 @@ def _pattern(robot: Robot, joints: Array, turns: NDArray[np.int_]) -> tuple[int,
     return None
 
 
+def _led_home(robot: Robot, joints: Array, branch: Branch) -> Array | None:
+    """A motion (m,) within limits that leads a branch, without a leap, to the shape that is solved at its end.
+
+    A robot may have come from there. Joints turn, alone and together, as far as they may, then tubes are drawn back to
+    where there is one shape. None where no such motion was found.
+    """
+    drive, space, led = robot.drive, JointSpace.of_robot(robot), _Led.of(robot, joints, branch)
+    turning, begun = drive.is_rotation, [led]
+    signs = itertools.product(*[(0.0, 1.0, -1.0) if turns else (0.0,) for turns in turning])
+    every = sorted((np.array(way) for way in signs), key=np.count_nonzero, reverse=True)
+    ways = {tuple(np.sign(np.diff(drive.matrix_theta @ way))): way for way in every}  # the fewest joints of each
+    ways.pop((0.0,) * (robot.n - 1))
+    for way in ways.values():
+        now, led = None, begun[0]
+        for turned in np.arange(1, np.ceil(2 * np.pi / TURN_RAD) + 1) * TURN_RAD:
+            there = np.clip(joints + way * turned, drive.lower, drive.upper)
+            now = led.to(there) if not np.array_equal(there, led.joints) else None
+            if now is None:
+                break
+            led = now
+            if led.is_home:
+                return led.joints - joints
+        begun.append(led)
+    limits = itertools.product(
+        *zip(np.where(turning, joints, drive.lower), np.where(turning, joints, drive.upper), strict=True)
+    )
+    ends = [np.array(end) for end in dict.fromkeys(limits)]
+    back = [end for end in ends if space.allowed(end) and is_unique(robot, drive.collars(end)[1])]
+    for led in begun if back else []:
+        end = min(back, key=lambda one: float(np.abs(one - joints).sum()))
+        now = led.to(np.where(turning, led.joints, end))
+        if now is not None and now.is_home:
+            return now.joints - joints
+    return None
+
+
+@dataclass(frozen=True, eq=False)
+class _Led:
+    """A branch in one friction state, led from joints to joints."""
+
+    robot: Robot
+    joints: Array  # (m,)
+    phi: Array  # (P,)
+    s_m: Array  # (K,)
+    angles_rad: Array  # (n, K)
+    tip_m: Array  # (3,)
+
+    @classmethod
+    def of(cls, robot: Robot, joints: Array, branch: Branch) -> _Led:
+        """Where it was solved first."""
+        state, places = branch.first, Torus(robot.tubes, robot.drive.collars(joints)[1])
+        phi = np.vstack([np.zeros(robot.n - 1), corner_signs(robot.n - 1)])[state]
+        s_m, _ = places.shapes(np.zeros((1, robot.n - 1)), [0.0])
+        return cls(robot, joints, phi, s_m, branch.angles_rad[state], branch.tip_m[state])
+
+    @property
+    def is_home(self) -> bool:
+        """Whether it is what is solved there by itself."""
+        theta_b, l_b = self.robot.drive.collars(self.joints[None])
+        own = self.robot.mechanics.tips_with_friction(theta_b, l_b, self.phi[None]).position_m[0]
+        return bool(np.linalg.norm(own - self.tip_m) < SAME_SHAPE_M)
+
+    def to(self, joints: Array) -> _Led | None:
+        """Led on to joints (m,), in halves where a tube turns far; None where it leaps, however short the step."""
+        led, share, step = self, 0.0, 1.0
+        while share < 1:
+            step = min(step, 1 - share)
+            now = led._step(self.joints + (share + step) * (joints - self.joints))
+            if now is None:
+                step /= 2
+                if step < SHORTEST:
+                    return None
+                continue
+            led, share, step = now, share + step, 2 * step
+        return led
+
+    def _step(self, joints: Array) -> _Led | None:
+        (theta_a, theta_b), (l_a, l_b) = self.robot.drive.collars(np.array([self.joints, joints]))
+        moved = [np.interp(self.s_m - x, self.s_m, row) for x, row in zip(l_b - l_a, self.angles_rad, strict=True)]
+        rows = self.robot.mechanics.core_solve_from(
+            theta_b[None], l_b, self.phi[None], self.s_m, np.array(moved)[None], "search"
+        )
+        turned = np.abs(rows.angles_rad[0] - moved).max()
+        if rows.status[0] != Status.CONVERGED or turned > TURN_RAD:
+            return None
+        return replace(self, joints=joints, angles_rad=rows.angles_rad[0], tip_m=rows.tip_m[0])
+
+
 def _approaches(pairs: int) -> Iterator[Array]:
     """(P,) relative turns [rad] that end at the configuration, of all pairs."""
     for signs in itertools.product((1.0, -1.0), repeat=pairs):
@@ -250,27 +345,22 @@ def _approaches(pairs: int) -> Iterator[Array]:
 
 
 def _windings(robot: Robot, joints: Array) -> list[Array]:
-    """(P,) relative turns [rad] by whole turns of joints within their limits, at most MOST_WINDINGS of them."""
+    """(P,) relative turns [rad] by whole turns of joints, or as far as limits let them; at most MOST_WINDINGS."""
     drive, results = robot.drive, list[Array]()
-    turning = np.flatnonzero(drive.is_rotation)
-    patterns = sorted(itertools.product((0, 1, -1), repeat=len(turning)), key=lambda pattern: np.count_nonzero(pattern))
-    for pattern in patterns:
-        turned = np.zeros(len(joints))
-        turned[turning] = 2 * np.pi * np.array(pattern)
-        before = joints - turned
-        relative = np.diff(drive.matrix_theta @ turned)
-        is_new = relative.any() and not any(np.allclose(relative, other) for other in results)
-        if is_new and np.all((before >= drive.lower) & (before <= drive.upper)):
+    signs = itertools.product(*[(0.0, 1.0, -1.0) if turns else (0.0,) for turns in drive.is_rotation])
+    for way in sorted((np.array(way) for way in signs), key=np.count_nonzero):
+        before = np.clip(joints - 2 * np.pi * way, drive.lower, drive.upper)
+        relative = np.diff(drive.matrix_theta @ np.where(drive.is_rotation, joints - before, 0.0))
+        if relative.any() and not any(np.allclose(relative, other) for other in results):
             results.append(relative)
-        if len(results) == MOST_WINDINGS:
-            break
-    return results
+    return results[:MOST_WINDINGS]
 
 
 EVERY_MM = 5.0  # of joint length
 # Of each pair. Of 1,000 random configurations of the three-tube robot walks from 30 deg found all six that any of 30,
 # 60 and 90 deg did; from 60 deg three, from 90 deg two.
 TURN_RAD = np.radians(30.0)
+SHORTEST = 1 / 16  # of a motion by TURN_RAD: a branch that leaps in so short a step has ended
 COARSE = PathDensity(rotation_rad=0.26, translation_m=8e-3, motion_m=15e-3)
 
 

@@ -20,6 +20,7 @@ from stated_plans import in_si, rvim
 import ctrplan
 from ctrplan.__main__ import main
 from ctrplan.base.arrays import Array
+from ctrplan.certificate.certify import certify
 from ctrplan.certificate.friction_states import BEYOND_BOUND_M
 from ctrplan.certificate.other_equilibria import other_start, shape_notes
 from ctrplan.errors import InputError, SolverError
@@ -37,12 +38,13 @@ from ctrplan.storage.toml_document import read_document
 PAIR = dict(read_document(ROBOTS / "table_5_pair.toml").content)
 
 
-def bent(factor: float, **joint: Any) -> Robot:
-    """The pair of Table V with so many times its precurvature."""
-    content = copy.deepcopy(PAIR)
-    for tube in content["tube"]:
+def bent(factor: float, opposed_deg: float = 180, **joint: Any) -> Robot:
+    """The pair of Table V with so many times its precurvature, mounted so that the tubes are opposed at an angle."""
+    content, turned = copy.deepcopy(PAIR), np.radians(180 - opposed_deg)
+    for tube, angle in zip(content["tube"], (0.0, turned), strict=True):
         for section in tube["section"]:
-            section["curvature_x_per_m"], section["curvature_y_per_m"] = 0, factor * section["curvature_y_per_m"]
+            most = factor * section["curvature_y_per_m"]
+            section["curvature_x_per_m"], section["curvature_y_per_m"] = -most * np.sin(angle), most * np.cos(angle)
     if joint:
         content["joint"] = [{**given, **joint} if "theta" in given["moves"] else given for given in content["joint"]]
     return robot_from_dict(content, file=str(ROBOTS / "bent.toml"))
@@ -113,9 +115,49 @@ def test_a_start_that_may_be_wound_is_refused_with_the_way_to_unwind_it() -> Non
     said = other_start(free, at)
     assert "another stable equilibrium" in said and "to unwind it turn" in said and "360 deg" in said
     assert "another" not in other_start(replace(free, start_turns="absolute", start_friction="released"), at)
-    ends = {"min_deg": -180, "max_deg": 180}
-    held = bare_scenario(bent(2.5, **ends))
-    assert "to unwind" not in other_start(replace(held, start_friction="released"), at)
+
+
+@pytest.mark.parametrize(
+    ("factor", "opposed_deg", "from_deg", "at_deg", "friction"),
+    [(2.5, 180, 200, 170, "released"), (2.5, 120, 175, 90, "released"), (4, 60, 175, -60, "unknown")],
+)
+def test_limits_of_joints_do_not_keep_a_start_from_another_branch(
+    factor: float, opposed_deg: float, from_deg: float, at_deg: float, friction: Any
+) -> None:
+    """Within half a turn of home, from where tubes were pushed out on the other side of where they are opposed."""
+    robot = bent(factor, opposed_deg=opposed_deg, min_deg=-180, max_deg=180)
+    at = np.array([0.0, np.radians(at_deg), -29.6e-3])
+    before = (
+        at - np.radians([from_deg - at_deg, 0, 0]) if from_deg > 180 else at + np.radians([0, from_deg - at_deg, 0])
+    )
+    history, bound = robot.history(), robot.bound(*robot.drive.collars(at))
+    path = history.follow(*robot.drive.collars(np.array([before, at])))
+    assert JointSpace.of_robot(robot).allowed(before) and not path.snaps.any()
+    assert np.linalg.norm(path.position_m[-1] - bound.frictionless.tip_m) > bound.position_m + 70e-3
+    scenario = replace(bare_scenario(robot), start=at, start_friction=friction)
+    said = other_start(scenario, at)
+    assert "to unwind it turn rotate" in said
+    way = {name: np.radians(float(x)) for name, x in re.findall(r"(rotate \w+) by ([-+]\d+) deg", said)}
+    there = at + [way.get(name, 0.0) for name in robot.drive.names]
+    back = robot.history().follow(*robot.drive.collars(np.array([there, at]))).position_m[-1]
+    assert JointSpace.of_robot(robot).allowed(there)
+    assert np.linalg.norm(back - bound.frictionless.tip_m) > bound.position_m + 70e-3
+    assert not certify(scenario, np.array([at, at + [0, 0, 1e-3]])).valid
+
+
+def test_a_branch_that_limits_keep_away_refuses_no_start() -> None:
+    """Three branches at each of these angles; from nowhere that limits allow does a turn lead to another one."""
+    robot = bent(4, min_deg=-50, max_deg=50)
+    for at_deg in (0.0, 40.0):
+        at = np.array([0.0, np.radians(at_deg), -29.6e-3])
+        theta, l = robot.drive.collars(at)  # noqa: E741 (as in the equations)
+        assert len(robot.equilibria(theta, l).branches) == 3
+        assert not other_start(bare_scenario(robot), at)
+        bound = robot.bound(theta, l)
+        for outer, inner in itertools.product(np.radians([-50.0, 50.0]), repeat=2):
+            path = np.array([[outer, inner, at[2]], at])
+            end = robot.history().follow(*robot.drive.collars(path)).position_m[-1]
+            assert np.linalg.norm(end - bound.frictionless.tip_m) <= bound.position_m + BEYOND_BOUND_M
 
 
 @pytest.mark.parametrize("angle_deg", [25, 30, 60, 90])
