@@ -3,10 +3,10 @@
 Nobody knows what the robot did before a plan. Corners of friction are solved from the frictionless shape. Where a
 corner has a second equilibrium, far from it, an approach may end there and break the bound. Approaches are simulated:
 all pairs turned by APPROACH_DEG at once, from either side each, which loads friction fully. Every branch with clearance
-and friction is solved from the equilibria without them (`ctrplan.mechanics.equilibria`). Unless turns are known, those
-count that whole turns within the joints' limits lead to, and those that can be led, within the limits, to where they
-are the shape of a robot that was put there. Of robots that are not enumerated, such turns are simulated. Where turns
-count, rotations straight from home lead to the start, and have to end in the shape that is walked from.
+and friction is solved from the equilibria without them (`ctrplan.mechanics.equilibria`). Unless turns are known, the
+robot may be on each of them, limits of its joints or not: it may have been turned where it was drawn back, and pushed
+out again. Of robots that are not enumerated, turns are simulated. Where turns count, rotations straight from home lead
+to the start, and have to end in the shape that is walked from.
 
 Corners of friction are solved from the frictionless shape. A robot may come to the same corner from another one, or by
 a turn, and stand elsewhere. Along the path each corner is solved from the shapes of all others, and from the equilibria
@@ -35,7 +35,6 @@ from ctrplan.mechanics.friction import corner_signs
 from ctrplan.mechanics.shapes import Status
 from ctrplan.mechanics.walk import PathDensity
 from ctrplan.robot.robot import Robot
-from ctrplan.scenario.joint_space import JointSpace
 
 if TYPE_CHECKING:
     from ctrplan.mechanics.equilibria import Branch
@@ -187,9 +186,7 @@ def _elsewhere(robot: Robot, joints: Array, bound: Bound, is_loaded: bool, is_co
         if np.isnan(seen).all() or (is_counted and other.turns.any()):
             continue
         pattern = _pattern(robot, joints, other.turns)
-        way = _led_home(robot, joints, other.branch) if pattern is None else -2 * np.pi * np.array(pattern)
-        if way is None:
-            continue
+        way = _way_home(robot, joints, other.branch) if pattern is None else -2 * np.pi * np.array(pattern)
         twisted = ", ".join(f"{np.degrees(x):+.0f}" for x in other.branch.twist_rad[other.branch.first])
         away_mm, bound_mm = float(np.nanmax(seen)) * MM_PER_M, bound.position_m * MM_PER_M
         sentence = (
@@ -197,10 +194,9 @@ def _elsewhere(robot: Robot, joints: Array, bound: Bound, is_loaded: bool, is_co
             f"friction moves the tip by {bound_mm:.2f} mm: the pairs of tubes are twisted by ({twisted}) deg"
         )
         if way.any():
-            sentence += (
-                f"; to unwind it {_moved(robot, way)}; a drive that was homed, whose turns count, says so by "
-                'turns = "absolute" in [start]'
-            )
+            sentence += f"; to unwind it {_moved(robot, way)}"
+        if other.turns.any():
+            sentence += '; a drive that was homed, whose turns count, says so by turns = "absolute" in [start]'
         return sentence
     return ""
 
@@ -250,40 +246,29 @@ def _pattern(robot: Robot, joints: Array, turns: NDArray[np.int_]) -> tuple[int,
     return None
 
 
-def _led_home(robot: Robot, joints: Array, branch: Branch) -> Array | None:
-    """A motion (m,) within limits that leads a branch, without a leap, to the shape that is solved at its end.
+def _way_home(robot: Robot, joints: Array, branch: Branch) -> Array:
+    """Rotations (m,) within limits that lead a branch, without a leap, to the shape that is solved at their end.
 
-    A robot may have come from there. Joints turn, alone and together, as far as they may, then tubes are drawn back to
-    where there is one shape. None where no such motion was found.
+    Zeros where none was found. Few joints turn before many, as far as they may.
     """
-    drive, space, led = robot.drive, JointSpace.of_robot(robot), _Led.of(robot, joints, branch)
-    turning, begun = drive.is_rotation, [led]
-    signs = itertools.product(*[(0.0, 1.0, -1.0) if turns else (0.0,) for turns in turning])
-    every = sorted((np.array(way) for way in signs), key=np.count_nonzero, reverse=True)
-    ways = {tuple(np.sign(np.diff(drive.matrix_theta @ way))): way for way in every}  # the fewest joints of each
-    ways.pop((0.0,) * (robot.n - 1))
-    for way in ways.values():
-        now, led = None, begun[0]
-        for turned in np.arange(1, np.ceil(2 * np.pi / TURN_RAD) + 1) * TURN_RAD:
+    drive, begun = robot.drive, _Led.of(robot, joints, branch)
+    for way in _signs(robot):
+        led: _Led | None = begun
+        for turned in np.arange(TURN_RAD, 2 * np.pi + TURN_RAD, TURN_RAD):
             there = np.clip(joints + way * turned, drive.lower, drive.upper)
-            now = led.to(there) if not np.array_equal(there, led.joints) else None
-            if now is None:
+            if led is None or np.array_equal(there, led.joints):
                 break
-            led = now
-            if led.is_home:
+            led = led.to(there)
+            if led is not None and led.is_home:
                 return led.joints - joints
-        begun.append(led)
-    limits = itertools.product(
-        *zip(np.where(turning, joints, drive.lower), np.where(turning, joints, drive.upper), strict=True)
-    )
-    ends = [np.array(end) for end in dict.fromkeys(limits)]
-    back = [end for end in ends if space.allowed(end) and is_unique(robot, drive.collars(end)[1])]
-    for led in begun if back else []:
-        end = min(back, key=lambda one: float(np.abs(one - joints).sum()))
-        now = led.to(np.where(turning, led.joints, end))
-        if now is not None and now.is_home:
-            return now.joints - joints
-    return None
+    return np.zeros(len(joints))
+
+
+def _signs(robot: Robot) -> list[Array]:
+    """(m,) signs of rotations of joints that turn collars against each other, few joints first."""
+    signs = itertools.product(*[(0.0, 1.0, -1.0) if turns else (0.0,) for turns in robot.drive.is_rotation])
+    relative = ((way, np.diff(robot.drive.matrix_theta @ way)) for way in map(np.array, signs))
+    return sorted((way for way, turned in relative if turned.any()), key=np.count_nonzero)
 
 
 @dataclass(frozen=True, eq=False)
@@ -347,8 +332,7 @@ def _approaches(pairs: int) -> Iterator[Array]:
 def _windings(robot: Robot, joints: Array) -> list[Array]:
     """(P,) relative turns [rad] by whole turns of joints, or as far as limits let them; at most MOST_WINDINGS."""
     drive, results = robot.drive, list[Array]()
-    signs = itertools.product(*[(0.0, 1.0, -1.0) if turns else (0.0,) for turns in drive.is_rotation])
-    for way in sorted((np.array(way) for way in signs), key=np.count_nonzero):
+    for way in _signs(robot):
         before = np.clip(joints - 2 * np.pi * way, drive.lower, drive.upper)
         relative = np.diff(drive.matrix_theta @ np.where(drive.is_rotation, joints - before, 0.0))
         if relative.any() and not any(np.allclose(relative, other) for other in results):

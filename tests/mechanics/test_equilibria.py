@@ -145,19 +145,16 @@ def test_limits_of_joints_do_not_keep_a_start_from_another_branch(
     assert not certify(scenario, np.array([at, at + [0, 0, 1e-3]])).valid
 
 
-def test_a_branch_that_limits_keep_away_refuses_no_start() -> None:
-    """Three branches at each of these angles; from nowhere that limits allow does a turn lead to another one."""
-    robot = bent(4, min_deg=-50, max_deg=50)
-    for at_deg in (0.0, 40.0):
-        at = np.array([0.0, np.radians(at_deg), -29.6e-3])
-        theta, l = robot.drive.collars(at)  # noqa: E741 (as in the equations)
-        assert len(robot.equilibria(theta, l).branches) == 3
-        assert not other_start(bare_scenario(robot), at)
-        bound = robot.bound(theta, l)
-        for outer, inner in itertools.product(np.radians([-50.0, 50.0]), repeat=2):
-            path = np.array([[outer, inner, at[2]], at])
-            end = robot.history().follow(*robot.drive.collars(path)).position_m[-1]
-            assert np.linalg.norm(end - bound.frictionless.tip_m) <= bound.position_m + BEYOND_BOUND_M
+def test_a_start_that_is_reached_while_tubes_are_drawn_back_and_turned_is_refused() -> None:
+    """Within limits, and by rotations and translations of more than one leg."""
+    robot = bent(4, opposed_deg=60, min_deg=-180, max_deg=180)
+    way = np.array([[3.142, -3.142, -0.043], [2.791, 1.587, -0.043], [3.106, 0.892, -0.043], [2.48, -0.486, 0.008]])
+    way = np.clip(way, robot.drive.lower, robot.drive.upper)
+    path = robot.history().follow(*robot.drive.collars(way))
+    bound = robot.bound(*robot.drive.collars(way[-1]))
+    assert not path.snaps.any() and bound.position_m < 10e-3
+    assert np.linalg.norm(path.position_m[-1] - bound.frictionless.tip_m) > 100e-3
+    assert "another stable equilibrium" in other_start(replace(bare_scenario(robot), start=way[-1]), way[-1])
 
 
 @pytest.mark.parametrize("angle_deg", [25, 30, 60, 90])
