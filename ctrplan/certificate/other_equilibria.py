@@ -186,7 +186,11 @@ def _elsewhere(robot: Robot, joints: Array, bound: Bound, is_loaded: bool, is_co
         if np.isnan(seen).all() or (is_counted and other.turns.any()):
             continue
         pattern = _pattern(robot, joints, other.turns)
-        way = _way_home(robot, joints, other.branch) if pattern is None else -2 * np.pi * np.array(pattern)
+        way = (
+            _way_home(robot, joints, other.branch, other.branch.first)
+            if pattern is None
+            else -2 * np.pi * np.array(pattern)
+        )
         twisted = ", ".join(f"{np.degrees(x):+.0f}" for x in other.branch.twist_rad[other.branch.first])
         away_mm, bound_mm = float(np.nanmax(seen)) * MM_PER_M, bound.position_m * MM_PER_M
         sentence = (
@@ -246,12 +250,30 @@ def _pattern(robot: Robot, joints: Array, turns: NDArray[np.int_]) -> tuple[int,
     return None
 
 
-def _way_home(robot: Robot, joints: Array, branch: Branch) -> Array:
+def way_to_unwind(robot: Robot, joints: Array, tip_m: Array, own_m: Array) -> str:
+    """How tips (1 + C, 3), frictionless and of the corners, that were walked to joints (m,) come back to those that
+    are solved there (1 + C, 3); empty where unknown.
+    """
+    theta_b, l_b = robot.drive.collars(joints)
+    apart = np.linalg.norm(tip_m - own_m, axis=1)
+    state = int(np.argmax(apart > SAME_SHAPE_M))
+    if is_unique(robot, l_b) or not apart[state] > SAME_SHAPE_M:
+        return ""
+    try:
+        each = branches(robot, theta_b, l_b)
+    except InputError:  # of a kind whose equilibria are not enumerated
+        return ""
+    there = [branch for branch in each if np.linalg.norm(branch.tip_m[state] - tip_m[state]) < SAME_SHAPE_M]
+    way = _way_home(robot, joints, there[0], state) if there else np.zeros(len(joints))
+    return f"to unwind it {_moved(robot, way)}" if way.any() else ""
+
+
+def _way_home(robot: Robot, joints: Array, branch: Branch, state: int) -> Array:
     """Rotations (m,) within limits that lead a branch, without a leap, to the shape that is solved at their end.
 
-    Zeros where none was found. Few joints turn before many, as far as they may.
+    In one of its friction states. Zeros where none was found. Few joints turn before many, as far as they may.
     """
-    drive, begun = robot.drive, _Led.of(robot, joints, branch)
+    drive, begun = robot.drive, _Led.of(robot, joints, branch, state)
     for way in _signs(robot):
         led: _Led | None = begun
         for turned in np.arange(TURN_RAD, 2 * np.pi + TURN_RAD, TURN_RAD):
@@ -273,7 +295,7 @@ def _signs(robot: Robot) -> list[Array]:
 
 @dataclass(frozen=True, eq=False)
 class _Led:
-    """A branch in one friction state, led from joints to joints."""
+    """A branch in one friction state, led by rotations from joints to joints."""
 
     robot: Robot
     joints: Array  # (m,)
@@ -283,9 +305,9 @@ class _Led:
     tip_m: Array  # (3,)
 
     @classmethod
-    def of(cls, robot: Robot, joints: Array, branch: Branch) -> _Led:
-        """Where it was solved first."""
-        state, places = branch.first, Torus(robot.tubes, robot.drive.collars(joints)[1])
+    def of(cls, robot: Robot, joints: Array, branch: Branch, state: int) -> _Led:
+        """Where it was solved."""
+        places = Torus(robot.tubes, robot.drive.collars(joints)[1])
         phi = np.vstack([np.zeros(robot.n - 1), corner_signs(robot.n - 1)])[state]
         s_m, _ = places.shapes(np.zeros((1, robot.n - 1)), [0.0])
         return cls(robot, joints, phi, s_m, branch.angles_rad[state], branch.tip_m[state])
@@ -312,13 +334,9 @@ class _Led:
         return led
 
     def _step(self, joints: Array) -> _Led | None:
-        (theta_a, theta_b), (l_a, l_b) = self.robot.drive.collars(np.array([self.joints, joints]))
-        moved = [np.interp(self.s_m - x, self.s_m, row) for x, row in zip(l_b - l_a, self.angles_rad, strict=True)]
-        rows = self.robot.mechanics.core_solve_from(
-            theta_b[None], l_b, self.phi[None], self.s_m, np.array(moved)[None], "search"
-        )
-        turned = np.abs(rows.angles_rad[0] - moved).max()
-        if rows.status[0] != Status.CONVERGED or turned > TURN_RAD:
+        (theta_b, l_b), guess = self.robot.drive.collars(joints), self.angles_rad[None]
+        rows = self.robot.mechanics.core_solve_from(theta_b[None], l_b, self.phi[None], self.s_m, guess, "search")
+        if rows.status[0] != Status.CONVERGED or np.abs(rows.angles_rad - guess).max() > 2 * TURN_RAD:
             return None
         return replace(self, joints=joints, angles_rad=rows.angles_rad[0], tip_m=rows.tip_m[0])
 

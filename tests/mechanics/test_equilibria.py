@@ -157,6 +157,23 @@ def test_a_start_that_is_reached_while_tubes_are_drawn_back_and_turned_is_refuse
     assert "another stable equilibrium" in other_start(replace(bare_scenario(robot), start=way[-1]), way[-1])
 
 
+def test_a_path_on_which_friction_winds_the_robot_up_is_refused_with_the_way_to_unwind_it() -> None:
+    """Drawn back, a pair of which friction holds one corner on another branch than the others."""
+    robot = bent(4, opposed_deg=60, min_deg=-180, max_deg=180)
+    path = np.array([[-0.1695, -0.1643, 0.0331], [-0.1695, -0.1643, -0.0027], [-0.5106, 0.361, -0.0027]])
+    scenario = replace(bare_scenario(robot), start=path[0], goal=Goal(joints=path[-1]), start_turns="followed")
+    certificate = certify(scenario, path)
+    assert not certificate.valid
+    said = certificate.problems[0]
+    (inner_deg,) = re.findall(r"the robot may be wound up there; to unwind it turn rotate inner by ([-+]\d+) deg", said)
+    walker, apart_m = robot.walker(), list[float]()
+    for joints in (path[0], path[1], path[1] + [0, np.radians(float(inner_deg)), 0]):
+        walker.bound(*robot.drive.collars(joints))
+        own = robot.bound(*robot.drive.collars(joints)).corners[1].tip_m
+        apart_m.append(float(np.linalg.norm(walker.shapes().corners[1].tip_m - own)))
+    assert apart_m[0] < 1e-4 and apart_m[1] > 50e-3 and apart_m[2] < 1e-4
+
+
 @pytest.mark.parametrize("angle_deg", [25, 30, 60, 90])
 def test_a_shape_that_friction_alone_holds_refuses_the_start(angle_deg: float) -> None:
     """Without friction the pair has one shape there; after a whole turn, without a snap, friction holds another."""
