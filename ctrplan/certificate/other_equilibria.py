@@ -185,12 +185,9 @@ def _elsewhere(robot: Robot, joints: Array, bound: Bound, is_loaded: bool, is_co
         seen = other.apart_m if is_loaded else other.apart_m[:1]
         if np.isnan(seen).all() or (is_counted and other.turns.any()):
             continue
-        pattern = _pattern(robot, joints, other.turns)
-        way = (
-            _way_home(robot, joints, other.branch, other.branch.first)
-            if pattern is None
-            else -2 * np.pi * np.array(pattern)
-        )
+        way = _unturned(robot, joints, other.turns)
+        if way is None:
+            way = _way_home(robot, joints, other.branch, other.branch.first)
         twisted = ", ".join(f"{np.degrees(x):+.0f}" for x in other.branch.twist_rad[other.branch.first])
         away_mm, bound_mm = float(np.nanmax(seen)) * MM_PER_M, bound.position_m * MM_PER_M
         sentence = (
@@ -217,7 +214,8 @@ class OtherBranch:
 def other_branches(each: Sequence[Branch], tip_m: Array) -> list[OtherBranch]:
     """Those of `each` that lie apart from the tips (1 + C, 3) of what was walked to, and in which friction states.
 
-    Where what was walked to is not among them, nothing is known of turns: the branch nearest to it takes its place.
+    Where what was walked to is not among them, nothing is known of turns: the branch nearest to it takes its place. No
+    turns are needed to one that friction alone leads to.
     """
     apart = [np.linalg.norm(branch.tip_m - tip_m, axis=1) for branch in each]
     own = min(zip(apart, each, strict=True), key=lambda pair: np.nanmin(pair[0], initial=np.inf), default=(0, None))[1]
@@ -228,25 +226,24 @@ def other_branches(each: Sequence[Branch], tip_m: Array) -> list[OtherBranch]:
         both = np.flatnonzero(branch.solved & own.solved)
         a, b = (both[0], both[0]) if len(both) else (branch.first, own.first)
         turns = np.round((branch.twist_rad[a] - own.twist_rad[b]) / (2 * np.pi)).astype(int)
+        led = ~own.solved & (away <= SAME_SHAPE_M)  # from the own one, which ends before friction is there
+        if led.any():
+            turns, away = np.zeros_like(turns), np.linalg.norm(branch.tip_m - own.tip_m[own.first], axis=1)
         away = np.where(away > SAME_SHAPE_M, away, np.nan)
         if np.isfinite(away).any():
             results.append(OtherBranch(branch, turns, away))
     return results
 
 
-def _pattern(robot: Robot, joints: Array, turns: NDArray[np.int_]) -> tuple[int, ...] | None:
-    """Whole turns of each joint (m,) before the start that wind the pairs by `turns`, the fewest; None if none fit."""
-    drive = robot.drive
-    turning = np.flatnonzero(drive.is_rotation)
-    most = range(-MOST_TURNS, MOST_TURNS + 1)
-    for pattern in sorted(itertools.product(most, repeat=len(turning)), key=lambda one: sum(map(abs, one))):
-        turned = np.zeros(len(joints))
-        turned[turning] = 2 * np.pi * np.array(pattern)
-        relative = np.diff(drive.matrix_theta @ turned) / (2 * np.pi)
-        before = joints - turned
-        if np.allclose(relative, turns) and np.all((before >= drive.lower) & (before <= drive.upper)):
-            whole = np.round(turned / (2 * np.pi)).astype(int)
-            return tuple(whole.tolist())
+def _unturned(robot: Robot, joints: Array, turns: NDArray[np.int_]) -> Array | None:
+    """(m,) [rad] whole turns that take the pairs' `turns` back, of the fewest joints; None if limits forbid them."""
+    drive, most = robot.drive, range(MOST_TURNS, -MOST_TURNS - 1, -1)
+    whole = itertools.product(*[most if is_turn else (0,) for is_turn in drive.is_rotation])
+    for back in (2 * np.pi * np.array(one) for one in sorted(whole, key=lambda one: sum(map(abs, one)))):
+        before = joints + back
+        fits = np.all((before >= drive.lower) & (before <= drive.upper))
+        if fits and np.allclose(np.diff(drive.matrix_theta @ back), -2 * np.pi * turns):
+            return back
     return None
 
 

@@ -145,6 +145,18 @@ def test_limits_of_joints_do_not_keep_a_start_from_another_branch(
     assert not certify(scenario, np.array([at, at + [0, 0, 1e-3]])).valid
 
 
+def test_a_loaded_robot_is_refused_where_a_turn_within_limits_leads_elsewhere() -> None:
+    """Its equilibria are not enumerated: it is simulated from as far as limits let it turn."""
+    pair = bent(2.5, opposed_deg=120, min_deg=-180, max_deg=180)
+    content = {**pair.content, "effects": {"tip_load": {"force_x_N": 0.05}}}
+    robot, at = robot_from_dict(content, file=str(ROBOTS / "loaded.toml")), np.array([0, np.radians(90), -29.6e-3])
+    path = np.array([at + [0, np.radians(85), 0], at])
+    end, bound = robot.history().follow(*robot.drive.collars(path)), robot.bound(*robot.drive.collars(at))
+    assert not end.snaps.any()
+    assert np.linalg.norm(end.position_m[-1] - bound.frictionless.tip_m) > bound.position_m + 70e-3
+    assert other_start(replace(bare_scenario(robot), start=at, start_friction="released"), at)
+
+
 def test_a_start_that_is_reached_while_tubes_are_drawn_back_and_turned_is_refused() -> None:
     """Within limits, and by rotations and translations of more than one leg."""
     robot = bent(4, opposed_deg=60, min_deg=-180, max_deg=180)
@@ -172,6 +184,20 @@ def test_a_path_on_which_friction_winds_the_robot_up_is_refused_with_the_way_to_
         own = robot.bound(*robot.drive.collars(joints)).corners[1].tip_m
         apart_m.append(float(np.linalg.norm(walker.shapes().corners[1].tip_m - own)))
     assert apart_m[0] < 1e-4 and apart_m[1] > 50e-3 and apart_m[2] < 1e-4
+
+
+def test_a_corner_of_friction_on_another_branch_than_the_frictionless_shape_refuses_the_motion() -> None:
+    """The tip is 101 mm away in the corner, and farther in states before it: a past leaves what the bound says."""
+    robot = bent(4, opposed_deg=60, min_deg=-180, max_deg=180)
+    at = np.array([2.908, -3.0537, 0.0252])
+    bound, history = robot.bound(*robot.drive.collars(at)), robot.history()
+    end = history.follow(*robot.drive.collars(np.array([[-3.1415, 3.1415, 0.007], at]))).position_m[-1]
+    assert np.linalg.norm(end - bound.frictionless.tip_m) > bound.position_m + BEYOND_BOUND_M
+    for turns, friction in itertools.product(("unknown", "absolute", "followed"), ("unknown", "released")):
+        scenario = replace(bare_scenario(robot), start=at, start_turns=turns, start_friction=friction)
+        for by in ([0, 0, 1e-3], [0, 0.1, 0]):
+            certificate = certify(scenario, np.array([at, at + by]))
+            assert not certificate.valid and "another" in certificate.problems[0]
 
 
 @pytest.mark.parametrize("angle_deg", [25, 30, 60, 90])
