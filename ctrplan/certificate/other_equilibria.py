@@ -2,11 +2,11 @@
 
 Nobody knows what the robot did before a plan. Corners of friction are solved from the frictionless shape. Where a
 corner has a second equilibrium, far from it, an approach may end there and break the bound. Approaches are simulated:
-all pairs turned by APPROACH_DEG at once, from either side each, which loads friction fully. Where whole turns of joints
-before the start are not known, the robot may be wound up: every branch with clearance and friction is solved from the
-equilibria without them (`ctrplan.mechanics.equilibria`), and those that turns within the joints' limits lead to are
-not walked to. Of robots that are not enumerated, whole turns are simulated. Where turns count, rotations straight from
-home lead to the start, and have to end in the shape that is walked from.
+all pairs turned by APPROACH_DEG at once, from either side each, which loads friction fully. Every branch with clearance
+and friction is solved from the equilibria without them (`ctrplan.mechanics.equilibria`). Unless turns are known, the
+robot may be on each of them, limits of its joints or not: it may have been turned where it was drawn back, and pushed
+out again. Of robots that are not enumerated, turns are simulated. Where turns count, rotations straight from home lead
+to the start, and have to end in the shape that is walked from.
 
 Corners of friction are solved from the frictionless shape. A robot may come to the same corner from another one, or by
 a turn, and stand elsewhere. Along the path each corner is solved from the shapes of all others, and from the equilibria
@@ -18,7 +18,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary
 
@@ -30,7 +30,8 @@ from ctrplan.base.long_work import cores
 from ctrplan.certificate.friction_states import BEYOND_BOUND_M
 from ctrplan.certificate.walked_piece import Piece
 from ctrplan.errors import InputError, SolverError
-from ctrplan.mechanics.equilibria import SAME_SHAPE_M, branches, is_unique
+from ctrplan.mechanics.equilibria import SAME_SHAPE_M, Torus, branches, is_unique
+from ctrplan.mechanics.friction import corner_signs
 from ctrplan.mechanics.shapes import Status
 from ctrplan.mechanics.walk import PathDensity
 from ctrplan.robot.robot import Robot
@@ -127,18 +128,20 @@ def _turned_from_home(robot: Robot, joints: Array, bound: Bound) -> str:
         return ""
     is_back = np.linalg.norm(back - bound.frictionless.tip_m) < SAME_SHAPE_M
     is_smooth = not (np.nansum(wound.snaps) or np.nansum(unwound.snaps))
-    turns = np.round((nearest - joints) / (2 * np.pi)).astype(int).tolist()
-    ways = f"to unwind it turn {_turned(robot, turns)}" if is_back and is_smooth and any(turns) else ""
+    way = nearest - joints
+    ways = f"to unwind it {_moved(robot, way)}" if is_back and is_smooth and way.any() else ""
     return (
         f"The start has another stable equilibrium, where rotations straight from home end: the tip stands "
         f"{away * MM_PER_M:.1f} mm away there; {ways or 'start within half a turn of home, or where there is no other'}"
     )
 
 
-def _turned(robot: Robot, turns: Sequence[int]) -> str:
-    """Whole turns (m,) of joints in words."""
-    names = zip(robot.drive.names, turns, strict=True)
-    return ", ".join(f"{name} by {360 * k:+d} deg" for name, k in names if k)
+def _moved(robot: Robot, by: Array) -> str:
+    """A motion (m,) of joints in words: rotations, then translations."""
+    named = list(zip(robot.drive.names, by.tolist(), robot.drive.is_rotation, strict=True))
+    turned = ", ".join(f"{name} by {np.degrees(x):+.0f} deg" for name, x, is_turn in named if is_turn and x)
+    pushed = ", ".join(f"{name} by {x * MM_PER_M:+.1f} mm" for name, x, is_turn in named if x and not is_turn)
+    return " and ".join([f"turn {turned}"] * bool(turned) + [f"move {pushed}"] * bool(pushed))
 
 
 def shape_notes(scenario: Scenario, ends: Sequence[Array]) -> tuple[str, ...]:
@@ -180,20 +183,21 @@ def _elsewhere(robot: Robot, joints: Array, bound: Bound, is_loaded: bool, is_co
     states = [bound.frictionless, *bound.corners]
     for other in other_branches(branches(robot, theta_b, l_b), np.array([shape.tip_m for shape in states])):
         seen = other.apart_m if is_loaded else other.apart_m[:1]
-        pattern = None if is_counted and other.turns.any() else _pattern(robot, joints, other.turns)
-        if np.isnan(seen).all() or pattern is None:
+        if np.isnan(seen).all() or (is_counted and other.turns.any()):
             continue
+        way = _unturned(robot, joints, other.turns)
+        if way is None:
+            way = _way_home(robot, joints, other.branch, other.branch.first)
         twisted = ", ".join(f"{np.degrees(x):+.0f}" for x in other.branch.twist_rad[other.branch.first])
         away_mm, bound_mm = float(np.nanmax(seen)) * MM_PER_M, bound.position_m * MM_PER_M
         sentence = (
             f"The start has another stable equilibrium with clearance and friction, {away_mm:.1f} mm away, where "
             f"friction moves the tip by {bound_mm:.2f} mm: the pairs of tubes are twisted by ({twisted}) deg"
         )
-        if any(pattern):
-            sentence += (
-                f"; to unwind it turn {_turned(robot, [-k for k in pattern])}; a drive that was homed, whose turns "
-                'count, says so by turns = "absolute" in [start]'
-            )
+        if way.any():
+            sentence += f"; to unwind it {_moved(robot, way)}"
+        if other.turns.any():
+            sentence += '; a drive that was homed, whose turns count, says so by turns = "absolute" in [start]'
         return sentence
     return ""
 
@@ -210,7 +214,8 @@ class OtherBranch:
 def other_branches(each: Sequence[Branch], tip_m: Array) -> list[OtherBranch]:
     """Those of `each` that lie apart from the tips (1 + C, 3) of what was walked to, and in which friction states.
 
-    Where what was walked to is not among them, nothing is known of turns: the branch nearest to it takes its place.
+    Where what was walked to is not among them, nothing is known of turns: the branch nearest to it takes its place. No
+    turns are needed to one that friction alone leads to.
     """
     apart = [np.linalg.norm(branch.tip_m - tip_m, axis=1) for branch in each]
     own = min(zip(apart, each, strict=True), key=lambda pair: np.nanmin(pair[0], initial=np.inf), default=(0, None))[1]
@@ -221,26 +226,116 @@ def other_branches(each: Sequence[Branch], tip_m: Array) -> list[OtherBranch]:
         both = np.flatnonzero(branch.solved & own.solved)
         a, b = (both[0], both[0]) if len(both) else (branch.first, own.first)
         turns = np.round((branch.twist_rad[a] - own.twist_rad[b]) / (2 * np.pi)).astype(int)
+        led = ~own.solved & (away <= SAME_SHAPE_M)  # from the own one, which ends before friction is there
+        if led.any():
+            turns, away = np.zeros_like(turns), np.linalg.norm(branch.tip_m - own.tip_m[own.first], axis=1)
         away = np.where(away > SAME_SHAPE_M, away, np.nan)
         if np.isfinite(away).any():
             results.append(OtherBranch(branch, turns, away))
     return results
 
 
-def _pattern(robot: Robot, joints: Array, turns: NDArray[np.int_]) -> tuple[int, ...] | None:
-    """Whole turns of each joint (m,) before the start that wind the pairs by `turns`, the fewest; None if none fit."""
-    drive = robot.drive
-    turning = np.flatnonzero(drive.is_rotation)
-    most = range(-MOST_TURNS, MOST_TURNS + 1)
-    for pattern in sorted(itertools.product(most, repeat=len(turning)), key=lambda one: sum(map(abs, one))):
-        turned = np.zeros(len(joints))
-        turned[turning] = 2 * np.pi * np.array(pattern)
-        relative = np.diff(drive.matrix_theta @ turned) / (2 * np.pi)
-        before = joints - turned
-        if np.allclose(relative, turns) and np.all((before >= drive.lower) & (before <= drive.upper)):
-            whole = np.round(turned / (2 * np.pi)).astype(int)
-            return tuple(whole.tolist())
+def _unturned(robot: Robot, joints: Array, turns: NDArray[np.int_]) -> Array | None:
+    """(m,) [rad] whole turns that take the pairs' `turns` back, of the fewest joints; None if limits forbid them."""
+    drive, most = robot.drive, range(MOST_TURNS, -MOST_TURNS - 1, -1)
+    whole = itertools.product(*[most if is_turn else (0,) for is_turn in drive.is_rotation])
+    for back in (2 * np.pi * np.array(one) for one in sorted(whole, key=lambda one: sum(map(abs, one)))):
+        before = joints + back
+        fits = np.all((before >= drive.lower) & (before <= drive.upper))
+        if fits and np.allclose(np.diff(drive.matrix_theta @ back), -2 * np.pi * turns):
+            return back
     return None
+
+
+def way_to_unwind(robot: Robot, joints: Array, tip_m: Array, own_m: Array) -> str:
+    """How tips (1 + C, 3), frictionless and of the corners, that were walked to joints (m,) come back to those that
+    are solved there (1 + C, 3); empty where unknown.
+    """
+    theta_b, l_b = robot.drive.collars(joints)
+    apart = np.linalg.norm(tip_m - own_m, axis=1)
+    state = int(np.argmax(apart > SAME_SHAPE_M))
+    if is_unique(robot, l_b) or not apart[state] > SAME_SHAPE_M:
+        return ""
+    try:
+        each = branches(robot, theta_b, l_b)
+    except InputError:  # of a kind whose equilibria are not enumerated
+        return ""
+    there = [branch for branch in each if np.linalg.norm(branch.tip_m[state] - tip_m[state]) < SAME_SHAPE_M]
+    way = _way_home(robot, joints, there[0], state) if there else np.zeros(len(joints))
+    return f"to unwind it {_moved(robot, way)}" if way.any() else ""
+
+
+def _way_home(robot: Robot, joints: Array, branch: Branch, state: int) -> Array:
+    """Rotations (m,) within limits that lead a branch, without a leap, to the shape that is solved at their end.
+
+    In one of its friction states. Zeros where none was found. Few joints turn before many, as far as they may.
+    """
+    drive, begun = robot.drive, _Led.of(robot, joints, branch, state)
+    for way in _signs(robot):
+        led: _Led | None = begun
+        for turned in np.arange(TURN_RAD, 2 * np.pi + TURN_RAD, TURN_RAD):
+            there = np.clip(joints + way * turned, drive.lower, drive.upper)
+            if led is None or np.array_equal(there, led.joints):
+                break
+            led = led.to(there)
+            if led is not None and led.is_home:
+                return led.joints - joints
+    return np.zeros(len(joints))
+
+
+def _signs(robot: Robot) -> list[Array]:
+    """(m,) signs of rotations of joints that turn collars against each other, few joints first."""
+    signs = itertools.product(*[(0.0, 1.0, -1.0) if turns else (0.0,) for turns in robot.drive.is_rotation])
+    relative = ((way, np.diff(robot.drive.matrix_theta @ way)) for way in map(np.array, signs))
+    return sorted((way for way, turned in relative if turned.any()), key=np.count_nonzero)
+
+
+@dataclass(frozen=True, eq=False)
+class _Led:
+    """A branch in one friction state, led by rotations from joints to joints."""
+
+    robot: Robot
+    joints: Array  # (m,)
+    phi: Array  # (P,)
+    s_m: Array  # (K,)
+    angles_rad: Array  # (n, K)
+    tip_m: Array  # (3,)
+
+    @classmethod
+    def of(cls, robot: Robot, joints: Array, branch: Branch, state: int) -> _Led:
+        """Where it was solved."""
+        places = Torus(robot.tubes, robot.drive.collars(joints)[1])
+        phi = np.vstack([np.zeros(robot.n - 1), corner_signs(robot.n - 1)])[state]
+        s_m, _ = places.shapes(np.zeros((1, robot.n - 1)), [0.0])
+        return cls(robot, joints, phi, s_m, branch.angles_rad[state], branch.tip_m[state])
+
+    @property
+    def is_home(self) -> bool:
+        """Whether it is what is solved there by itself."""
+        theta_b, l_b = self.robot.drive.collars(self.joints[None])
+        own = self.robot.mechanics.tips_with_friction(theta_b, l_b, self.phi[None]).position_m[0]
+        return bool(np.linalg.norm(own - self.tip_m) < SAME_SHAPE_M)
+
+    def to(self, joints: Array) -> _Led | None:
+        """Led on to joints (m,), in halves where a tube turns far; None where it leaps, however short the step."""
+        led, share, step = self, 0.0, 1.0
+        while share < 1:
+            step = min(step, 1 - share)
+            now = led._step(self.joints + (share + step) * (joints - self.joints))
+            if now is None:
+                step /= 2
+                if step < SHORTEST:
+                    return None
+                continue
+            led, share, step = now, share + step, 2 * step
+        return led
+
+    def _step(self, joints: Array) -> _Led | None:
+        (theta_b, l_b), guess = self.robot.drive.collars(joints), self.angles_rad[None]
+        rows = self.robot.mechanics.core_solve_from(theta_b[None], l_b, self.phi[None], self.s_m, guess, "search")
+        if rows.status[0] != Status.CONVERGED or np.abs(rows.angles_rad - guess).max() > 2 * TURN_RAD:
+            return None
+        return replace(self, joints=joints, angles_rad=rows.angles_rad[0], tip_m=rows.tip_m[0])
 
 
 def _approaches(pairs: int) -> Iterator[Array]:
@@ -250,27 +345,21 @@ def _approaches(pairs: int) -> Iterator[Array]:
 
 
 def _windings(robot: Robot, joints: Array) -> list[Array]:
-    """(P,) relative turns [rad] by whole turns of joints within their limits, at most MOST_WINDINGS of them."""
+    """(P,) relative turns [rad] by whole turns of joints, or as far as limits let them; at most MOST_WINDINGS."""
     drive, results = robot.drive, list[Array]()
-    turning = np.flatnonzero(drive.is_rotation)
-    patterns = sorted(itertools.product((0, 1, -1), repeat=len(turning)), key=lambda pattern: np.count_nonzero(pattern))
-    for pattern in patterns:
-        turned = np.zeros(len(joints))
-        turned[turning] = 2 * np.pi * np.array(pattern)
-        before = joints - turned
-        relative = np.diff(drive.matrix_theta @ turned)
-        is_new = relative.any() and not any(np.allclose(relative, other) for other in results)
-        if is_new and np.all((before >= drive.lower) & (before <= drive.upper)):
+    for way in _signs(robot):
+        before = np.clip(joints - 2 * np.pi * way, drive.lower, drive.upper)
+        relative = np.diff(drive.matrix_theta @ np.where(drive.is_rotation, joints - before, 0.0))
+        if relative.any() and not any(np.allclose(relative, other) for other in results):
             results.append(relative)
-        if len(results) == MOST_WINDINGS:
-            break
-    return results
+    return results[:MOST_WINDINGS]
 
 
 EVERY_MM = 5.0  # of joint length
 # Of each pair. Of 1,000 random configurations of the three-tube robot walks from 30 deg found all six that any of 30,
 # 60 and 90 deg did; from 60 deg three, from 90 deg two.
 TURN_RAD = np.radians(30.0)
+SHORTEST = 1 / 16  # of a motion by TURN_RAD: a branch that leaps in so short a step has ended
 COARSE = PathDensity(rotation_rad=0.26, translation_m=8e-3, motion_m=15e-3)
 
 

@@ -16,6 +16,7 @@ from ctrplan.anatomy.parts import exact_clearance
 from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.certificate.certificate import CertificateSamples
 from ctrplan.certificate.friction_states import SPACING_M, bound_allowance_m, mesh_allowance_m
+from ctrplan.certificate.other_equilibria import way_to_unwind
 from ctrplan.certificate.walked_piece import Piece
 from ctrplan.drive.legs import distance_from_polyline
 from ctrplan.mechanics.equilibria import SAME_SHAPE_M
@@ -112,7 +113,10 @@ def problems_of_walk(scenario: Scenario, space: JointSpace, corners: Array, piec
         elif piece.walks.fault:
             results.append(f"On {where}: {piece.walks.fault}.")
         elif before is not None and _apart(scenario, before, piece) > BRANCH_TOLERANCE_M:
-            results.append(f"On {where}: the shape depends on the way there, several equilibria exist.")
+            walked_m, own_m = (tips[: 2**piece.pairs + 1] for tips in (before.end_tips_m[1], piece.end_tips_m[0]))
+            unwinding = way_to_unwind(scenario.robot, piece.joints[0], walked_m, own_m)
+            end = f": the robot may be wound up there; {unwinding}" if unwinding else ""
+            results.append(f"On {where}: the shape depends on the way there, several equilibria exist{end}.")
         if piece.apart_m > SAME_SHAPE_M:
             results.append(f"On {where}: another equilibrium exists for the same joints and friction.")
         if (leap := float(piece.motion_m.max())) > LEAP_M:

@@ -20,12 +20,13 @@ from stated_plans import in_si, rvim
 import ctrplan
 from ctrplan.__main__ import main
 from ctrplan.base.arrays import Array
+from ctrplan.certificate.certify import certify
 from ctrplan.certificate.friction_states import BEYOND_BOUND_M
 from ctrplan.certificate.other_equilibria import other_start, shape_notes
 from ctrplan.errors import InputError, SolverError
 from ctrplan.files.robot_file import load_robot, robot_from_dict
 from ctrplan.files.scenario_file import load_scenario
-from ctrplan.mechanics.equilibria import SAME_SHAPE_M, Torus, equilibria, is_unique
+from ctrplan.mechanics.equilibria import SAME_SHAPE_M, Torus, equilibria, is_unique, other_shapes
 from ctrplan.mechanics.friction import corner_signs
 from ctrplan.mechanics.shapes import Status
 from ctrplan.reports.live_state import LiveState
@@ -37,12 +38,13 @@ from ctrplan.storage.toml_document import read_document
 PAIR = dict(read_document(ROBOTS / "table_5_pair.toml").content)
 
 
-def bent(factor: float, **joint: Any) -> Robot:
-    """The pair of Table V with so many times its precurvature."""
-    content = copy.deepcopy(PAIR)
-    for tube in content["tube"]:
+def bent(factor: float, opposed_deg: float = 180, **joint: Any) -> Robot:
+    """The pair of Table V with so many times its precurvature, mounted so that the tubes are opposed at an angle."""
+    content, turned = copy.deepcopy(PAIR), np.radians(180 - opposed_deg)
+    for tube, angle in zip(content["tube"], (0.0, turned), strict=True):
         for section in tube["section"]:
-            section["curvature_x_per_m"], section["curvature_y_per_m"] = 0, factor * section["curvature_y_per_m"]
+            most = factor * section["curvature_y_per_m"]
+            section["curvature_x_per_m"], section["curvature_y_per_m"] = -most * np.sin(angle), most * np.cos(angle)
     if joint:
         content["joint"] = [{**given, **joint} if "theta" in given["moves"] else given for given in content["joint"]]
     return robot_from_dict(content, file=str(ROBOTS / "bent.toml"))
@@ -113,9 +115,89 @@ def test_a_start_that_may_be_wound_is_refused_with_the_way_to_unwind_it() -> Non
     said = other_start(free, at)
     assert "another stable equilibrium" in said and "to unwind it turn" in said and "360 deg" in said
     assert "another" not in other_start(replace(free, start_turns="absolute", start_friction="released"), at)
-    ends = {"min_deg": -180, "max_deg": 180}
-    held = bare_scenario(bent(2.5, **ends))
-    assert "to unwind" not in other_start(replace(held, start_friction="released"), at)
+
+
+@pytest.mark.parametrize(
+    ("factor", "opposed_deg", "from_deg", "at_deg", "friction"),
+    [(2.5, 180, 200, 170, "released"), (2.5, 120, 175, 90, "released"), (4, 60, 175, -60, "unknown")],
+)
+def test_limits_of_joints_do_not_keep_a_start_from_another_branch(
+    factor: float, opposed_deg: float, from_deg: float, at_deg: float, friction: Any
+) -> None:
+    """Within half a turn of home, from where tubes were pushed out on the other side of where they are opposed."""
+    robot = bent(factor, opposed_deg=opposed_deg, min_deg=-180, max_deg=180)
+    at = np.array([0.0, np.radians(at_deg), -29.6e-3])
+    before = (
+        at - np.radians([from_deg - at_deg, 0, 0]) if from_deg > 180 else at + np.radians([0, from_deg - at_deg, 0])
+    )
+    history, bound = robot.history(), robot.bound(*robot.drive.collars(at))
+    path = history.follow(*robot.drive.collars(np.array([before, at])))
+    assert JointSpace.of_robot(robot).allowed(before) and not path.snaps.any()
+    assert np.linalg.norm(path.position_m[-1] - bound.frictionless.tip_m) > bound.position_m + 70e-3
+    scenario = replace(bare_scenario(robot), start=at, start_friction=friction)
+    said = other_start(scenario, at)
+    assert "to unwind it turn rotate" in said
+    way = {name: np.radians(float(x)) for name, x in re.findall(r"(rotate \w+) by ([-+]\d+) deg", said)}
+    there = at + [way.get(name, 0.0) for name in robot.drive.names]
+    back = robot.history().follow(*robot.drive.collars(np.array([there, at]))).position_m[-1]
+    assert JointSpace.of_robot(robot).allowed(there)
+    assert np.linalg.norm(back - bound.frictionless.tip_m) > bound.position_m + 70e-3
+    assert not certify(scenario, np.array([at, at + [0, 0, 1e-3]])).valid
+
+
+def test_a_loaded_robot_is_refused_where_a_turn_within_limits_leads_elsewhere() -> None:
+    """Its equilibria are not enumerated: it is simulated from as far as limits let it turn."""
+    pair = bent(2.5, opposed_deg=120, min_deg=-180, max_deg=180)
+    content = {**pair.content, "effects": {"tip_load": {"force_x_N": 0.05}}}
+    robot, at = robot_from_dict(content, file=str(ROBOTS / "loaded.toml")), np.array([0, np.radians(90), -29.6e-3])
+    path = np.array([at + [0, np.radians(85), 0], at])
+    end, bound = robot.history().follow(*robot.drive.collars(path)), robot.bound(*robot.drive.collars(at))
+    assert not end.snaps.any()
+    assert np.linalg.norm(end.position_m[-1] - bound.frictionless.tip_m) > bound.position_m + 70e-3
+    assert other_start(replace(bare_scenario(robot), start=at, start_friction="released"), at)
+
+
+def test_a_start_that_is_reached_while_tubes_are_drawn_back_and_turned_is_refused() -> None:
+    """Within limits, and by rotations and translations of more than one leg."""
+    robot = bent(4, opposed_deg=60, min_deg=-180, max_deg=180)
+    way = np.array([[3.142, -3.142, -0.043], [2.791, 1.587, -0.043], [3.106, 0.892, -0.043], [2.48, -0.486, 0.008]])
+    way = np.clip(way, robot.drive.lower, robot.drive.upper)
+    path = robot.history().follow(*robot.drive.collars(way))
+    bound = robot.bound(*robot.drive.collars(way[-1]))
+    assert not path.snaps.any() and bound.position_m < 10e-3
+    assert np.linalg.norm(path.position_m[-1] - bound.frictionless.tip_m) > 100e-3
+    assert "another stable equilibrium" in other_start(replace(bare_scenario(robot), start=way[-1]), way[-1])
+
+
+def test_a_path_on_which_friction_winds_the_robot_up_is_refused_with_the_way_to_unwind_it() -> None:
+    """Drawn back, a pair of which friction holds one corner on another branch than the others."""
+    robot = bent(4, opposed_deg=60, min_deg=-180, max_deg=180)
+    path = np.array([[-0.1695, -0.1643, 0.0331], [-0.1695, -0.1643, -0.0027], [-0.5106, 0.361, -0.0027]])
+    scenario = replace(bare_scenario(robot), start=path[0], goal=Goal(joints=path[-1]), start_turns="followed")
+    certificate = certify(scenario, path)
+    assert not certificate.valid
+    said = certificate.problems[0]
+    (inner_deg,) = re.findall(r"the robot may be wound up there; to unwind it turn rotate inner by ([-+]\d+) deg", said)
+    walker, apart_m = robot.walker(), list[float]()
+    for joints in (path[0], path[1], path[1] + [0, np.radians(float(inner_deg)), 0]):
+        walker.bound(*robot.drive.collars(joints))
+        own = robot.bound(*robot.drive.collars(joints)).corners[1].tip_m
+        apart_m.append(float(np.linalg.norm(walker.shapes().corners[1].tip_m - own)))
+    assert apart_m[0] < 1e-4 and apart_m[1] > 50e-3 and apart_m[2] < 1e-4
+
+
+def test_a_corner_of_friction_on_another_branch_than_the_frictionless_shape_refuses_the_motion() -> None:
+    """The tip is 101 mm away in the corner, and farther in states before it: a past leaves what the bound says."""
+    robot = bent(4, opposed_deg=60, min_deg=-180, max_deg=180)
+    at = np.array([2.908, -3.0537, 0.0252])
+    bound, history = robot.bound(*robot.drive.collars(at)), robot.history()
+    end = history.follow(*robot.drive.collars(np.array([[-3.1415, 3.1415, 0.007], at]))).position_m[-1]
+    assert np.linalg.norm(end - bound.frictionless.tip_m) > bound.position_m + BEYOND_BOUND_M
+    for turns, friction in itertools.product(("unknown", "absolute", "followed"), ("unknown", "released")):
+        scenario = replace(bare_scenario(robot), start=at, start_turns=turns, start_friction=friction)
+        for by in ([0, 0, 1e-3], [0, 0.1, 0]):
+            certificate = certify(scenario, np.array([at, at + by]))
+            assert not certificate.valid and "another" in certificate.problems[0]
 
 
 @pytest.mark.parametrize("angle_deg", [25, 30, 60, 90])
@@ -134,17 +216,50 @@ def test_a_shape_that_friction_alone_holds_refuses_the_start(angle_deg: float) -
     assert not other_start(replace(scenario, start_friction="released"), at)
 
 
-def test_a_wound_shape_that_no_branch_is_solved_to_refuses_the_start() -> None:
-    """A whole turn leads 83 mm away, without a snap, where friction holds the pair next to a fold."""
+def test_a_shape_that_friction_holds_beside_a_fold_is_known() -> None:
+    """A whole turn leads 83 mm away, without a snap: friction holds the pair there fully loaded, and less does not."""
     robot = bent(2.5)
-    theta, l = collars(robot, 264, 11)[263]  # noqa: E741 (as in the equations)
     at = JointSpace.of_robot(robot).sample(np.random.default_rng(11), 264)[263]
-    path = robot.history().follow(np.array([theta + [0, 2 * np.pi], theta]), np.array([l, l]))
-    assert not path.snaps.any()
-    assert np.linalg.norm(path.position_m[-1] - robot.solve(theta, l).tip_m) > 80e-3
+    theta, l = robot.drive.collars(at)  # noqa: E741 (as in the equations)
+    history = robot.history()
+    path = history.follow(np.array([theta + [0, 2 * np.pi], theta]), np.array([l, l]))
+    assert not path.snaps.any() and np.isnan(history.tip_beside([-0.9])[0])
+    tip_m = robot.solve(theta, l).tip_m
+    (away_m, held), *_ = other_shapes(robot, theta, l, tip_m)
+    assert away_m > 80e-3 and held.solved.tolist() == [False, False, True]
+    np.testing.assert_allclose(held.tip_m[2], path.position_m[-1], atol=1e-6)
     scenario = bare_scenario(robot)
-    assert "approached by relative turns" in other_start(scenario, at)
+    shown = LiveState(scenario).at([float(np.degrees(at[0])), float(np.degrees(at[1])), float(at[2] * 1e3)])
+    assert shown["other_shape_mm"] == pytest.approx(away_m * 1e3)
+    assert "with clearance and friction" in other_start(scenario, at)
     assert not other_start(replace(scenario, start_turns="absolute", start_friction="released"), at)
+
+
+@pytest.mark.parametrize("name", ["bent", "bent without friction", "rvim", "three_tube"])
+def test_where_a_history_ends_is_solved_again_from_its_shape(name: str) -> None:
+    """From whole turns of every pair; where all contacts of a pair are at one end of what friction holds, or free."""
+    robot = rvim() if name == "rvim" else load_robot(ROBOTS / f"{name}.toml") if "three" in name else bent(2.5)
+    if name == "bent without friction":
+        robot = robot_from_dict({**robot.content, "contact": [{"friction_coefficient": 0.0}]}, file="bent.toml")
+    drawn, count = JointSpace.of_robot(robot).sample(np.random.default_rng(3), 500 if FUZZ else 40), 0
+    for q in drawn if FUZZ else drawn[[5, 15]]:
+        theta, l = robot.drive.collars(q)  # noqa: E741 (as in the equations)
+        for turns in itertools.product((-1, 0, 1), repeat=robot.n - 1):
+            before, history = 2 * np.pi * np.append(0, np.cumsum(turns)), robot.history()
+            with suppress(SolverError):
+                end = history.advance(theta - before, l) and history.advance(theta, l)
+                phi = np.array([pair.phi[np.argmax(pair.force_N)] for pair in end.friction]) * robot.friction.any()
+                apart = [np.abs(pair.phi[pair.force_N > 0] - x) for pair, x in zip(end.friction, phi, strict=True)]
+                if robot.friction.any() and np.concatenate(apart).max(initial=0.0) > 1e-9:
+                    continue
+                s_m = np.unique(np.concatenate([tube.s_m for tube in end.shape.tubes]))
+                angles = np.array([np.interp(s_m, tube.s_m, tube.theta_rad) for tube in end.shape.tubes])
+                again = robot.mechanics.core_solve_from(theta[None], l, phi[None], s_m, angles[None], "search")
+                count += 1
+                assert again.status[0] == Status.CONVERGED
+                np.testing.assert_allclose(again.tip_m[0], end.shape.tip_m, atol=1e-7)
+    print(f"{name}: {count} ends")
+    assert count > 3
 
 
 def test_turns_that_count_lead_from_home_to_the_shape_that_is_walked_from() -> None:
@@ -244,7 +359,7 @@ def test_histories_with_friction_end_on_branches_that_are_known(name: str) -> No
 
 
 def test_a_shape_is_solved_again_from_itself_and_turns_with_its_collars() -> None:
-    """Each state is a fixed point but beside folds, where friction alone holds a shape; whole turns change nothing."""
+    """Each state is a fixed point; whole turns change nothing."""
     robot = rvim()
     theta, l = collars(robot, 1, 11)[0]  # noqa: E741
     looked = [branch for branch in robot.equilibria(theta, l).branches if branch.solved[0]]

@@ -84,8 +84,12 @@ class FrictionSolver {
     void recentre(LaneState& state, double level);
     // Base angles of a new configuration on an unchanged mesh layout; the twist at the base is kept.
     void set_base(LaneState& state, const Configuration& q);
-    // Newton steps down the barrier path; every lane ends at path.last. converged is filled per lane.
-    void solve(LaneState& state, const BarrierPath& path, Convergence* result);
+    // Newton steps down the barrier path; every lane ends at path.last. converged is filled per lane. first: levels that lanes
+    // begin at instead of path.first.
+    void solve(LaneState& state, const BarrierPath& path, Convergence* result, const double* first = nullptr);
+    // Down the barrier path with the angles of every lane held, from where start_lane() left them: offsets and forces that belong to
+    // these angles, at the level [lane] whose solution is nearest to them. An equilibrium's own level is the last.
+    void find_levels(LaneState& state, const BarrierPath& path, double* level);
     // One lane that solve() brought to its tolerances, to the last digits: derivatives are those of exact solutions.
     void finish(LaneState& state, Convergence& result);
     // One lane, for what solve() does not reach from an iterate near the central path at the given level: by easing the

@@ -128,7 +128,7 @@ void BoundSolver::solve_from(const Configuration& q, const Accuracy& accuracy, c
     Configuration turned = q;
     Convergence result[kLanes];
     Backbone shapes[kLanes];
-    double stability[kLanes];
+    double stability[kLanes], level[kLanes];
     for (std::size_t first = 0; first < given.rows; first += kLanes) {
         const int count = static_cast<int>(std::min<std::size_t>(kLanes, given.rows - first));
         state.resize(pb, kLanes);
@@ -141,7 +141,8 @@ void BoundSolver::solve_from(const Configuration& q, const Accuracy& accuracy, c
             std::copy_n(given.base + (first + own) * (pairs_ + 1), pairs_ + 1, turned.theta.begin());
             solver_.start_lane(state, lane, turned, angles(own), path.first);
         }
-        solver_.solve(state, path, result);
+        solver_.find_levels(state, path, level);
+        solver_.solve(state, path, result, level);
         solver_.stabilities(state, stability);
         tracer_.trace(solver_, state, 0, count, q.l.back(), shapes);
         for (int lane = 0; lane < count; ++lane) {

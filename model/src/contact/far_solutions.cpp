@@ -14,7 +14,7 @@ namespace {
 #include "contact/newton_limits.hpp"
 
 constexpr double kFirstDamping = 30;      // 1/m^2, about the lowest torsional mode of a 0.2 m tube
-constexpr double kLeastDamping = 3, kMostDamping = 1e7;
+constexpr double kLeastDamping = 3;
 constexpr double kTrust = 0.3;            // rad that a step in time may turn a tube
 constexpr double kSettled = 1e-3;         // rad, last Newton step of a step in time
 constexpr double kAtRest = 0.01;          // rad, a step in time after which equilibrium is near
@@ -193,12 +193,11 @@ void FrictionSolver::slide_on(LaneState& state, SlideState& at, Convergence& res
 
 // Newton steps at one level, until they are full and small; false if they do not become so.
 bool FrictionSolver::settle(LaneState& state, double level, double damping, int& steps) {
-    constexpr int kMost = 16;
     const KernelProblem& pb = mesh_.problem();
     const KernelState view = state.view(&kept_);
     const KernelTable& run = kernel(1);
     const double barrier = level * barrier_unit_;
-    for (int k = 0; k < kMost; ++k) {
+    for (int k = 0; k < kMostAtLevel; ++k) {
         Watch::look();
         double primal, dual;
         run.newton(pb, view, &barrier, &damping);

@@ -22,7 +22,7 @@ constexpr double kComplementarity = 1e-3; // of the last barrier level, itself f
 
 }  // namespace
 
-void FrictionSolver::solve(LaneState& state, const BarrierPath& path, Convergence* result) {
+void FrictionSolver::solve(LaneState& state, const BarrierPath& path, Convergence* result, const double* first) {
     const KernelProblem& pb = mesh_.problem();
     if (is_exact_ && !state.is_exact()) state.begin_exact(pb);
     const int lanes = state.lanes();
@@ -32,7 +32,7 @@ void FrictionSolver::solve(LaneState& state, const BarrierPath& path, Convergenc
     bool done[kLanes] = {};
     const double last = path.last * barrier_unit_;
     for (int lane = 0; lane < lanes; ++lane) {
-        level[lane] = path.first * barrier_unit_;
+        level[lane] = (first ? first[lane] : path.first) * barrier_unit_;
         result[lane] = {};
         result[lane].residual = result[lane].complementarity = std::numeric_limits<double>::infinity();
     }
@@ -92,6 +92,46 @@ void FrictionSolver::solve(LaneState& state, const BarrierPath& path, Convergenc
         }
         if (all) return;
     }
+}
+
+void FrictionSolver::find_levels(LaneState& state, const BarrierPath& path, double* level) {
+    const KernelProblem& pb = mesh_.problem();
+    const int lanes = state.lanes();
+    const KernelTable& run = kernel(lanes);
+    LaneState nearest;
+    for (LaneState* other : {&nearest, &kept_}) {
+        other->share_steps(state);
+        other->resize(pb, lanes);
+        for (int lane = 0; lane < lanes; ++lane) other->copy_lane(state, lane, lane, pb);
+    }
+    alignas(kAlignment) double barrier[kLanes], damping[kLanes], primal[kLanes], dual[kLanes];
+    double least[kLanes];
+    std::fill(damping, damping + lanes, kMostDamping);
+    std::fill(least, least + lanes, std::numeric_limits<double>::infinity());
+    std::fill(level, level + lanes, path.first);
+    weigh(state);
+    for (double at = path.first;; at = std::max(path.last, path.shrink * at)) {
+        std::fill(barrier, barrier + lanes, at * barrier_unit_);
+        double shortest = 0;
+        for (int k = 0; k < kMostAtLevel && shortest <= kNearlyFull; ++k) {
+            Watch::look();
+            run.newton(pb, state.view(&kept_), barrier, damping);
+            run.step_length(pb, state.view(), kKeep, primal, dual);
+            run.advance(pb, state.view(), primal, dual);
+            weigh(state);
+            shortest = std::min(*std::min_element(primal, primal + lanes), *std::min_element(dual, dual + lanes));
+        }
+        run.newton(pb, state.view(), barrier, nullptr);
+        for (int lane = 0; lane < lanes; ++lane) {
+            const double twist = largest_twist(state, lane);
+            if (!(twist < least[lane])) continue;
+            least[lane] = twist;
+            level[lane] = at;
+            nearest.copy_lane(state, lane, lane, pb);
+        }
+        if (at <= path.last) break;
+    }
+    for (int lane = 0; lane < lanes; ++lane) state.copy_lane(nearest, lane, lane, pb);
 }
 
 void FrictionSolver::finish(LaneState& state, Convergence& result) {
