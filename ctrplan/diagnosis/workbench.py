@@ -15,7 +15,7 @@ from ctrplan.base.arrays import Array
 from ctrplan.calibration.least_squares import Fit, fit, fit_at
 from ctrplan.calibration.parameters import ABSOLUTE_STIFFNESS, BaseParameters
 from ctrplan.calibration.residuals import UNSOUND, Noise, residuals, robust_square
-from ctrplan.diagnosis.cross_validation import Linear, cross_validation_loss, null_scores, white
+from ctrplan.diagnosis.cross_validation import Linear, cross_validation_loss
 from ctrplan.effects.effect import CATALOGUE, Effect
 from ctrplan.errors import InputError
 from ctrplan.measurement.measurements import Measurements
@@ -69,7 +69,6 @@ def candidates(robot: Robot, data: Measurements, catalogue: Mapping[str, Effect]
 
 CERTAIN = 2.0  # standard errors over groups or blocks by which a gain exceeds zero that is taken for one
 SURE = 3.0  # of the same, where much was asked or something remains
-OVERWHELMING = 30.0  # log-likelihood, of an effect that is told although something remains that may look like it
 MOST_WIDENINGS = 3
 WIDENED_FROM = 1.1  # standard deviations of a prior
 WORTH_ANOTHER = 2.0  # of the loss, to fit a set again from another place
@@ -108,12 +107,6 @@ class Screened:
     term: Term
     linear: Linear  # of the columns of base, fit and variant
     owners: tuple[str, ...]  # (P,) the effect of each column
-    held_out: Array  # (K,) robust squares
-
-    @property
-    def score(self) -> float:
-        """Held-out log-likelihood, up to a constant."""
-        return float(-self.held_out.sum() / 2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,17 +176,9 @@ class Workbench:
         """What is fitted besides `terms`, whatever they are."""
         return [self.base(terms)]
 
-    def null_draws(self, here: Scored) -> Array:
-        """(5 K, D) residuals as they would be if nothing were missing beside a fit."""
-        return white(here.fit.residuals.r.size)
-
     def loss(self, system: Linear) -> Array:
         """(K,) of poses whose fold had not been fitted."""
         return cross_validation_loss(system, self.fold)
-
-    def null_scores(self, systems: Sequence[Linear], noise: Array) -> list[Array]:
-        """(D,) of each system: minus half the loss of draws (5 K, D) after a fit of the same parameters."""
-        return [null_scores(system, self.fold, noise) for system in systems]
 
     def scored(self, terms: Sequence[Term], *near: Fit | None) -> Scored:
         """The base and `terms` fitted together, from the values of a fit in `near` where it has them.
@@ -312,7 +297,7 @@ class Workbench:
     def screened(
         self, here: Scored, others: Sequence[Term], completed: Callable[[Sequence[Term], Term], Sequence[Term]]
     ) -> list[Screened]:
-        """Variants beside a fit by one Gauss-Newton step each, best first: cheap, for choosing what to fit.
+        """Variants beside a fit by one Gauss-Newton step each: cheap, for choosing what to fit.
 
         `completed` adds what a variant needs to the terms that it stands beside.
         """
@@ -327,9 +312,9 @@ class Workbench:
             same = [t for t in here.terms if t.name != other.name]
             together = [*self.basis([*same, other]), *same, other]
             columns = panel.of(together).refitted()
-            screened.append(Screened(other, columns, panel.owners(together), self.loss(columns)))
-        self._screened[key] = sorted(screened, key=lambda s: -s.score)
-        return self._screened[key]
+            screened.append(Screened(other, columns, panel.owners(together)))
+        self._screened[key] = screened
+        return screened
 
     def panel(self, here: Scored, others: Sequence[Term]) -> Linearisation:
         """A fit linearised in its own parameters and those of other variants, which vanish there."""
@@ -352,7 +337,7 @@ class Workbench:
         chain = self.chain([*self.basis(terms), *terms])
         start, _ = self._start(chain, [here.fit])
         there = linear(fit_at(chain, self.noise, self.whitening_group, start)).refitted()
-        return Screened(other, there, tuple(t.name for t in chain.terms for _ in t.parameters), self.loss(there))
+        return Screened(other, there, tuple(t.name for t in chain.terms for _ in t.parameters))
 
     def by_group(self, gain: Array) -> Array:
         """(B,) sums over poses that count as one, of values (K,)."""
@@ -361,8 +346,12 @@ class Workbench:
 
     def difference(self, a: Scored, b: Scored) -> tuple[float, float]:
         """How much better `a` predicts than `b` (log-likelihood), and the standard error of that over groups."""
-        by_group = self.by_group((b.held_out - a.held_out) / 2)
-        return float(by_group.sum()), float(np.sqrt(len(by_group)) * by_group.std(ddof=1))
+        return summed(self.by_group((b.held_out - a.held_out) / 2))
+
+
+def summed(gains: Array) -> tuple[float, float]:
+    """The sum over blocks (B,) and its standard error."""
+    return float(gains.sum()), float(np.sqrt(len(gains)) * gains.std(ddof=1))
 
 
 def certainty(gains: Array) -> float:
