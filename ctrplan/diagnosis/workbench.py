@@ -306,7 +306,7 @@ class Workbench:
             return self._screened[key]
         panel, screened = self.panel(here, others), list[Screened]()
         for other in others:
-            if not other.effect.is_linear:
+            if not self._is_as_in_panel(other):
                 screened.append(self._tried_out(here, other, completed))
                 continue
             same = [t for t in here.terms if t.name != other.name]
@@ -315,6 +315,13 @@ class Workbench:
             screened.append(Screened(other, columns, panel.owners(together)))
         self._screened[key] = screened
         return screened
+
+    def _is_as_in_panel(self, other: Term) -> bool:
+        """Whether a variant acts in proportion, and the parameters that it lacks do nothing where they are neutral."""
+        own = {q.name for q in other.parameters}
+        return other.effect.is_linear and not any(
+            q.neutral for q in other.effect.parameters(self.robot) if q.name not in own
+        )
 
     def panel(self, here: Scored, others: Sequence[Term]) -> Linearisation:
         """A fit linearised in its own parameters and those of other variants, which vanish there."""
