@@ -7,7 +7,7 @@ effect of the most probable set is told where it acts with 0.99, alone or togeth
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -152,7 +152,7 @@ def most_probable(
 def testable_beside(known: Candidates, bench: CorrelatedBench) -> Candidates:
     """What may be missing beside free frames and, on a continuous motion, friction that follows its history."""
     always = {*FRAMES, "translation_release"} if bench.data.is_stream else {*FRAMES}
-    return Candidates(tuple(t for t in known.terms if t.name not in always), known.not_testable)
+    return replace(known, terms=tuple(t for t in known.terms if t.name not in always))
 
 
 def _part(bench: CorrelatedBench, base: Scored, chosen: Scored, t: Term) -> Part:

@@ -17,9 +17,9 @@ What something unknown may be, `unknown_errors.py` has.
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 
@@ -40,6 +40,7 @@ REFITTED = 5  # different effects that are fitted for good beside a set
 ROUNDS = 3  # of a search, each with the friction states and the rest that the set before leaves
 
 Report = Callable[[str], None]
+Promise = tuple[float, list[Term]]  # the weight of a set to first order, and its terms
 
 
 @dataclass(frozen=True)
@@ -131,13 +132,13 @@ class _Asking:
         self, bench: Workbench, known: Candidates, base: Scored, chosen: Scored, fitted: Iterable[Scored] = ()
     ) -> None:
         self.bench, self.known = bench, known
-        self.variants = Counter(t.name for t in known.terms)
         self.of_piece = float(np.log(len(pieces(bench.robot, bench.data, known.terms))))  # of which a term is built
         self.root = np.sqrt(np.where(base.failed | chosen.failed, 0.0, chosen.fit.residuals.weight))[:, None]
         ends = [self.as_fitted(scored) for scored in (base, chosen)]
         self.errors = UnknownErrors(bench, base, chosen, ends, self.root[:, 0])
         self.known_sets: dict[Scored, _Set] = {}
-        self._evidence: dict[frozenset[str], _Set] = {}
+        self._evidence: dict[frozenset[str], _Set] = {}  # of sets that were fitted
+        self._promised: dict[frozenset[str], _Set] = {}  # of others, to first order
         self._expanded: set[Scored] = set()
         self._near: dict[Scored, list[tuple[list[Term], _Set]]] = {}
         for one in fitted:
@@ -163,21 +164,21 @@ class _Asking:
         return self.known_sets[scored].weight
 
     def add(self, scored: Scored) -> None:
-        """A set as it is fitted; to first order without effects of the fit that are always free."""
+        """A set as it is fitted; to first order without any of the frames, which are free in all fits."""
         if scored in self.known_sets:
             return
         terms, (widths, owners) = self._named(scored), self._widths(scored)
         built = [t for t in scored.terms if is_built(t)]
         of_built = len(built) * self.of_piece
-        for name in ("", *(t.name for t in terms if t.name not in scored.names)):
-            names = frozenset(t.name for t in terms) - {name}
-            cost = self._cost(names, [width for key, width in widths.items() if key != name]) + of_built
-            fit = self._linearised(linear(scored.fit), scored.fit.noise, owners, widths, name)
+        for gone in _subsets([t.name for t in terms if t.name not in scored.names]):
+            names = frozenset(t.name for t in terms) - gone
+            cost = self._cost(names, [width for key, width in widths.items() if key not in gone]) + of_built
+            fit = self._linearised(linear(scored.fit), scored.fit.noise, owners, widths, gone)
             beside, peak = self.errors.evidence(fit)
             alone = -np.inf if built else without_error(fit) - cost
             result = _Set(names, cost, alone, beside - cost, peak)
-            self._note([t for t in terms if t.name != name], result)
-            if not name:
+            _note(self._evidence, [t for t in terms if t.name not in gone], result)
+            if not gone:
                 self.known_sets[scored] = result
 
     def climb(self) -> None:
@@ -203,12 +204,20 @@ class _Asking:
                 self.add(further)
                 continue
             self._expanded.add(here)
-            for terms in self._more(here):
-                self._fit(terms, here)
+            for variants in self._more(here):
+                self._fit_best(variants, here)
             for gone in here.terms:
                 parent = self.as_known(self._fit([t for t in here.terms if t is not gone], here))
-                for terms in self._more(parent, gone):
-                    self._fit(terms, here)
+                for variants in self._more(parent, gone):
+                    self._fit_best(variants, here)
+
+    def _fit_best(self, variants: Sequence[Promise], here: Scored) -> None:
+        """Variants of an effect beside a set, the most promising first, until none promises more than one has."""
+        highest = -np.inf
+        for promised, terms in variants:
+            if promised <= highest:
+                return
+            highest = max(highest, self.weight(self.as_known(self._fit(terms, here))))
 
     def _fit(self, terms: list[Term], here: Scored) -> Scored:
         """A set near another one, fitted."""
@@ -218,30 +227,27 @@ class _Asking:
         self.add(one)
         return one
 
-    def _more(self, here: Scored, instead: Term | None = None) -> list[list[Term]]:
+    def _more(self, here: Scored, instead: Term | None = None) -> list[list[Promise]]:
         """The most probable neighbours of a set by their first step, of different effects; `instead` of one of them.
 
         One that brings nothing loses no more than its prior odds, and as much again for its parameters; one that stands
         in the place of another no more than that beside it.
         """
-        best: dict[str, tuple[float, list[Term]]] = {}
+        variants: dict[str, list[Promise]] = {}
         for added, one in self._neighbours(here):
-            name = added[-1].name
-            if name not in best or one.weight > best[name][0]:
-                best[name] = one.weight, [*here.terms, *added]
-        replaced = best.pop(instead.name, None) if instead else None
+            variants.setdefault(added[-1].name, []).append((one.weight, [*here.terms, *added]))
+        ranked = {name: sorted(several, key=lambda one: -one[0]) for name, several in variants.items()}
+        replaced = ranked.pop(instead.name, None) if instead else None
         if instead and not replaced:
             return []
-        least = (replaced[0] if replaced else self.weight(here)) + 2 * log_odds(ACTS)
-        ranked = sorted((one for one in best.values() if one[0] > least), key=lambda one: -one[0])
-        return [terms for _, terms in ranked[:REFITTED]]
+        least = (replaced[0][0] if replaced else self.weight(here)) + 2 * log_odds(ACTS)
+        worth = [several for several in ranked.values() if several[0][0] > least]
+        return sorted(worth, key=lambda several: -several[0][0])[:REFITTED]
 
     def ask_neighbours(self, here: Scored) -> None:
-        """Compares a set with one effect more, to first order, where that was not fitted."""
+        """Compares a set with one effect more, to first order."""
         for added, one in self._neighbours(here):
-            terms = [*self._named(here), *added]
-            if _key(terms) not in self._evidence:
-                self._note(terms, one)
+            _note(self._promised, [*self._named(here), *added], one)
 
     def _neighbours(self, here: Scored) -> list[tuple[list[Term], _Set]]:
         """Those of a set, asked once."""
@@ -268,19 +274,14 @@ class _Asking:
     def by_names(self) -> dict[frozenset[str], tuple[float, float]]:
         """Logarithms of the evidence of sets of effects, over their variants."""
         result: dict[frozenset[str], tuple[float, float]] = {}
-        for one in self._evidence.values():
+        for one in {**self._promised, **self._evidence}.values():
             before = result.get(one.names, (-np.inf, -np.inf))
             result[one.names] = tuple(np.logaddexp(before, (one.alone, one.beside)).tolist())
         return result
 
-    def _note(self, terms: Sequence[Term], new: _Set) -> None:
-        """Keeps the larger evidence of each set: the fit nearer to the set's most probable place has it."""
-        key, old = _key(terms), self._evidence.get(_key(terms), new)
-        self._evidence[key] = replace(new, alone=max(old.alone, new.alone), beside=max(old.beside, new.beside))
-
     def _named(self, scored: Scored) -> list[Term]:
         """Effects of a fit that the catalogue has, and frames."""
-        return [t for t in scored.fit.chain.terms if t.name in self.variants or t.name in FRAMES]
+        return [t for t in scored.fit.chain.terms if t.name in self.known.variants or t.name in FRAMES]
 
     def _widths(self, scored: Scored) -> tuple[dict[str, float], tuple[str, ...]]:
         """How much wider than stated each effect's prior is most probably; and the effect of each parameter."""
@@ -296,21 +297,37 @@ class _Asking:
         return self._linearised(linear(scored.fit), scored.fit.noise, owners, widths)
 
     def _linearised(
-        self, fit: Linear, noise: Noise, owners: Sequence[str], widths: Mapping[str, float], without: str = ""
+        self,
+        fit: Linear,
+        noise: Noise,
+        owners: Sequence[str],
+        widths: Mapping[str, float],
+        without: Collection[str] = (),
     ) -> Linearised:
-        """Residuals at the priors' centres over the noise alone, as poses count; without an effect's parameters."""
+        """Residuals at the priors' centres over the noise alone, as poses count; without some effects' parameters."""
         r, J = fit.r, fit.J
         if noise.discrepancy is not None:
             r, J = noise.discrepancy.coloured(r), noise.discrepancy.coloured(J)
         precision = fit.precision / np.square([widths.get(name, 1.0) for name in owners])
-        kept = [k for k, name in enumerate(owners) if name != without]
+        kept = [k for k, name in enumerate(owners) if name not in without]
         centred = self.root * (r + J @ fit.offset)
         return Linearised(centred, (self.root[:, :, None] * J)[:, :, kept], precision[kept])
 
     def _cost(self, names: Iterable[str], widths: Iterable[float] = ()) -> float:
         """Logarithm of what wider priors and the choice of one variant of each effect cost."""
-        choice = sum(np.log(max(self.variants[name], 1)) for name in names)
+        choice = sum(np.log(self.known.variants.get(name, 1)) for name in names)
         return float(choice + sum(np.log(width) for width in widths))
+
+
+def _note(known: dict[frozenset[str], _Set], terms: Sequence[Term], new: _Set) -> None:
+    """Keeps the larger evidence of each set: the fit nearer to the set's most probable place has it."""
+    key, old = _key(terms), known.get(_key(terms), new)
+    known[key] = replace(new, alone=max(old.alone, new.alone), beside=max(old.beside, new.beside))
+
+
+def _subsets(names: Sequence[str]) -> list[frozenset[str]]:
+    """All of some names, the empty one first."""
+    return [frozenset(some) for count in range(len(names) + 1) for some in combinations(names, count)]
 
 
 def _key(terms: Iterable[Term]) -> frozenset[str]:

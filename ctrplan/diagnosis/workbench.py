@@ -4,6 +4,7 @@ test.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -31,6 +32,7 @@ class Candidates:
 
     terms: tuple[Term, ...]
     not_testable: Mapping[str, str]
+    variants: Mapping[str, int]  # of each effect, of which one acts
 
     def beside(self, chosen: Sequence[Term]) -> list[Term]:
         """Variants that are not chosen yet and can act: what they need is chosen or can be chosen with them."""
@@ -52,8 +54,13 @@ def reduced(catalogue: Mapping[str, Effect], without: Sequence[str], *, key: str
     return {name: effect for name, effect in catalogue.items() if name not in without}
 
 
-def candidates(robot: Robot, data: Measurements, catalogue: Mapping[str, Effect] = CATALOGUE) -> Candidates:
-    """Everything in the catalogue, sorted into testable and not."""
+def candidates(
+    robot: Robot,
+    data: Measurements,
+    catalogue: Mapping[str, Effect] = CATALOGUE,
+    more: Mapping[str, int] | None = None,
+) -> Candidates:
+    """Everything in the catalogue, sorted into testable and not; more: effects of whose variants the data have one."""
     terms: list[Term] = []
     reasons: dict[str, str] = {}
     for name, effect in catalogue.items():
@@ -64,7 +71,7 @@ def candidates(robot: Robot, data: Measurements, catalogue: Mapping[str, Effect]
             reasons[name] = "is in the robot file already"
         else:
             terms += [term(effect, names, robot) for names in effect.variants(robot, data) if names]
-    return Candidates(tuple(terms), reasons)
+    return Candidates(tuple(terms), reasons, {**Counter(t.name for t in terms), **(more or {})})
 
 
 CERTAIN = 2.0  # standard errors over groups or blocks by which a gain exceeds zero that is taken for one

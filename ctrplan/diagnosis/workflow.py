@@ -28,10 +28,10 @@ from ctrplan.diagnosis.partial_diagnosis import PartialDiagnosis, left_by_names
 from ctrplan.diagnosis.posterior import compared
 from ctrplan.diagnosis.reading import MisreadError, read_again
 from ctrplan.diagnosis.result import Diagnosis
-from ctrplan.diagnosis.slips import after_slip, found_slip
+from ctrplan.diagnosis.slips import Slip, after_slip, found_slip
 from ctrplan.diagnosis.term_search import is_built
 from ctrplan.diagnosis.usable_poses import checked_split, usable_poses
-from ctrplan.diagnosis.verdict import Judgement, Posterior, Verdict
+from ctrplan.diagnosis.verdict import Judgement, Posterior, Verdict, names_of
 from ctrplan.diagnosis.workbench import Candidates, Scored, candidates, reduced
 from ctrplan.effects.drive.homing_shift import HomingShift
 from ctrplan.effects.effect import CATALOGUE, Effect
@@ -212,6 +212,21 @@ def _place(answer: Conclusion, gap: Gap) -> Place:
     return localise(data, fit.residuals.r[kept], group, error[kept], gap.floor_m)
 
 
+@dataclass(frozen=True, eq=False)
+class Concluded:
+    """What was found in measurements as they are, or with another homing from a slip on."""
+
+    data: Measurements
+    slip: Slip | None
+    known: Candidates
+    result: Conclusion
+
+    @property
+    def has_slip(self) -> bool:
+        """Whether zeros that changed then are among what is told: the instant was only a place to look."""
+        return self.result.interrupted or any(HomingShift.name in names for names in names_of(self.result.judgement))
+
+
 AFTER_SLIP = "tighten that collar, home the drive and measure some of the first poses again"
 
 
@@ -248,19 +263,22 @@ def diagnose(
         raise MisreadError(data, reading)
     teller = Teller(progress, interrupted)
     noise, about_noise = noise_floor(robot, data)
-    slip = found_slip(robot, data, noise)
-    if slip:
-        data = after_slip(data, slip)
     usable = usable_poses(robot, data)
     checked_split(data, usable)  # before anything is asked
-    known = candidates(robot, data, allowed)
-    result = conclude(robot, data, usable, noise, known, teller)
-    if slip is None and result.judgement.verdict in ("partial", "unexplained") and result.compared:
-        slip = found_slip(robot, data, noise, result.compared.sets[0].terms)
-        if slip:
-            data = after_slip(data, slip)
-            known = candidates(robot, data, allowed)
-            result = conclude(robot, data, usable, noise, known, teller)
+
+    def concluded(data: Measurements, slip: Slip | None = None) -> Concluded:
+        known = candidates(robot, data, allowed, {HomingShift.name: slip.instants} if slip else {})
+        return Concluded(data, slip, known, conclude(robot, data, usable, noise, known, teller))
+
+    def after(slip: Slip | None) -> Concluded | None:
+        told = concluded(after_slip(data, slip), slip) if slip and HomingShift.name in allowed else None
+        return told if told and told.has_slip else None
+
+    told = after(found_slip(robot, data, noise)) or concluded(data)
+    sets = told.result.compared.sets if told.result.compared else ()
+    if told.slip is None and told.result.judgement.verdict in ("partial", "unexplained") and sets:
+        told = after(found_slip(robot, data, noise, sets[0].terms)) or told
+    data, slip, known, result = told.data, told.slip, told.known, told.result
 
     def tell(step: str) -> None:
         if progress:

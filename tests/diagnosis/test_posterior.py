@@ -12,7 +12,8 @@ from scipy.stats import multivariate_normal
 from ctrplan.calibration import least_squares
 from ctrplan.calibration.discrepancy import Linearised
 from ctrplan.calibration.residuals import Noise
-from ctrplan.diagnosis import CATALOGUE
+from ctrplan.diagnosis import CATALOGUE, partial_diagnosis
+from ctrplan.diagnosis.correlated_bench import CorrelatedBench
 from ctrplan.diagnosis.posterior import compared
 from ctrplan.diagnosis.unknown_errors import UnknownErrors, without_error
 from ctrplan.diagnosis.verdict import Hypothesis, Posterior, normalised, shown
@@ -189,3 +190,45 @@ def test_process_that_acts_gains_and_noise_gains_nothing() -> None:
     assert idle < 0 < 10 < told
     weighed = replace(fit, r=fit.r + acting.reshape(fit.r.shape))
     assert errors.evidence(weighed)[0] > without_error(weighed) + 10
+
+
+def homed_anew(hidden: str, size: float = 1.0) -> Measurements:
+    """What a pair measures that was homed in the middle, which changed nothing but where that is hidden."""
+    plan = waypoints(ROBOT, 16, seed=4)
+    values = {
+        "load": {"tip_load": {"force_x_N": 0.1 * size, "force_y_N": -0.05 * size}},
+        "homing": {"homing_shift": {"theta_2_2_deg": 3.0 * size}},
+    }[hidden]
+    middle = plan.sequence.max() // 2
+    homing = np.where(plan.sequence > middle, 2, 1)
+    return replace(measured(ROBOT, replace(plan, homing=homing), values), homing=homing)
+
+
+HOMED = {name: CATALOGUE[name] for name in ("tip_load", "homing_shift", "base_misalignment")}
+
+
+def posterior_of(data: Measurements, bench_is: type[Workbench], more: dict[str, int] | None = None) -> Posterior:
+    """What the most probable sets say, on a bench of this kind."""
+    bench = bench_is(ROBOT, data, Noise(SIGMA_M, SIGMA_RAD), data.configuration, data.configuration % 4)
+    known = candidates(ROBOT, data, HOMED, more)
+    if isinstance(bench, CorrelatedBench):
+        bench.begun()
+        known = partial_diagnosis.testable_beside(known, bench)
+    return compared(bench, bench.scored([]), known, search=True).posterior
+
+
+@pytest.mark.parametrize("hidden", ["load", "homing"])
+def test_frames_that_are_free_in_every_fit_act_as_probably_as_where_they_are_not(hidden: str) -> None:
+    data = homed_anew(hidden)
+    alone, beside = (posterior_of(data, kind) for kind in (Workbench, CorrelatedBench))
+    for name in HOMED:
+        assert beside.of_effect(name) == pytest.approx(alone.of_effect(name), abs=0.05), name
+    assert beside.of_effect("homing_shift") > 0.99 or hidden == "load"
+
+
+@pytest.mark.parametrize("kind", [Workbench, CorrelatedBench])
+def test_an_instant_that_the_data_chose_shares_its_prior_with_all_others(kind: type[Workbench]) -> None:
+    data = homed_anew("homing", 0.05)
+    given, chosen = (posterior_of(data, kind, {"homing_shift": count}).of_effect("homing_shift") for count in (1, 50))
+    assert 0 < chosen < given < 0.999
+    assert given / (1 - given) == pytest.approx(50 * chosen / (1 - chosen), rel=0.1)
