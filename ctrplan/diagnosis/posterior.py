@@ -220,10 +220,8 @@ class _Asking:
             highest = max(highest, self.weight(self.as_known(self._fit(terms, here))))
 
     def _fit(self, terms: list[Term], here: Scored) -> Scored:
-        """A set near another one, fitted."""
-        one = self.bench.scored(terms, here.fit)
-        if self.bench.noise.discrepancy is None:  # beside noise alone a fit may end in another valley
-            one = self.bench.scored(terms, None)
+        """A set near another one, fitted from there or from where fits start, whichever promises more."""
+        one = self.bench.scored(terms, here.fit, None)
         self.add(one)
         return one
 

@@ -198,6 +198,10 @@ class Posterior:
         """That at least one of these effects acts."""
         return self._of(bool(one.names & set(names)) for one in self.hypotheses)
 
+    def of_one(self, name: str, among: Collection[str]) -> float:
+        """That an effect acts and none of the others among some."""
+        return self._of(one.names & set(among) == {name} for one in self.hypotheses)
+
     @property
     def of_unknown(self) -> float:
         """That something acts which the catalogue lacks."""

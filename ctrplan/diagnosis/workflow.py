@@ -272,7 +272,10 @@ def diagnose(
 
     def after(slip: Slip | None) -> Concluded | None:
         told = concluded(after_slip(data, slip), slip) if slip and HomingShift.name in allowed else None
-        return told if told and told.has_slip else None
+        if told is None or told.has_slip:
+            return told
+        needs_none = told.result.partly is None  # it was asked as any effect, and acts in no fit that is told
+        return Concluded(data, None, candidates(robot, data, allowed), told.result) if needs_none else None
 
     told = after(found_slip(robot, data, noise)) or concluded(data)
     sets = told.result.compared.sets if told.result.compared else ()
@@ -356,7 +359,7 @@ def decide(
     finding = next((f for f in diagnosis.judgement.findings if f.alternatives), None)
     if finding is None:
         raise InputError("has nothing to decide: the verdict is not ambiguous", file=data.file, key="decide")
-    taken = decision(diagnosis.chosen, finding, data, diagnosis.noise)
+    taken = decision(diagnosis.chosen, finding, data, diagnosis.noise, diagnosis.posterior)
     decisions = (*diagnosis.decisions, taken)
     if not taken.is_decided:
         return replace(diagnosis, decisions=decisions)

@@ -92,16 +92,14 @@ def test_sentences_and_waypoints() -> None:
     np.testing.assert_allclose(places, [[0.0, -0.02]] * 6)
 
 
-def test_the_command_proposes_and_says_what_new_poses_leave_open(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_proposes_and_decides(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     robot = tmp_path / "pair.toml"
     robot.write_text(tomli_w.dumps(ROBOT.content), encoding="utf-8")
-    loaded = BASE | {"tip_load": {"force_x_N": 0.03, "force_y_N": -0.02}}
+    loose = BASE | {"backlash": {"theta_2_deg": 1.3}}
     old, new = tmp_path / "old.csv", tmp_path / "new.csv"
-    write_csv(old, measured(ROBOT, waypoints(ROBOT, 18), loaded, 0))
+    write_csv(old, measured(ROBOT, waypoints(ROBOT, 18), loose, 0))
     out, proposed = tmp_path / "out", tmp_path / "proposed.csv"
-    few = ("joint_scale", "gravity", "backlash", "tip_load")
+    few = ("joint_scale", "friction", "backlash", "tip_load")
     quick = [f"--without={name}" for name in CATALOGUE if name not in few]
     command = ["diagnose", str(robot), str(old), "-o", str(out), "--quiet", "--propose", str(proposed), *quick]
     assert main(command) == 0
@@ -113,10 +111,11 @@ def test_the_command_proposes_and_says_what_new_poses_leave_open(
     driven, nothing = np.arange(1, len(table), 2), np.zeros((len(table) // 2, 3))
     times = np.arange(len(table), dtype=float)
     asked = Measurements(table[:, 0].astype(int), table[:, 1:3], table[:, 3:], driven, nothing, nothing, times)
-    write_csv(new, measured(ROBOT, asked, loaded, 4))
+    write_csv(new, measured(ROBOT, asked, loose, 4))
     assert main([*command, "--decide", str(new)]) == 0
     said, content = capsys.readouterr().out, json.loads((out / "diagnosis.json").read_text("utf-8"))
-    assert "gravity" in said and "tip_load" in said  # they pull alike here
-    assert content["verdict"] == "ambiguous" and not content["decisions"][0]["decided"]
-    assert main([*command, "--decide", str(new), "--without", "gravity"]) == 2
+    assert "Decided by" in said and "backlash, with a probability of" in said and "nothing to propose" in said
+    assert content["verdict"] == "named" and content["decisions"][0]["decided"]
+    assert any("as new poses decided against it: friction" in note for note in content["notes"])
+    assert main([*command, "--decide", str(new), "--without", "friction"]) == 2
     assert "has nothing to decide" in capsys.readouterr().err
