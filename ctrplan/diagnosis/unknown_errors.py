@@ -2,7 +2,8 @@
 
 An unknown error of tips belongs to the configuration, or is smooth in the joints or in time. One of a stage is a
 zero-mean Gaussian process of an angle, a travel, a precurvature, a stiffness or the tilt of the plate, seen through the
-chain's derivatives: of its own joint, of all joints, of all joints and the way they were reached, or of time. Either
+chain's derivatives: of its own joint, of all joints, of all joints and the way they were reached, or of time; or the
+sensor or the robot was pushed between two configurations. Either
 acts alone, or both do; kinds and sizes, alike in their logarithm, are integrated out. Processes contain what named
 effects do (constants, slopes, first waves): an effect has to be more probable than something unknown at its stage.
 
@@ -20,6 +21,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from ctrplan.base.arrays import Array
@@ -31,6 +33,7 @@ from ctrplan.diagnosis.remainder import QUARTERS, SmoothError, square_distances
 from ctrplan.diagnosis.term_dictionary import TermPiece, pieces
 from ctrplan.diagnosis.term_search import wide_linearisation
 from ctrplan.diagnosis.workbench import Scored, Workbench
+from ctrplan.effects.learned.inputs import Target
 from ctrplan.measurement.approach import clock, friction_state, last_directions
 from ctrplan.measurement.measurements import Measurements
 
@@ -41,6 +44,7 @@ IN_WORDS = {
     "history": "goes along with the way poses were reached",
 }
 LENGTHS = (0.4, 1.0)  # [rad] over which a process changes: three waves a turn, and one
+SENSOR = Target("sensor")
 LEAST_MODE = 0.02  # of the largest: modes of a process that are smaller are left out
 
 
@@ -204,14 +208,18 @@ def _smooth(data: Measurements, axes: Array, ends: Sequence[Linearised]) -> list
 
 
 def _processes(bench: Workbench, base: Scored, counts: Array) -> Iterator[tuple[str, Array]]:
-    """The input of every process of drive and mechanics, and its modes (5 K, m) over the noise, with mean square 1."""
+    """The input of every process of a stage, and its modes (5 K, m) over the noise, with mean square 1."""
     data = bench.data
-    targets = {piece.on: None for piece in pieces(bench.robot, data) if piece.on.kind_name != "sensor"}
+    targets = {piece.on: None for piece in pieces(bench.robot, data) if piece.on.kind_name != "sensor"} | {SENSOR: None}
     constants = {on: TermPiece(on, ("constant",)) for on in targets if not on.of_way}
     plain = CorrelatedBench(bench.robot, data, replace(base.fit.noise, discrepancy=None), bench.group, bench.fold)
     table = wide_linearisation(plain, base, list(constants.values()))
     modes = {(name, length): _modes(square / length**2) for name, square in _distances(data) for length in LENGTHS}
     seen = {on: table.whole.J[:, :, table.places[piece]] * counts[:, None, None] for on, piece in constants.items()}
+    jumped = seen.pop(SENSOR)
+    yield from (
+        ("time", _modes_of_one_size(jumped * later[:, None, None])) for later in _since_each_configuration(data)
+    )
     rotations = [D for on, D in seen.items() if on.kind_name == "theta"]
     parts = [(f"{on.kind_name}_{on.tube}", D) for on, D in seen.items()]
     if len(rotations) > 1:
@@ -219,10 +227,23 @@ def _processes(bench: Workbench, base: Scored, counts: Array) -> Iterator[tuple[
     for own, D in parts:
         for (name, _), phi in modes.items():
             if name in ("joints", "history", "time", own):
-                B = (D[..., None] * phi[:, None, None]).reshape(D.shape[0] * D.shape[1], -1)
-                size = np.sqrt((B**2).sum() / len(B))
-                if size > 0:
-                    yield ("joints" if name == own else name), B / size
+                B = D[..., None] * phi[:, None, None]
+                if B.any():
+                    yield ("joints" if name == own else name), _modes_of_one_size(B)
+
+
+def _modes_of_one_size(B: Array) -> Array:
+    """(5 K, m) of modes (K, 5, ...), with mean square 1."""
+    flat = B.reshape(B.shape[0] * B.shape[1], -1)
+    modes: Array = flat / np.sqrt((flat**2).sum() / len(flat))
+    return modes
+
+
+def _since_each_configuration(data: Measurements) -> list[NDArray[np.bool_]]:
+    """(K,) poses from the first of each configuration but the first on, where poses are at rest."""
+    number, first = np.unique(data.configuration, return_index=True)
+    later = [] if data.is_stream else sorted(first.tolist())[1:]
+    return [np.arange(data.count) >= pose for pose in later]
 
 
 def _distances(data: Measurements) -> Iterator[tuple[str, Array]]:

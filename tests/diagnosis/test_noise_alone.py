@@ -48,10 +48,15 @@ def test_what_a_drift_leaves_of_a_jump_goes_along_with_the_time(seed: int) -> No
     assert besides(*beside(jumped(0.0, seed), drift)).of_unknown < 0.5
 
 
-def test_a_drift_that_leaves_something_is_at_work_and_not_alone() -> None:
-    found = diagnose(ROBOT, jumped(0.4, seed=2), catalogue=FEW)
-    assert found.verdict in ("unexplained", "partial") and found.posterior is not None
-    assert found.posterior.of_unknown > 0.9
+@pytest.mark.usefixtures("without_building")
+@pytest.mark.parametrize("step_mm", [0.4, 2.0, 8.0])
+def test_a_jump_is_something_unknown_that_goes_along_with_time_and_no_drift(step_mm: float) -> None:
+    found = diagnose(ROBOT, jumped(step_mm, seed=2), catalogue=FEW)
+    assert found.verdict == "unexplained" and not found.listed and found.posterior is not None
+    assert found.posterior.of_unknown > 0.9 and found.posterior.along["time"] > 0.9
+
+
+def test_a_drift_of_any_size_is_named() -> None:
     for hour in (5.0, 3000.0):  # the latter far larger than its prior, which draws a part of it in
         true = {"drift": {"shift_x_mm_per_h": hour, "shift_y_mm_per_h": -hour}}
         assert diagnose(ROBOT, measured(ROBOT, PLAN, true), catalogue=FEW).verdict == "named"
