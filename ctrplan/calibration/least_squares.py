@@ -87,9 +87,12 @@ def fit(
     for _ in range(MOST_STEPS):
         if not len(p):
             break
-        target, promised = _step(here, damping)
+        target, promised, unbounded = _step(here, damping)
         if promised < ENOUGH:
-            return replace(here, converged=True)
+            if unbounded < ENOUGH or damping > LARGEST_DAMPING:
+                return replace(here, converged=True)
+            damping = max(damping * 10, FIRST_DAMPING)  # a step that its bounds bend goes downhill where it is short
+            continue
         try:
             there = fit_at(chain, noise, groups, target)
         except InputError:  # no robot has these values
@@ -111,8 +114,9 @@ def fit_at(chain: ParametricChain, noise: Noise, group: NDArray[np.int_], p: Arr
     return Fit(chain, noise, group, p, residuals(chain.data, chain.predict(p), noise, group), False)
 
 
-def _step(here: Fit, damping: float) -> tuple[Array, float]:
-    """The next parameters, inside their bounds, and the decrease of the loss that the linear model promises.
+def _step(here: Fit, damping: float) -> tuple[Array, float, float]:
+    """The next parameters, inside their bounds, and the decrease of the loss that the linear model promises; and
+    without bounds.
 
     Parameters held by a bound stay out of the system.
     """
@@ -128,4 +132,4 @@ def _step(here: Fit, damping: float) -> tuple[Array, float]:
     step[free] = scale * np.linalg.lstsq(matrix * np.outer(scale, scale), scale * gradient[free], rcond=1e-13)[0]
     limit = LONGEST_STEP * chain.prior
     stepped: Array = np.clip(here.p + np.clip(step, -limit, limit), chain.lower, chain.upper)
-    return stepped, float(gradient @ (stepped - here.p))
+    return stepped, float(gradient @ (stepped - here.p)), float(gradient @ step)
