@@ -3,9 +3,9 @@
 An unknown error of tips belongs to the configuration, or is smooth in the joints or in time. One of a stage is a
 zero-mean Gaussian process of an angle, a travel, a precurvature, a stiffness or the tilt of the plate, seen through the
 chain's derivatives: of its own joint, of all joints, of all joints and the way they were reached, or of time; or the
-sensor or the robot was pushed between two configurations. Either
-acts alone, or both do; kinds and sizes, alike in their logarithm, are integrated out. Processes contain what named
-effects do (constants, slopes, first waves): an effect has to be more probable than something unknown at its stage.
+sensor or the robot was pushed between two configurations. Either acts alone, or both do; kinds and sizes, alike in
+their logarithm, are integrated out. Processes contain what named effects do (constants, slopes, first waves): an effect
+has to be more probable than something unknown at its stage.
 
 With B (N, m) the process in its leading modes, of the size s over the noise, and J the derivatives by a set's
 parameters with the precision P of their priors, s changes the logarithm of the evidence by
