@@ -22,6 +22,7 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
+from scipy.special import logsumexp
 
 from ctrplan.calibration.discrepancy import Linearised
 from ctrplan.calibration.least_squares import Fit
@@ -36,7 +37,6 @@ from ctrplan.diagnosis.workbench import Candidates, Scored, Workbench, linear
 from ctrplan.pipeline.term import Term
 
 MOST_EFFECTS = 4  # of a set
-REFITTED = 5  # different effects that are fitted for good beside a set
 ROUNDS = 3  # of a search, each with the friction states and the rest that the set before leaves
 
 Report = Callable[[str], None]
@@ -136,7 +136,8 @@ class _Asking:
         self.root = np.sqrt(np.where(base.failed | chosen.failed, 0.0, chosen.fit.residuals.weight))[:, None]
         ends = [self.as_fitted(scored) for scored in (base, chosen)]
         self.errors = UnknownErrors(bench, base, chosen, ends, self.root[:, 0])
-        self.known_sets: dict[Scored, _Set] = {}
+        self.known_sets: dict[Scored, _Set] = {}  # with all frames that are free
+        self._weights: dict[Scored, float] = {}  # with some of them or none
         self._evidence: dict[frozenset[str], _Set] = {}  # of sets that were fitted
         self._promised: dict[frozenset[str], _Set] = {}  # of others, to first order
         self._expanded: set[Scored] = set()
@@ -160,17 +161,18 @@ class _Asking:
         return scored if scored in self.known_sets else next(one for one in self.known_sets if _key(one.terms) == terms)
 
     def weight(self, scored: Scored) -> float:
-        """Logarithm of prior times likelihood of a set."""
-        return self.known_sets[scored].weight
+        """Logarithm of prior times likelihood of a set, whichever of the frames that are free in it act."""
+        return self._weights[scored]
 
     def add(self, scored: Scored) -> None:
         """A set as it is fitted; to first order without any of the frames, which are free in all fits."""
         if scored in self.known_sets:
             return
+        weights = list[float]()
         terms, (widths, owners) = self._named(scored), self._widths(scored)
         built = [t for t in scored.terms if is_built(t)]
         of_built = len(built) * self.of_piece
-        for gone in _subsets([t.name for t in terms if t.name not in scored.names]):
+        for gone in self._frames(scored):
             names = frozenset(t.name for t in terms) - gone
             cost = self._cost(names, [width for key, width in widths.items() if key not in gone]) + of_built
             fit = self._linearised(linear(scored.fit), scored.fit.noise, owners, widths, gone)
@@ -178,8 +180,21 @@ class _Asking:
             alone = -np.inf if built else without_error(fit) - cost
             result = _Set(names, cost, alone, beside - cost, peak)
             _note(self._evidence, [t for t in terms if t.name not in gone], result)
+            weights.append(result.weight)
             if not gone:
                 self.known_sets[scored] = result
+        self._weights[scored] = float(logsumexp(weights))
+
+    def _forget(self, scored: Scored) -> None:
+        """Takes a set back whose fit had not come to its end."""
+        del self.known_sets[scored]
+        for gone in self._frames(scored):
+            del self._evidence[_key(t for t in self._named(scored) if t.name not in gone)]
+
+    def _frames(self, scored: Scored) -> list[frozenset[str]]:
+        """Frames that may be gone from a set, in all ways, none first."""
+        free = [t.name for t in self._named(scored) if t.name not in scored.names]
+        return [frozenset(some) for count in range(len(free) + 1) for some in combinations(free, count)]
 
     def climb(self) -> None:
         """Fits sets of one effect more or less than the most probable of each size, while these are more probable.
@@ -200,7 +215,7 @@ class _Asking:
             here = max(near, key=self.weight)
             self.bench.pause()
             if (further := self.bench.continued(here)) is not here:
-                del self.known_sets[here], self._evidence[_key(self._named(here))]
+                self._forget(here)
                 self.add(further)
                 continue
             self._expanded.add(here)
@@ -217,7 +232,7 @@ class _Asking:
         for promised, terms in variants:
             if promised <= highest:
                 return
-            highest = max(highest, self.weight(self.as_known(self._fit(terms, here))))
+            highest = max(highest, self.known_sets[self.as_known(self._fit(terms, here))].weight)
 
     def _fit(self, terms: list[Term], here: Scored) -> Scored:
         """A set near another one, fitted from there or from where fits start, whichever promises more."""
@@ -238,9 +253,9 @@ class _Asking:
         replaced = ranked.pop(instead.name, None) if instead else None
         if instead and not replaced:
             return []
-        least = (replaced[0][0] if replaced else self.weight(here)) + 2 * log_odds(ACTS)
+        least = (replaced[0][0] if replaced else self.known_sets[here].weight) + 2 * log_odds(ACTS)
         worth = [several for several in ranked.values() if several[0][0] > least]
-        return sorted(worth, key=lambda several: -several[0][0])[:REFITTED]
+        return sorted(worth, key=lambda several: -several[0][0])
 
     def ask_neighbours(self, here: Scored) -> None:
         """Compares a set with one effect more, to first order."""
@@ -321,11 +336,6 @@ def _note(known: dict[frozenset[str], _Set], terms: Sequence[Term], new: _Set) -
     """Keeps the larger evidence of each set: the fit nearer to the set's most probable place has it."""
     key, old = _key(terms), known.get(_key(terms), new)
     known[key] = replace(new, alone=max(old.alone, new.alone), beside=max(old.beside, new.beside))
-
-
-def _subsets(names: Sequence[str]) -> list[frozenset[str]]:
-    """All of some names, the empty one first."""
-    return [frozenset(some) for count in range(len(names) + 1) for some in combinations(names, count)]
 
 
 def _key(terms: Iterable[Term]) -> frozenset[str]:

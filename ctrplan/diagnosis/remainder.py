@@ -139,8 +139,7 @@ def square_distances(data: Measurements, poses: Sequence[int]) -> Array:
 
 
 SMOOTH = (0.7, 1.0)  # share of what configurations differ by that goes along with the joints
-MEMORIES = 5  # forgotten ones from a step of the poses to half of the motion, smooth ones from four to twice of it
-MEMORIES_AT_REST = 6  # smooth ones from four steps to half of the time: what changes more slowly is a drift
+MEMORIES = 6  # forgotten ones from a step of the poses to half of the motion, smooth ones from four to twice of it
 
 Along = Literal["configuration", "joints", "time"]  # poses with like errors have the same of these, or are near in it
 
@@ -177,7 +176,8 @@ def at_rest(data: Measurements, share: float, axes: Array) -> list[SmoothError]:
     of_poses = [share * one + (1 - share) * np.eye(data.count) for one in of_poses]
     one_by_one = _error("configuration", data, of_poses[0], axes)
     along_joints = [_error("joints", data, one, axes) for one in of_poses[1:]]
-    in_time = [_error("time", data, one, axes) for one in _smooth_in_time(clock(data), MEMORIES_AT_REST, 0.5)]
+    slow = _smooth_in_time(clock(data), 0.5)  # what changes still more slowly is a drift
+    in_time = [_error("time", data, one, axes) for one in slow]
     return [one_by_one, *along_joints, *in_time]
 
 
@@ -197,17 +197,17 @@ def _correlations(data: Measurements) -> Iterator[tuple[Along, Array]]:
     step, whole = _spans(time)
     for memory in np.geomspace(step, max(whole / 2, step), MEMORIES):
         yield "time", decay(time, memory) * together
-    for one in _smooth_in_time(time, MEMORIES, 2.0):
+    for one in _smooth_in_time(time, 2.0):
         yield "time", one * together
     square = square_distances(data, range(data.count))
     for length in JOINT_LENGTHS:
         yield "joints", np.exp(-square / (2 * length**2))
 
 
-def _smooth_in_time(time: Array, count: int, longest: float) -> Iterator[Array]:
+def _smooth_in_time(time: Array, longest: float) -> Iterator[Array]:
     """(K, K) of memories from four steps of the poses to `longest` times the whole."""
     step, whole = _spans(time)
-    for memory in np.geomspace(4 * step, max(longest * whole, 4 * step), count):
+    for memory in np.geomspace(4 * step, max(longest * whole, 4 * step), MEMORIES):
         yield np.exp(-((time[:, None] - time) ** 2) / (2 * memory**2))
 
 

@@ -24,7 +24,6 @@ from ctrplan.pipeline.term import Term, term
 
 Verdict = Literal["named", "no_missing_effect", "ambiguous", "partial", "unexplained"]
 
-CLOSE = 3.0  # log-likelihood, or a standard error: an alternative that predicts nearly as well
 MOST_RIVALS = 3  # alternatives of one of several effects: with more of them the data ask for something else
 
 
@@ -142,9 +141,9 @@ def _is_enlarged(bench: Workbench) -> bool:
 
 
 def _is_close(a: Alternative, chosen: Scored) -> bool:
-    """Whether it predicts or fits as well; badly determined parameters predict badly, true or not."""
+    """Whether neither predictions nor fit tell it; badly determined parameters predict badly, true or not."""
     worse_fit = (a.scored.fit.residuals.loss - chosen.fit.residuals.loss) / 2
-    return min(a.behind, worse_fit) < max(CLOSE, a.error)
+    return min(a.behind, worse_fit) < max(log_odds(NAMED), a.error)
 
 
 def _is_shared(bench: Workbench, chosen: Scored, t: Term) -> bool:
