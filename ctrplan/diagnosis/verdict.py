@@ -115,8 +115,12 @@ def standing_for(told: Posterior, name: str) -> list[str] | None:
 def _instead(
     bench: Workbench, chosen: Scored, t: Term, name: str, known: Candidates, sets: Sequence[Scored]
 ) -> Alternative:
-    """The best set in which another effect stands for one of the chosen ones; a frame stays free."""
+    """The best set in which another effect stands for one of the chosen ones; a frame is free in it anyway."""
     rest = [other for other in chosen.terms if other is not t]
+    free = next((one for one in chosen.fit.chain.terms if one.name == name and name not in chosen.names), None)
+    if free:
+        without = bench.scored(rest, chosen.fit)
+        return Alternative(free, without, *bench.difference(chosen, without))
     seen = [one for fitted in sets if name in fitted.names for one in fitted.terms if one.name == name]
     variants = seen[:1] or [one for one in known.terms if one.name == name]
     fits = [bench.scored([*rest, one], chosen.fit) for one in variants]
