@@ -216,10 +216,9 @@ def _processes(bench: Workbench, base: Scored, counts: Array) -> Iterator[tuple[
     table = wide_linearisation(plain, base, list(constants.values()))
     modes = {(name, length): _modes(square / length**2) for name, square in _distances(data) for length in LENGTHS}
     seen = {on: table.whole.J[:, :, table.places[piece]] * counts[:, None, None] for on, piece in constants.items()}
-    jumped = seen.pop(SENSOR)
-    yield from (
-        ("time", _modes_of_one_size(jumped * later[:, None, None])) for later in _since_each_configuration(data)
-    )
+    at_sensor = seen.pop(SENSOR)
+    pushed = [at_sensor * later[:, None, None] for later in _since_each_configuration(data)]
+    yield from (("time", _modes_of_one_size(B)) for B in pushed if B.any())
     rotations = [D for on, D in seen.items() if on.kind_name == "theta"]
     parts = [(f"{on.kind_name}_{on.tube}", D) for on, D in seen.items()]
     if len(rotations) > 1:
