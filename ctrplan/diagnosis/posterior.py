@@ -9,8 +9,9 @@ Something unknown does what any effect does: beside noise it wins wherever the t
 searched by this number itself, with one effect more or less than the most probable of each size, nonlinear effects
 among them, until none is more probable. What is not worth a fit is compared to first order.
 
-Priors of parameters say where to look. How wide they have to be is itself uncertain: a width w times the stated one has
-the density 1 / w^2 for w > 1, and stands at its most probable value.
+Priors of parameters say where to look. How wide they have to be is itself uncertain, or an effect with a wide one would
+lose to another that does the same to the tips: a width w times the stated one is alike in its logarithm from a
+hundredth on, falls off as 1 / w^2 for w > 1, and is integrated out around its most probable value.
 
 What something unknown may be, `unknown_errors.py` has.
 """
@@ -37,6 +38,7 @@ from ctrplan.diagnosis.workbench import Candidates, Scored, Workbench, linear
 from ctrplan.pipeline.term import Term
 
 MOST_EFFECTS = 4  # of a set
+LEAST_WIDTH = 0.01  # of a stated prior: effects smaller than that move no tip by what a tracker sees
 ROUNDS = 3  # of a search, each with the friction states and the rest that the set before leaves
 
 Report = Callable[[str], None]
@@ -169,12 +171,12 @@ class _Asking:
         if scored in self.known_sets:
             return
         weights = list[float]()
-        terms, (widths, owners) = self._named(scored), self._widths(scored)
+        terms, (widths, owners) = self._named(scored), self._of_fit(scored)
         built = [t for t in scored.terms if is_built(t)]
         of_built = len(built) * self.of_piece
         for gone in self._frames(scored):
             names = frozenset(t.name for t in terms) - gone
-            cost = self._cost(names, [width for key, width in widths.items() if key not in gone]) + of_built
+            cost = self._cost(names, widths, owners) + of_built
             fit = self._linearised(linear(scored.fit), scored.fit.noise, owners, widths, gone)
             beside, peak = self.errors.evidence(fit)
             alone = -np.inf if built else without_error(fit) - cost
@@ -270,19 +272,21 @@ class _Asking:
 
     def _added(self, here: Scored) -> Iterator[tuple[list[Term], _Set]]:
         """Effects that may be added, one or two where one needs the other, and the sets with them to first order."""
-        mine, widths = self.known_sets[here], self._widths(here)[0]
+        mine = self.known_sets[here]
         others = [t for t in self.known.beside(here.terms) if t.name not in {*mine.names, *here.names}]
         if not others:
             return
         of_peak = mine.peak.evidence(self.as_fitted(here))
         for screened in self.bench.screened(here, others, self.known.completed):
-            fit = self._linearised(screened.linear, self.bench.noise, screened.owners, widths)
             terms = self.known.completed(here.terms, screened.term)
             added = [t for t in terms if t.name not in here.names]
-            names, choice = frozenset(t.name for t in added), self._cost([t.name for t in added])
-            alone = -np.inf if np.isneginf(mine.alone) else without_error(fit) - mine.cost - choice
-            beside = mine.beside + mine.peak.evidence(fit) - of_peak - choice
-            yield added, _Set(mine.names | names, mine.cost + choice, alone, beside, mine.peak)
+            names = mine.names | {t.name for t in added}
+            widths = _widths(screened.linear, screened.owners, {*names, *here.names})
+            fit = self._linearised(screened.linear, self.bench.noise, screened.owners, widths)
+            cost = self._cost(names, widths, screened.owners) + self.of_piece * sum(map(is_built, here.terms))
+            alone = -np.inf if np.isneginf(mine.alone) else without_error(fit) - cost
+            beside = mine.beside + mine.cost + mine.peak.evidence(fit) - of_peak - cost
+            yield added, _Set(names, cost, alone, beside, mine.peak)
 
     def by_names(self) -> dict[frozenset[str], tuple[float, float]]:
         """Logarithms of the evidence of sets of effects, over their variants."""
@@ -296,17 +300,15 @@ class _Asking:
         """Effects of a fit that the catalogue has, and frames."""
         return [t for t in scored.fit.chain.terms if t.name in self.known.variants or t.name in FRAMES]
 
-    def _widths(self, scored: Scored) -> tuple[dict[str, float], tuple[str, ...]]:
-        """How much wider than stated each effect's prior is most probably; and the effect of each parameter."""
-        chain, named = scored.fit.chain, {*(t.name for t in self._named(scored)), *scored.names}
-        over = np.abs(scored.fit.p - chain.neutral) / chain.prior
-        places = zip(chain.terms, chain.slices(), strict=True)
-        widths = {t.name: float(max(1.0, over[place].max())) for t, place in places if t.name in named}
-        return widths, tuple(t.name for t in chain.terms for _ in t.parameters)
+    def _of_fit(self, scored: Scored) -> tuple[dict[str, float], tuple[str, ...]]:
+        """How wide each effect's prior is, and the effect of each parameter."""
+        owners = tuple(t.name for t in scored.fit.chain.terms for _ in t.parameters)
+        named = {*(t.name for t in self._named(scored)), *scored.names}
+        return _widths(linear(scored.fit), owners, named), owners
 
     def as_fitted(self, scored: Scored) -> Linearised:
         """A set at its own fit."""
-        widths, owners = self._widths(scored)
+        widths, owners = self._of_fit(scored)
         return self._linearised(linear(scored.fit), scored.fit.noise, owners, widths)
 
     def _linearised(
@@ -326,10 +328,27 @@ class _Asking:
         centred = self.root * (r + J @ fit.offset)
         return Linearised(centred, (self.root[:, :, None] * J)[:, :, kept], precision[kept])
 
-    def _cost(self, names: Iterable[str], widths: Iterable[float] = ()) -> float:
-        """Logarithm of what wider priors and the choice of one variant of each effect cost."""
-        choice = sum(np.log(self.known.variants.get(name, 1)) for name in names)
-        return float(choice + sum(np.log(width) for width in widths))
+    def _cost(self, names: Iterable[str], widths: Mapping[str, float], owners: Sequence[str]) -> float:
+        """Logarithm of what the choice of one variant of each effect and of its size cost.
+
+        Of k parameters that share a width the evidence is a peak over its logarithm with the spread 1 / sqrt(2 k).
+        """
+        range_of_sizes = 1.0 - np.log(LEAST_WIDTH)
+        cost = 0.0
+        for name in names:
+            spread = np.sqrt(np.pi / max(owners.count(name), 1))
+            size = np.log(range_of_sizes / spread) + np.log(max(widths.get(name, 1.0), 1.0))
+            cost += float(np.log(self.known.variants.get(name, 1)) + size)
+        return cost
+
+
+def _widths(fit: Linear, owners: Sequence[str], named: Collection[str]) -> dict[str, float]:
+    """How wide each effect's prior is most probably, over the stated one: as wide as its parameters are large."""
+    square = (fit.offset**2 + np.diag(fit.covariance())) * fit.precision
+    of = np.array(owners)
+    return {
+        name: max(LEAST_WIDTH, float(np.sqrt(square[of == name].mean()))) for name in sorted(named) if name in owners
+    }
 
 
 def _note(known: dict[frozenset[str], _Set], terms: Sequence[Term], new: _Set) -> None:

@@ -19,6 +19,7 @@ from ctrplan.diagnosis.unknown_errors import UnknownErrors, without_error
 from ctrplan.diagnosis.verdict import Hypothesis, Posterior, normalised, shown
 from ctrplan.diagnosis.workbench import Workbench, candidates
 from ctrplan.measurement.measurements import Measurements
+from ctrplan.pipeline.term import Term
 
 NONE: frozenset[str] = frozenset()
 A, B, BOTH = frozenset({"a"}), frozenset({"b"}), frozenset({"a", "b"})
@@ -232,3 +233,20 @@ def test_an_instant_that_the_data_chose_shares_its_prior_with_all_others(kind: t
     given, chosen = (posterior_of(data, kind, {"homing_shift": count}).of_effect("homing_shift") for count in (1, 50))
     assert 0 < chosen < given < 0.999
     assert given / (1 - given) == pytest.approx(50 * chosen / (1 - chosen), rel=0.1)
+
+
+def test_an_effect_that_does_the_same_to_tips_as_another_is_as_probable_however_wide_its_prior_is() -> None:
+    """A base that is turned a little beside the weight of the tubes, whose priors have units that do not compare."""
+    data = measured(ROBOT, waypoints(ROBOT, 16, seed=4), {"base_misalignment": {"shift_x_mm": 0.1, "shift_y_mm": 0.05}})
+    few = {name: CATALOGUE[name] for name in ("base_misalignment", "sensor_offset", "tip_load")}
+    odds = []
+    for factor in (1.0, 8.0):
+        bench = Workbench(ROBOT, data, Noise(SIGMA_M, SIGMA_RAD), data.configuration, data.configuration % 4)
+        known, base = candidates(ROBOT, data, few), CATALOGUE["base_misalignment"]
+        wide = [
+            Term(base, tuple(replace(q, prior=factor * q.prior) for q in t.parameters)) if t.effect is base else t
+            for t in known.terms
+        ]
+        told = compared(bench, bench.scored([]), replace(known, terms=tuple(wide)), search=True).posterior
+        odds.append(np.log(told.of_effect("base_misalignment") / told.of_effect("sensor_offset", "tip_load")))
+    assert odds[0] == pytest.approx(odds[1], abs=1.0)  # 3 log 8 = 6.2 where widths are as stated
