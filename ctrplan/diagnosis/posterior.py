@@ -39,6 +39,7 @@ from ctrplan.pipeline.term import Term
 
 MOST_EFFECTS = 4  # of a set
 LEAST_WIDTH = 0.01  # of a stated prior: effects smaller than that move no tip by what a tracker sees
+REFITTED = 5  # different effects that are fitted for good beside a set
 ROUNDS = 3  # of a search, each with the friction states and the rest that the set before leaves
 
 Report = Callable[[str], None]
@@ -257,7 +258,7 @@ class _Asking:
             return []
         least = (replaced[0][0] if replaced else self.known_sets[here].weight) + 2 * log_odds(ACTS)
         worth = [several for several in ranked.values() if several[0][0] > least]
-        return sorted(worth, key=lambda several: -several[0][0])
+        return sorted(worth, key=lambda several: -several[0][0])[:REFITTED]
 
     def ask_neighbours(self, here: Scored) -> None:
         """Compares a set with one effect more, to first order."""
