@@ -15,7 +15,7 @@ from ctrplan.base.long_work import SearchClock, WorkMeter
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.motion.checker import MotionChecker, Stations
 from ctrplan.planning.goal_states import descended, goal_states
-from ctrplan.planning.search.clearance_surrogate import (
+from ctrplan.planning.room import (
     LOSS_M,
     LOSS_MM,
     LOSS_SD_M,

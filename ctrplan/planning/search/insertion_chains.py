@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.motion.checker import MotionChecker
-from ctrplan.planning.search.clearance_surrogate import expected_share
+from ctrplan.planning.room import expected_share
 from ctrplan.scenario.tip_solver import GoalState, TipSolver, TipTarget
 
 STATION_MM = 6.0  # along the body between neighbours of a chain

@@ -20,7 +20,7 @@ from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.base.long_work import EDGE_NS, ROOM_NS, counted_aside
 from ctrplan.motion.checker import DEFINITE_COLLISION_M, MotionChecker
 from ctrplan.planning.goal_states import Trail
-from ctrplan.planning.search.clearance_surrogate import ClearanceSurrogate
+from ctrplan.planning.room import ClearanceSurrogate
 from ctrplan.planning.search.insertion_chains import SKIPS, Roadmap
 from ctrplan.scenario.tip_solver import GoalState, TipSolver, TipTarget
 
