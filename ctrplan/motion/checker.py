@@ -104,8 +104,7 @@ class MotionChecker:
         self.reserve_m = reserve_m
         self.limits = search_limits(scenario, reserve_m)
         self.calls = 0  # into the core
-        self.meter = meter or WorkMeter()  # counts what is solved and asked
-        self.watch = SearchWatch()  # asked before anything is solved
+        self.meter, self.watch = meter or WorkMeter(), SearchWatch()  # which is asked before anything is solved
         self.solved_ns = SHAPE_NS * (1 + 2 ** (scenario.robot.n - 1))
         self._known: dict[bytes, Motion] = {}
         self._ahead: dict[bytes, tuple[Motion, int]] = {}  # checked before they were asked for, and work [ns]
