@@ -130,7 +130,7 @@ def test_names_stay_where_the_poses_kept_aside_take_the_term_back(monkeypatch: p
 
 @thorough("test_what_the_catalogue_has_is_named_beside_a_built_term_that_had_hidden_it")
 def test_a_term_is_sought_beside_the_most_probable_effect_as_well(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As where no piece comes within reach beside nothing: on screws that couple joints of a wrong scale."""
+    """Screws that couple joints of a wrong scale: no piece comes within reach beside nothing."""
     settled = term_building._settled
     there = lambda found, at, tell: settled(found, at, tell) if at.terms else None  # noqa: E731
     monkeypatch.setattr(term_building, "_settled", there)

@@ -27,7 +27,7 @@ NOISE = Noise(SIGMA_M, 1e-3)
 
 
 def bench_with(error_m: Array) -> CorrelatedBench:
-    """Of poses that are read with an error (K, 3) besides."""
+    """Residuals of poses that are read with an error (K, 3) besides."""
     data = replace(DATA, position_m=DATA.position_m + error_m)
     return CorrelatedBench(ROBOT, data, NOISE, PLAN.configuration, PLAN.configuration % 6)
 

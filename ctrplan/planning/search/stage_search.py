@@ -33,7 +33,6 @@ from ctrplan.scenario.tip_solver import GoalState
 # Shares of the time by which a first path and the cheapest of the roadmap are sought
 FIRST_SHARE, ROADMAP_SHARE = 0.85, 0.6
 WORTH_A_CERTIFICATE = 5e-3  # of the cost: less gain than that is not worth a certificate, which takes longer
-AGAIN_SHARE = 0.15  # of the time, for a path instead of one that failed its certificate
 POLISH_SHARE = 0.3  # of the time, whenever polish begins: a first path that took all of it is where it gains most
 # Share by which L-shaped motions are sampled that led to no path; and that of simultaneous ones, whenever they begin
 SAMPLED_SHARE, FALLBACK_SHARE = 0.9, 0.18
@@ -233,9 +232,9 @@ class StageSearch:
         """The cheapest path found on a roadmap that grows further, put in order and certified.
 
         Where it fails, friction states between the corners, or the finer mesh, take more room than the search keeps:
-        another is sought that leaves as much.
+        another is sought that leaves as much, for as long as a first path would be.
         """
-        until = ROADMAP_SHARE * self.budget
+        until, latest = ROADMAP_SHARE * self.budget, FIRST_SHARE * self.budget
         with self._ending(until):
             self._prepare(search, until)
         while not self._is_enough():
@@ -245,11 +244,11 @@ class StageSearch:
             if cheapest is None or (self.best is not None and cheapest.cost_mm >= self.best.cost_mm):
                 break
             failed = self._tidied(self.checker, self._expanded(cheapest.states), ROADMAP)
-            if not failed:
+            if not failed or self._is_over(latest):
                 break
             search.needs_more(cheapest.states, self._short_m)
             search.forbid(cheapest.states, failed)
-            until = max(until, min(self.clock.now() + AGAIN_SHARE * self.budget, FIRST_SHARE * self.budget))
+            until = latest
 
     def _prepare(self, search: RoadmapSearch, until: float) -> None:
         """Adds chains and goal states of less error to a roadmap."""
