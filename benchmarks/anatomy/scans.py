@@ -65,7 +65,7 @@ def phantom_errors(folder: Path) -> None:
 
 
 def _errors(folder: Path, spacing: tuple[float, ...], radius: float, grey: bool, seed: int) -> phantoms.Array:
-    """Of the vertices, in widest voxels, on a tube along a line and one along a circle."""
+    """Errors of the vertices, in widest voxels, on a tube along a line and one along a circle."""
     rng = np.random.default_rng(seed)
     turned, centre = Rotation.random(random_state=seed).as_matrix(), rng.uniform(-1, 1, 3) * max(spacing)
     line = phantoms.capsule(centre - 1.5 * radius * turned[0], centre + 1.5 * radius * turned[0], radius)
@@ -80,7 +80,7 @@ def _errors(folder: Path, spacing: tuple[float, ...], radius: float, grey: bool,
 
 
 def sides(folder: Path) -> None:
-    """Of labels 1 mm wide, axes along the patient's; by how many voxels the smoothing's kernel is wide."""
+    """Sides of labels 1 mm wide, axes along the patient's, by the width of the smoothing's kernel in voxels."""
     from ctrplan.anatomy import structure
 
     ranges = ((0, 5), (5, 10), (10, 20), (20, 35), (35, 55))

@@ -49,7 +49,7 @@ def beside(joints: Array, center_m: Array) -> Scenario:
 
 
 def claims(rng: np.random.Generator) -> Iterator[Claim]:
-    """Of one random configuration; none where a state has no equilibrium."""
+    """Claims about one random configuration; None where a state has no equilibrium."""
     joints = np.array([*np.radians(rng.uniform(-180, 180, 3)), rng.uniform(-60e-3, -5e-3)])
     bodies = ROBOT.mechanics.friction_bodies(*ROBOT.drive.collars(joints), STATES, accuracy="certificate")
     if not bodies.solved.all():

@@ -69,7 +69,7 @@ def random_path(robot: Robot, rng: np.random.Generator) -> tuple[Array, Array]:
 
 
 def sampled(turns: Array, l_b: Array) -> tuple[Array, Array]:
-    """The same path with waypoints at most SAMPLE_RAD and SAMPLE_M apart."""
+    """The path with waypoints at most SAMPLE_RAD and SAMPLE_M apart."""
     out = [(turns[0], l_b[0])]
     for k in range(len(turns) - 1):
         far = max(np.abs(turns[k + 1] - turns[k]).max() / SAMPLE_RAD, np.abs(l_b[k + 1] - l_b[k]).max() / SAMPLE_M)

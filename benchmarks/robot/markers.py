@@ -81,7 +81,7 @@ def drawn_back(plan: Measurements) -> Array:
 
 
 def verdicts() -> None:
-    """Of a hidden change of precurvature along tube 2, by the tip and with a ring."""
+    """Verdicts on a hidden change of precurvature along tube 2, by the tip alone and with a ring."""
     ring: list[dict[str, Any]] = [{"name": "ring", "tube": 2, "from_tip_mm": 30}]
     robot = pair_robot(marker=ring, measurement={"position_sigma_mm": 0.1})
     plan = waypoints(robot, 40, seed=4)

@@ -39,7 +39,7 @@ ROWS, MOST_ATTEMPTS = 90, 8
 
 
 def rms_mm(off_m: Array) -> float:
-    """Of rows (K,) that have a value."""
+    """Root mean square [mm] over the rows (K,) that have a value."""
     return float(np.sqrt(np.nanmean(np.square(off_m))) * 1e3)
 
 
@@ -132,7 +132,7 @@ def logged(theta: Array, l_b: Array, seen: Array) -> tuple[Array, ...]:
 
 
 def header() -> None:
-    """Of the table of errors."""
+    """Header of the table of errors."""
     names = ["frictionless", "history", "history + last error", "observer", "observer + offset 2 mm, 20 rows"]
     print("| log | rows | " + " | ".join(f"{name}, mm" for name in names) + " | held | held with offset |")
     print("|" + " --- |" * 9)

@@ -87,7 +87,7 @@ def loop_of_bounds(study: Study) -> float:
 
 
 def loop_of_plans(study: Study) -> float:
-    """Likewise of the same plans."""
+    """Seconds of a plain loop over the study's plans."""
     scenario = ctrplan.load_scenario(SCENARIO, ["planner.time_s=0.5"])
     begun = time.process_time()
     with one_core():
@@ -130,7 +130,7 @@ class Run:
 
     @property
     def workers_s(self) -> float:
-        """Likewise of all workers, what they do beside tasks included."""
+        """Processor time of all workers for each task, work beside tasks included."""
         assert self.begun is not None
         return (self.ended[3] - self.begun[3]) / max(self.ended[0] - self.begun[0], 1)
 
@@ -142,7 +142,7 @@ class Run:
 
 
 def resident_mb(process: str) -> float:
-    """Of "self", where the client is and, in a LocalCluster, the scheduler too; or of one of its children."""
+    """Resident memory of "self", where the client and a LocalCluster's scheduler are, or of a child process."""
     try:
         with open(f"/proc/{process}/statm", encoding="ascii") as file:
             return int(file.read().split()[1]) * resource.getpagesize() / 1e6

@@ -70,7 +70,7 @@ class Telling:
 
 
 def judge(name: str, search: ctrplan.TubeDesign, overrides: Sequence[str]) -> Judged:
-    """Of a robot by what --set is told of it, its friction being that of the scenario's robot."""
+    """Judges a robot by the values given to --set, with the friction of the scenario's robot."""
     own = tuple(text for text in overrides if not text.startswith(FRICTION))
     task = search.job.task
     goals = [Goal(None, point * 1e-3, task["tolerance_mm"] * 1e-3) for point in search.points_mm]

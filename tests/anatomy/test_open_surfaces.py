@@ -160,7 +160,7 @@ def vtk_files(folder: Path, mesh: trimesh.Trimesh) -> list[str]:
 
 
 def vtu(arrays: dict[str, Any], points: int, faces: int, packed: bool, form: str) -> bytes:
-    """The same as cells of an unstructured grid, with a line and a tetrahedron among them that are no surface."""
+    """An unstructured grid of the surface's cells, with a line and a tetrahedron among them that are no surface."""
     corners = np.concatenate([arrays["connectivity"].reshape(-1), [0, 1], [0, 1, 2, 3]])
     ends = np.concatenate([arrays["offsets"], arrays["offsets"][-1] + np.array([2, 6])])
     kinds = np.array([5] * faces + [3, 10])

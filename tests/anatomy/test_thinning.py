@@ -41,7 +41,7 @@ def test_what_it_is_off_by_bounds_distances(tmp_path: Path, monkeypatch: pytest.
 
 
 def test_the_bound_holds_for_all_points_of_the_surface() -> None:
-    """Of a coarse ball against a fine one: the sagitta, which no vertex shows."""
+    """Between a coarse ball and a fine one lies the sagitta, which no vertex shows."""
     fine, coarse = trimesh.creation.icosphere(4, radius=0.001), trimesh.creation.icosphere(3, radius=0.001)
     vertices, faces = np.asarray(fine.vertices), np.asarray(fine.faces, dtype=np.int64)
     thin, triangles = np.asarray(coarse.vertices), np.asarray(coarse.faces, dtype=np.int64)

@@ -72,7 +72,7 @@ def test_what_is_no_surface_is_refused() -> None:
 
 
 def test_the_sign_of_a_run_of_points_is_that_of_each() -> None:
-    """Of points in all orders, near two spheres that overlap and one inside out of reach of the next point."""
+    """Points come in all orders, near two spheres that overlap and one inside out of reach of the next point."""
     vertices, faces = sphere()
     mesh = Mesh(np.concatenate([vertices, vertices + [0.8, 0, 0]]), np.concatenate([faces, faces + len(vertices)]))
     rng = np.random.default_rng(2)
@@ -83,7 +83,7 @@ def test_the_sign_of_a_run_of_points_is_that_of_each() -> None:
 
 
 def test_points_on_both_sides_of_a_wall_have_signs_of_their_own() -> None:
-    """As far from it as they can be with the wall in between."""
+    """The points are as far from the wall as they can be with the wall in between."""
     rng, vertices = np.random.default_rng(4), np.array(list(np.ndindex(2, 2, 2)), dtype=float)
     sides = [[0, 2, 1], [1, 2, 3], [4, 5, 6], [5, 7, 6], [0, 1, 4], [1, 5, 4], [2, 6, 3], [3, 6, 7], [0, 4, 2]]
     mesh = Mesh(vertices, np.array([*sides, [2, 4, 6], [1, 3, 5], [3, 7, 5]])[:, ::-1])

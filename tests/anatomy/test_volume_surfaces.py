@@ -64,7 +64,7 @@ def test_grey_values_cross_a_threshold_between_voxels(tmp_path: Path) -> None:
 
 
 def test_the_surface_is_closed_and_every_voxel_on_its_side(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of voxels drawn at random, whatever the slabs: every edge has two triangles, every voxel stays in or out."""
+    """Voxels are drawn at random: whatever the slabs, every edge has two triangles and every voxel stays in or out."""
     import igl
 
     inside = np.pad(np.random.default_rng(3).random((13, 12, 11)) < 0.4, 2)

@@ -111,7 +111,7 @@ def test_a_nifti_2_file_is_where_both_of_its_forms_say(tmp_path: Path) -> None:
 
 
 def test_segments_in_layers_overlap_and_each_is_whole(tmp_path: Path) -> None:
-    """As 3D Slicer writes them: voxels have a value in each layer, and one label means two things in two layers."""
+    """3D Slicer's layout: voxels have a value in each layer, and one label means two things in two layers."""
     axes, origin, size = ras_grid()
     whole = voxels_in_ras(axes, origin, size)
     half = whole * (np.arange(size[0]) < size[0] // 2)[:, None, None].astype(whole.dtype)

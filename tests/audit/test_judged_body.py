@@ -14,7 +14,7 @@ COLLARS = ROBOT.drive.collars(np.array([0.3, 1.2, -2.0, -0.03]))
 
 
 def test_points_lie_where_the_core_says_that_the_body_is() -> None:
-    """Its own outermost centreline, 0.05 mm apart, of the same solution."""
+    """The judged points are compared with the core's outermost centreline of one solution, 0.05 mm apart."""
     shape = ROBOT.solve(*COLLARS, [0.5, -0.5], accuracy="certificate")
     phi = np.array([[0.5, -0.5]])
     core = ROBOT.mechanics.friction_bodies(*COLLARS, phi, spacing_m=0.05e-3, accuracy="certificate")

@@ -65,7 +65,7 @@ def test_absolute_stiffness_is_not_known_without_loads(data: Measurements) -> No
 def test_poses_without_a_solution_are_left_out_of_errors_and_told(
     data: Measurements, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Their tips are 3 mm off; before, they stood in all errors and in the model error written into the robot file."""
+    """Tips without a solution are 3 mm off; they once stood in all errors and in the written model error."""
     rows = without_solutions(data, [1, 5], monkeypatch)
     found = calibrate(ROBOT, data)
     floor = SIGMA_M * np.sqrt(3)

@@ -205,7 +205,7 @@ TIP_LOAD = BASE | {"tip_load": {"force_x_N": 0.15, "force_y_N": -0.12, "force_z_
 
 
 def test_poses_without_a_solution_are_left_out_and_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of the selection and of the held-out set; an effect that is right stays so."""
+    """Poses of the selection and of the held-out set are left out; an effect that is right stays so."""
     data = measured(ROBOT, PLAN, TIP_LOAD)
     parts = split(data, np.ones(data.count, bool))
     configurations = [int(data.configuration[part[0]]) for part in (parts.selection, parts.held_out_set)]

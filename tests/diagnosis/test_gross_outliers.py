@@ -46,7 +46,7 @@ def rows(data: Measurements, poses: NDArray[np.int_]) -> tuple[int, ...]:
 
 
 def assert_no_greener_than_its_figures(found: Diagnosis) -> None:
-    """Of what is written, and what is said of it."""
+    """Checks that neither the written figures nor the sentences about them claim more than the poses show."""
     if found.verdict == "unexplained":
         return
     content = found.to_json()

@@ -24,7 +24,7 @@ def measured_with(more: dict[str, Array]) -> Measurements:
 
 
 def share(data: Measurements, quantity: str, size: Array) -> float:
-    """Of residuals of a size (K,) that the quantity explains."""
+    """Share of residuals of sizes (K,) that the quantity explains."""
     r = np.repeat(size[:, None], 5, axis=1)
     found = localise(data, r, np.arange(data.count), np.abs(size), 1e-4)
     return next(trend.share for trend in found.trends if trend.quantity == quantity)

@@ -46,7 +46,7 @@ def logged(values: dict[str, dict[str, float]], seed: int) -> Measurements:
 
 
 def slowly_off(values: dict[str, dict[str, float]], seed: int, memory_s: float) -> Measurements:
-    """The same motion beside 2 mm and 3 deg that change slowly, as a tracker's place does."""
+    """The motion beside 2 mm and 3 deg that change slowly, like the place of a tracker."""
     clean = logged(values, seed)
     assert clean.time_s is not None
     rng = np.random.default_rng(seed)

@@ -47,7 +47,7 @@ def fit_of(data: Measurements) -> Linearised:
 
 
 def test_a_small_rotation_of_the_tracker_is_the_same_number_about_the_axes_of_every_tangent() -> None:
-    """So residuals of such a rotation are its components along the axes."""
+    """Residuals of a small rotation are its components along the axes."""
     turn = 1e-4 * np.array([0.7, -1.1, 0.4])
     data = logged(Rotation.from_rotvec(turn).apply(TANGENT))
     sound, none = np.ones(COUNT, bool), np.zeros((COUNT, 3, 0))
@@ -123,7 +123,7 @@ def test_what_was_not_measured_does_not_count(what: str) -> None:
 
 
 def log_density(fit: Linearised, data: Measurements, correlation: Array, position: float, tangent: float) -> float:
-    """Of the numbers that were measured, the covariance of every pair written out."""
+    """Log density of the measured numbers, with the covariance of every pair written out."""
     axes = axes_of(data)
     covariance = np.eye(5 * COUNT)
     for i in range(COUNT):

@@ -105,7 +105,7 @@ def test_settings_of_a_planner_of_ones_own_are_read_strictly(tmp_path: Path) -> 
 
 @thorough("test_a_planner_is_one_file")
 def test_an_obstacle_is_one_file(tmp_path: Path) -> None:
-    """Its distances are those to the surface that is drawn, as the library for meshes finds them."""
+    """Distances are those to the drawn surface, checked against the mesh library's own."""
     used(tmp_path, "An obstacle")
     assert 0 < json.loads((tmp_path / "out" / "plan.json").read_text())["certificate"]["min_clearance_m"] < 0.1
     python(

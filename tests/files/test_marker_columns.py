@@ -44,7 +44,7 @@ def written(of: Robot, folder: Path) -> Path:
 
 
 def rewritten(path: Path, change: Any) -> Path:
-    """The same table after change(list of rows as dicts, column -> text)."""
+    """The table of `path` after change(list of rows as dicts, column -> text)."""
     with open(path, encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
     for row in rows:

@@ -146,7 +146,7 @@ def test_limits_of_joints_do_not_keep_a_start_from_another_branch(
 
 
 def test_a_loaded_robot_is_refused_where_a_turn_within_limits_leads_elsewhere() -> None:
-    """Its equilibria are not enumerated: it is simulated from as far as limits let it turn."""
+    """Equilibria of a loaded robot are not enumerated: it is simulated from as far as limits let it turn."""
     pair = bent(2.5, opposed_deg=120, min_deg=-180, max_deg=180)
     content = {**pair.content, "effects": {"tip_load": {"force_x_N": 0.05}}}
     robot, at = robot_from_dict(content, file=str(ROBOTS / "loaded.toml")), np.array([0, np.radians(90), -29.6e-3])

@@ -53,7 +53,7 @@ def test_the_spread_is_what_plain_formulas_say(pairs: int) -> None:
 @pytest.mark.parametrize("pairs", [1, 2, 3])
 @pytest.mark.parametrize("enough_mm", [-5.0, 0.5, 2.0])
 def test_no_state_of_a_cell_has_less_than_is_said(pairs: int, enough_mm: float) -> None:
-    """And where more than enough is said to be left, or less, some state has about as little."""
+    """No state has less than is claimed, and where the claim is not "enough" some state has about as little."""
     bodies = drawn_bodies(pairs, seed=pairs)
     cells, _, points, _ = bodies.shape
     error = np.full((cells, points), 0.1e-3)
@@ -170,7 +170,7 @@ def test_bodies_of_cells_are_as_long_as_the_longest() -> None:
 
 
 def test_bodies_of_cells_may_be_rows_of_wider_arrays() -> None:
-    """As shapes of a path are, whose points have their radius beside them."""
+    """Shapes of a path are such rows: their points have a radius beside them."""
     wide = np.random.default_rng(1).normal(size=(3, 500, 8))
     bodies, radius, doubts = [row[:, ::2][:, :3] for row in wide], wide[0, :, 7], [row[:, 5] for row in wide]
     found = cell_bodies(bodies, [radius], doubts)

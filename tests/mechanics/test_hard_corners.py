@@ -19,7 +19,7 @@ Sections = list[tuple[float, float, float]]
 
 
 def tube(outer_radius_m: float, stiffness: float, torsional: float, sections: Sections) -> Tube:
-    """Of the random robots of model/tests: bores of 1/1.09 of the outside."""
+    """A tube like those of the random robots of model/tests, its bore 1/1.09 of the outside."""
     bent = tuple(TubeSection(*section) for section in sections)
     return Tube(2 * outer_radius_m, 2 * outer_radius_m / 1.09, stiffness, stiffness / torsional - 1, bent, 1e-3)
 

@@ -262,7 +262,7 @@ def test_memory_does_not_grow_with_the_path() -> None:
 
 
 def resident_kB() -> int:
-    """Of this process, the core's memory included."""
+    """Resident memory of this process in kB, the core's memory included."""
     status = Path("/proc/self/status").read_text(encoding="ascii")
     return next(int(line.split()[1]) for line in status.splitlines() if line.startswith("VmRSS"))
 

@@ -198,7 +198,7 @@ def test_table_5_pair(table_5_pair: Robot, row: dict[str, Any]) -> None:
 
 @pytest.mark.parametrize("row", PAIRS["three_tubes_with_several_solutions"])
 def test_several_solutions(row: dict[str, Any]) -> None:
-    """Of several equilibria a stable one is returned, called MULTIPLE, or the saddle between them, called UNSTABLE."""
+    """Among several equilibria a stable one is returned as MULTIPLE, or the saddle between as UNSTABLE."""
     shape = THREE_TUBES.zero_clearance(np.deg2rad(row["theta_b_deg"]), row["l_b_m"])
     tips_m = row["stable_zero_clearance_tips_m"]
     if shape.status is not Status.UNSTABLE:

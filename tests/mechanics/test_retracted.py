@@ -45,7 +45,7 @@ def robot_of(count: int, *, retractable: bool = True, friction: float = 0.0, cle
 
 
 def planar_tip(robot: Robot, l_b: Array) -> Array:
-    """Of tubes bent in one plane that do not twist: arcs of the mean curvature of the tubes that are there."""
+    """Tip of tubes bent in one plane that do not twist: arcs of the mean curvature of the tubes that are there."""
     stations = {0.0}
     for tube, begin in zip(robot.tubes, l_b, strict=True):
         stations |= {begin + x for x in np.cumsum([0.0, *(section.length_m for section in tube.sections)]).tolist()}

@@ -92,7 +92,7 @@ def test_true_parameters_of_the_drive_mean_what_a_diagnosis_means_by_them(name: 
 
 
 def test_off_plane_precurvature_is_a_homing_offset(experiment: Experiment, plain: Poses) -> None:
-    """Of a tube with one curved section, to the change of curvature's size: the look-alike is exact."""
+    """A tube with one curved section has an exact look-alike, up to the change of the curvature's size."""
     tilted = with_effect("off_plane_precurvature")
     u = np.array(tilted.tubes[-1].sections[-1].curvature_per_m)
     tube = -1 if u[0] else 1
@@ -235,7 +235,7 @@ def test_positions_alone_are_read_with_their_noise_alone(tmp_path: Path, experim
 
 
 def check_format(folder: Path, truth: dict[str, Any]) -> None:
-    """As in the description of measured data."""
+    """Checks a folder against the description of measured data."""
     with (folder / "measurements.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     joints = [f"theta_{i}_rad" for i in (1, 2, 3)] + [f"l_{i}_m" for i in (1, 2, 3)]

@@ -40,7 +40,7 @@ SAID = ["--lumen", "1", "--avoid", "2"]
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The same patient as a NIfTI file and as an NRRD file, with points in both frames."""
+    """A folder with one patient as NIfTI and as NRRD, and target points in both frames."""
     folder = tmp_path_factory.mktemp("patient")
     made = phantom.labels()
     phantoms.written(made, folder / "ras.nii.gz")

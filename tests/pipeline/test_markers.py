@@ -56,7 +56,7 @@ def of(data: Measurements, *markers: int) -> Measurements:
 
 
 def seen(robot: Robot, data: Measurements, values: dict[str, dict[str, float]], seed: int = 3) -> Measurements:
-    """The same poses as a chain with these values has them, with noise."""
+    """Measurements of the poses by a chain with these values, with noise."""
     chain = chain_of(robot, data, {name: list(v) for name, v in values.items() if name != "calibration"})
     p = chain.neutral.copy()
     for t, place in zip(chain.terms, chain.slices(), strict=True):
@@ -177,7 +177,7 @@ def test_a_marker_seen_less_exactly_counts_less() -> None:
 
 
 def test_derivatives_of_markers_are_asked_anew_where_the_robot_has_moved() -> None:
-    """They are remembered while a fit hardly moves, and are those of a chain without memories once it has."""
+    """Derivatives are remembered while a fit hardly moves, and equal those of a fresh chain once it has moved."""
     robot, plan = marked(), of(waypoints(marked(), 1), 3)
     chain = chain_of(robot, plan, {"homing_offset": None})
     near, far = (chain.neutral + share * chain.prior for share in (-0.001, -0.5))

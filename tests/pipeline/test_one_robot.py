@@ -51,7 +51,7 @@ def with_effects(*names: str) -> Robot:
 
 
 def told_by_the_chain(robot: Robot) -> Array:
-    """Of poses at rest whose last directions nobody knows."""
+    """Tips that the chain predicts for poses at rest whose last directions nobody knows."""
     count = len(COMMANDED[0])
     nothing = np.zeros((count, 3))
     data = Measurements(np.arange(count), *COMMANDED, np.arange(count), nothing, nothing, np.zeros(count))

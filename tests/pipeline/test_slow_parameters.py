@@ -77,7 +77,7 @@ def test_without_measurements_a_parameter_stays_as_it_is_known_and_widens_the_in
 
 
 def test_the_filter_is_the_least_squares_estimate_of_all_tips_together() -> None:
-    """Of constant parameters, by the normal equations with priors: an independent formulation."""
+    """Constant parameters follow from the normal equations with priors, an independent formulation."""
     rng = np.random.default_rng(0)
     model = SlowModel(SlowOffset(1e-3), [SlowParameter("a", 2.0, np.inf), SlowParameter("b", 0.5, np.inf)])
     slow, H, off = model.start(), [], []

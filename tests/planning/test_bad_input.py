@@ -75,7 +75,7 @@ def test_problem_without_an_answer_says_why(
 
 
 def test_a_body_in_two_lumens_keeps_the_margin_of_one_of_them_at_each_point() -> None:
-    """As the model has it: what is said of an invalid start is what makes it invalid."""
+    """The sentence about an invalid start names the cause that makes it invalid in the model."""
     lumen = {"kind": "capsule", "role": "inside", "radius_mm": 20, "margin_mm": 1}
     anatomy = [
         {**lumen, "from_mm": [0, 0, -10], "to_mm": [10, 0, 110]},

@@ -49,7 +49,7 @@ def curled(phi: Array) -> Array:
 
 
 def solved(states: Sequence[State]) -> list[Solved]:
-    """The same, as stable and as strained as one another."""
+    """Solved states whose stability and strain are all equal."""
     return [Solved(body, 1.0, 0.01) for body in curled(np.array(states))]
 
 
@@ -120,7 +120,7 @@ def test_cells_that_are_too_near_are_so_whether_their_least_is_asked_or_not() ->
 
 
 def joints(*values: float) -> Array:
-    """Of the three-tube robot: three rotations in deg, a translation in mm."""
+    """Joints of the three-tube robot from three rotations in deg and a translation in mm."""
     return np.array([*np.radians(values[:3]), values[3] * 1e-3])
 
 

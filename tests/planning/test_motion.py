@@ -20,7 +20,7 @@ from ctrplan.planning.goal_states import goal_states
 
 @pytest.mark.parametrize("name", ["sinus", "airway"] if FUZZ else ["airway"])
 def test_motions_refused_where_they_are_narrowest_are_refused_by_walks(name: str) -> None:
-    """And at a fraction of their cost."""
+    """A look at the narrowest place refuses what a walk refuses, at a fraction of the work."""
     scenario = load_scenario(SCENARIOS / f"{name}.toml")
     asking, walking = MotionChecker(scenario), MotionChecker(scenario)
     states = [scenario.start, *(goal.joints for goal in goal_states(asking, np.random.default_rng(0))[:12])]

@@ -129,7 +129,7 @@ def loaded(checker: MotionChecker, turned_last: Array) -> Certificate:
 
 @pytest.fixture(scope="module")
 def settled(checker: MotionChecker, turned_last: Array, loaded: Certificate) -> Settled:
-    """That path with an oscillation at its end."""
+    """The turned path with an oscillation appended at its end."""
     return settle(checker, turned_last, loaded)
 
 

@@ -328,7 +328,7 @@ def test_unstable_start_is_refused() -> None:
 
 
 def test_objective_in_a_set_up_of_ones_own() -> None:
-    """As a user with an OMPL set-up would: own space information and planner, the bound as objective."""
+    """A user's own space information and planner optimise the bound through the objective of the library."""
     case = scenario("pair_free")
     checker = MotionChecker(case)
     space = state_space(checker.space)

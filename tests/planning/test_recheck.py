@@ -50,7 +50,7 @@ def test_a_plan_is_confirmed_and_walked_on_the_certificate_mesh(driven: Plan) ->
 
 @pytest.fixture(scope="module")
 def walked(driven: Plan) -> Plan:
-    """The same plan, whose legs are walked again once for all figures that are compared with the walk."""
+    """The driven plan with its legs walked again, once for all tests that compare figures with the walk."""
     assert driven.certificate.walk_again is not None
     return replace(driven, certificate=replace(driven.certificate, walk_again=cache(driven.certificate.walk_again)))
 

@@ -125,7 +125,7 @@ def test_a_motion_of_the_next_path_is_checked_ahead(vessel: MotionChecker, monke
 
 
 def test_what_is_checked_ahead_counts_when_it_is_asked_for(vessel: MotionChecker) -> None:
-    """And is what it would have been, at the same count of work."""
+    """The result and the counted work equal those of a check that is made when it is needed."""
     plain, early = MotionChecker(vessel.scenario), MotionChecker(vessel.scenario)
     goal, start = goal_states(vessel, np.random.default_rng(0))[0], vessel.scenario.start
     early.look_ahead(start, goal.joints)

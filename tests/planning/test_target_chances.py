@@ -62,7 +62,7 @@ def registered(scenario: Scenario, sigma_m: float = 0.0, sigma_rad: float = 0.0)
 
 
 def chances_of(scenario: Scenario, *tolerances: tuple[float, float]) -> list[Chance]:
-    """Of missing the goal at the start with these tolerances [m], [rad], in the worst friction state, drawn once."""
+    """Chances of missing the start's goal by more than tolerances [m], [rad], in the worst friction state."""
     parameters, registration = uncertain_parameters(scenario.robot), scenario.registration
     draws = Draws.of(parameters, registration, scenario.robot.model_error_m)
     drawn = DrawnPoses.of(parameters, draws, *scenario.robot.drive.commanded(scenario.start[None]))

@@ -129,7 +129,7 @@ def test_a_delay_that_is_known_by_an_interval_is_play_by_speed() -> None:
 
 
 def test_a_late_drive_waits_where_it_rests_for_what_follows_late() -> None:
-    """So that the way after a target begins where certificates begin it."""
+    """The way after a target then begins at the joints from which its certificate begins."""
     corners = np.array([joints(0, 0, 0, -60), joints(40, 0, 0, -60), joints(40, 0, 0, -30)])
     for joinable in (True, False):
         fast, slow = (

@@ -23,7 +23,7 @@ def scene(plan: Plan) -> PlanScene:
 
 @pytest.fixture(scope="module")
 def server() -> Iterator[LiveServer]:
-    """Of the vessel's scenario."""
+    """A running server of the vessel's scenario."""
     with LiveServer(LiveState(load_robot_or_scenario(SCENARIOS / "vessel.toml"))) as running:
         thread = threading.Thread(target=running.serve_forever)
         thread.start()

@@ -139,7 +139,7 @@ def test_frames_move_the_robot_and_nothing_else(scene: PlanScene) -> None:
 
 
 def test_nothing_of_the_future_is_shown_at_the_start(scene: PlanScene) -> None:
-    """Neither the pose at the goal, the closest one and the space that is swept, nor the tip's way beyond its place."""
+    """The pose at the goal, the closest one, the swept space and the tip's way beyond its place are hidden."""
     figure = scene_figure(scene)
     start = np.concatenate([step.envelope.surface(4).vertices_m for step in scene.path[:1]]) * 1e3
     still = {"goal", "lumen to", "anatomy to", "front plate", "axes", "line to", "targets on"}

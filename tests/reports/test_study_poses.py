@@ -14,7 +14,7 @@ POSES = [(0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0), (1.0, 0.0, 0.0, np.cos(TILT / 2), 
 
 
 def rows(worst_mm: list[list[float | None]]) -> StudyTable:
-    """Of each pose its targets' errors; None: not reached."""
+    """Rows of a study from the worst errors of each pose's targets; None stands for one that was not reached."""
     columns: dict[str, list[Any]] = {name: [] for name in (*COLUMNS, "status", "worst_mm", "within_tolerance")}
     for pose, errors in zip(POSES, worst_mm, strict=True):
         for error in errors:

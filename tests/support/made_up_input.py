@@ -78,5 +78,5 @@ def assert_names_the_fault(error: InputError, file: str) -> None:
 
 
 def printable(text: str) -> str:
-    """As sentences show a name."""
+    """A name in the form in which sentences show it."""
     return "".join(c if c.isprintable() else "?" for c in " ".join(text.split()))

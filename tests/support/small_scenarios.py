@@ -21,7 +21,7 @@ PAIR = {
 
 
 def pair_past_a_sphere(**planner: Any) -> Scenario:
-    """Of two tubes, whose certificate takes a fraction of what one of three takes."""
+    """Scenario of two tubes, whose certificate takes a fraction of the time of one with three."""
     return scenario_from_dict({**PAIR, "planner": {"time_s": 0.5, **planner}}, file=str(SCENARIOS / "case.toml"))
 
 

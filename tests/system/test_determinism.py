@@ -1,4 +1,4 @@
-"""The same input gives the same output: plans by their bytes, kernels to 1e-9 m."""
+"""Equal input gives equal output: plans by their bytes, kernels to 1e-9 m."""
 
 from __future__ import annotations
 

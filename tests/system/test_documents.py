@@ -31,7 +31,7 @@ def blocks(page: Path, language: str) -> list[str]:
 
 
 def name_of(page: Path) -> str:
-    """Its place in the tree."""
+    """Path of a page in the tree."""
     return page.relative_to(ROOT).as_posix()
 
 

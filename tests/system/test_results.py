@@ -73,7 +73,7 @@ def written_tables(mark: str) -> list[dict[str, Any]]:
 
 
 def test_every_marked_table_has_its_json() -> None:
-    """But for that of histories beyond their bound, which takes hours and is on its page alone."""
+    """The table of histories beyond their bound is exempt: it takes hours and is on its page alone."""
     assert {mark for _, mark, _ in marked_tables() if not written_tables(mark)} == {ONLY_ON_ITS_PAGE}
 
 

@@ -206,7 +206,7 @@ needs_namespaces = pytest.mark.skipif(not lets_users_mount(), reason="users may 
 
 
 def test_files_that_may_not_grow_leave_the_old_plan_and_nothing_else(tmp_path: Path) -> None:
-    """As a full disk, but wherever there is a shell: no file may be longer than 200 blocks."""
+    """No file may be longer than 200 blocks, which stands for a full disk wherever there is a shell."""
     folder = tmp_path / "disk"
     folder.mkdir()
     (folder / "plan.json").write_text("old")

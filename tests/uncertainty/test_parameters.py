@@ -121,7 +121,7 @@ def calibrated() -> tuple[UncertainParameters, Array]:
 
 
 def test_intervals_of_a_calibration_come_back_from_its_file(calibrated: tuple[UncertainParameters, Array]) -> None:
-    """They were written nowhere: friction's was thrown away when the file was read."""
+    """Intervals were once written nowhere, and that of friction was dropped when the file was read."""
     parameters, covariance = calibrated
     assert "tube.1.section.1.curvature_per_m" in parameters.names and "effects.friction.mu_1" in parameters.names
     assert parameters.count == len(covariance)

@@ -296,7 +296,7 @@ def passes(found: dict[str, Any]) -> bool:
 
 
 def left(found: dict[str, Any]) -> float:
-    """Of the gap beside the named effects, 1 where nothing was built."""
+    """Share of the gap that is left beside the named effects, 1 where nothing was built."""
     return float(found["built_mm"] / max(found["named_mm"], 1e-9)) if found["built"] else 1.0
 
 

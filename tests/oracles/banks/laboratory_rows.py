@@ -187,7 +187,7 @@ def table(folder: Path) -> None:
 
 
 def _counted(way: str, kind: str, sets: list[tuple[dict[str, Any], dict[str, Any]]]) -> None:
-    """Of sets in which the same number of effects is hidden."""
+    """Row of the table for sets in which equally many effects are hidden."""
     if not sets:
         return
 
@@ -214,7 +214,7 @@ def _counted(way: str, kind: str, sets: list[tuple[dict[str, Any], dict[str, Any
 
 
 def _of_all(way: str, sets: list[tuple[dict[str, Any], dict[str, Any]]]) -> None:
-    """Of all sets that were measured in this way, nulls too."""
+    """Row of the table for all sets that were measured in this way, nulls too."""
     listed = [(truth, names) for truth, found in sets for names in found["names"]]
     line = f"{way} | any"
     _line(line, "sets with a confident wrong part", "<= 2 %", sets, lambda one: is_confidently_wrong(*one))
@@ -222,7 +222,7 @@ def _of_all(way: str, sets: list[tuple[dict[str, Any], dict[str, Any]]]) -> None
 
 
 def known(truth: dict[str, Any]) -> list[set[str]]:
-    """Of every hidden effect that the catalogue has: the names that are right."""
+    """For every hidden effect that the catalogue has, the names that are right."""
     return [set(name.split("|")) for name in truth["names"] if name != "unknown"]
 
 

@@ -93,7 +93,7 @@ def write(case: Case, parent: Path) -> None:
 
 
 def true_names(case: Case) -> list[str]:
-    """As in truth.json: a|b where the data can't tell, unknown where no catalogue has it."""
+    """Names for truth.json: a|b where the data can't tell, unknown where no catalogue has the effect."""
     names = {"unknown" if name == case.left_out else effects.truth_name(name) for name, _ in case.hidden}
     if any(name == "translation_release" for name, _ in case.hidden):
         names.add("friction")

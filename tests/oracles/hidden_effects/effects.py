@@ -130,7 +130,7 @@ def translation_release(world: World, draw: Draw) -> tuple[World, Parameters]:
 
 @_register(CATALOGUE)
 def nonlinear_elasticity(world: World, draw: Draw) -> tuple[World, Parameters]:
-    """The same alloy in all tubes; the larger, the earlier and the further it softens."""
+    """One alloy in all tubes: the larger the effect, the earlier and the further it softens."""
     soft = Softening(max(0.006 * 0.8**draw.size, 0.002), max(0.6**draw.size, 0.1))
     world = replace(world, tubes=tuple(replace(tube, softening=soft) for tube in world.tubes))
     return world, {"strain_percent": 100 * soft.strain, "stiffness_fraction": soft.fraction}

@@ -106,7 +106,7 @@ class System:
         return x[a : a + n], x[a + n : self.start[i + 1]]
 
     def with_tubes(self, tubes: Sequence[Tube]) -> System:
-        """The same system with tubes of other material and precurvature, but the same lengths and joints."""
+        """This system with tubes of other material and precurvature, and unchanged lengths and joints."""
         other = copy(self)
         other.tubes, other.rods = tubes, [rod.of(tube) for rod, tube in zip(self.rods, tubes, strict=True)]
         return other
@@ -250,7 +250,7 @@ class System:
 
 
 def corner(phi: Sequence[float]) -> FrictionState:
-    """The same share of the Coulomb limit at every station of a pair: +-1 loaded by rotation, 0 released."""
+    """One share of the Coulomb limit at all stations of a pair: +-1 loaded by rotation, 0 released."""
 
     def state_of(system: System, state: State, k: int) -> tuple[Array, Array | None]:
         return np.full(len(system.contacts[k].s), float(phi[k])), None

@@ -54,7 +54,7 @@ class SlipHistory:
         return self.phi[k] + turned / self.breakaway_m, self.psi[k] + travel / self.breakaway_m
 
     def scaled(self, share: float) -> FrictionState:
-        """As with so much of the friction coefficients."""
+        """This friction with `share` of its coefficients."""
 
         def state_of(system: System, state: State, k: int) -> tuple[Array, Array]:
             phi, slope = self(system, state, k)
@@ -71,7 +71,7 @@ class SlipHistory:
         return SlipHistory(phi, slips, psi, system.l_b, self.breakaway_m)
 
     def moved(self, system: System) -> SlipHistory:
-        """The same at the stations of another mesh, by their order."""
+        """This friction at the stations of another mesh, by their order."""
 
         def there(values: list[Array]) -> list[Array]:
             return [

@@ -95,7 +95,7 @@ class Rod:
         self.guided = np.zeros(len(self.h), dtype=bool)
 
     def of(self, tube: Tube) -> Rod:
-        """The same mesh for another tube of the same sections' lengths."""
+        """This mesh for another tube with sections of equal lengths."""
         other = copy(self)
         other.tube, other.v = tube, tube.precurvature(self.middle - self.l_b)
         return other

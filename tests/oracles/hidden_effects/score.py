@@ -106,7 +106,7 @@ class Trial:
 
     @property
     def unknown_probability(self) -> list[tuple[float, bool]]:
-        """That something acts which the catalogue lacks, and whether it does."""
+        """Probability that something acts which the catalogue lacks, and whether it does."""
         posterior = (self.found or {}).get("posterior")
         return [(posterior["unknown"], self.has_unknown)] if posterior else []
 

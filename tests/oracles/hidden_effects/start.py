@@ -77,7 +77,7 @@ def _mean_curvature(rods: Sequence[Rod], angles: Sequence[Array], scale: float, 
 def _energy_derivatives(
     rods: Sequence[Rod], angles: Sequence[Array], scale: float, n_links: int
 ) -> tuple[Array, Array]:
-    """Of the energy at the best common curvature, with respect to all angles but those at the collars."""
+    """Derivatives of the energy at the best common curvature by all angles but those at the collars."""
     sizes = [rod.n_twist - 1 for rod in rods]
     starts = np.concatenate([[0], np.cumsum(sizes)])
     gradient, hessian = np.zeros(starts[-1]), np.zeros((starts[-1], starts[-1]))

@@ -120,7 +120,7 @@ def _newton(problem: Problem, u: Array, lam: Array, unit: Array, smoothing: floa
 
 
 def _with_friction(problem: Problem, share: float) -> Problem:
-    """The same problem with `share` of its friction."""
+    """This problem with `share` of its friction."""
     copy = object.__new__(Problem)
     copy.__dict__.update(problem.__dict__)
     copy.contacts = replace(problem.contacts, eta_mu=share * problem.contacts.eta_mu)
