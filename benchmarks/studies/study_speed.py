@@ -87,7 +87,7 @@ def loop_of_bounds(study: Study) -> float:
 
 
 def loop_of_plans(study: Study) -> float:
-    """Seconds of a plain loop over the study's plans."""
+    """Processor time [s] of a plain loop over the study's plans."""
     scenario = ctrplan.load_scenario(SCENARIO, ["planner.time_s=0.5"])
     begun = time.process_time()
     with one_core():
