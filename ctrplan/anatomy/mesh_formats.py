@@ -324,7 +324,7 @@ class _LegacyVtk:
         return ""
 
     def numbers(self, count: int, kind: str) -> NDArray[np.generic]:
-        """So many numbers of a type that the file names."""
+        """The next `count` numbers, of a type that the file names."""
         dtype = np.dtype(">" + NUMBERS[kind.lower()])
         if self.binary:
             values = np.frombuffer(self.data, dtype, count, self.at)

@@ -238,7 +238,7 @@ class Phases(PartShape):
 
     @property
     def name(self) -> str:
-        """Those of the phases."""
+        """Names of the phases' anatomies."""
         return ", ".join(shape.name for shape in self.shapes)
 
     def content(self) -> Sequence[ArrayLike]:
@@ -252,7 +252,7 @@ class Phases(PartShape):
 
     @property
     def notes(self) -> tuple[str, ...]:  # type: ignore[override]
-        """Those of the phases, and whether the margin is what a straight way between phases would need."""
+        """Notes of the phases, and whether the margin is what a straight way between phases would need."""
         own = tuple(f"{shape.name} {note}" for shape in self.shapes for note in shape.notes)
         half_mm, given_mm = self.apart_m() / 2 * MM_PER_M, self.motion_margin_m * MM_PER_M
         if half_mm <= given_mm:

@@ -43,7 +43,7 @@ def is_strained(fit: Fit) -> bool:
 
 
 def strained(fit: Fit, names: Collection[str]) -> list[str]:
-    """Those of some terms whose parameters are where they should not be: they may stand for something else."""
+    """Terms whose parameters are where they should not be: they may stand for something else."""
     owners = {symptom.owner for symptom in symptoms(fit)}
     return [name for name in names if name in owners]
 

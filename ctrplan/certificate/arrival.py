@@ -87,7 +87,7 @@ class ArrivalCauses:
 
     @property
     def total_m(self) -> float:
-        """Their sum."""
+        """Sum of all causes [m]."""
         return float(sum(getattr(self, entry.name) for entry in fields(self)))
 
 

@@ -121,7 +121,7 @@ class Cell:
         return tuple((low + unit * (high - low)).tolist())
 
     def halves(self, axes: Collection[int] | None = None) -> list[Cell]:
-        """Its 2^P parts, or 2 for each of some axes together."""
+        """The 2^P parts of the cell, or two halves along each of some axes."""
         ends = list(zip(self.low, self.middle, self.high, strict=True))
         whole = range(len(ends)) if axes is None else axes
         parts = itertools.product(*(((a, m), (m, b)) if k in whole else ((a, b),) for k, (a, m, b) in enumerate(ends)))

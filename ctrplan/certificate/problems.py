@@ -133,7 +133,7 @@ def problems_of_walk(scenario: Scenario, space: JointSpace, corners: Array, piec
 def problems_of_limits(
     scenario: Scenario, pieces: Sequence[Piece], samples: CertificateSamples, bounds: Callable[[], StatedBounds]
 ) -> list[str]:
-    """Which of the scenario's limits the samples of the pieces break; `bounds` are asked for where one is on them."""
+    """Sentences on limits of the scenario that the samples break; `bounds` are computed where a limit is on them."""
     limits = path_limits(scenario)
     shares = _shares_of_clearance(scenario, pieces, limits)
     softer = _taken(samples.parameter_stability, int(np.argmin(samples.stability)))

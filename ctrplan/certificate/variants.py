@@ -137,7 +137,7 @@ class Variants:
         return theta_b, nested(robot, l_b)
 
     def configuration(self, point: Point, joints: Array, accuracy: Accuracy) -> FrictionStates:
-        """Its configuration at joints (m,). Raises what the mechanics do."""
+        """Friction states of the variant at joints (m,). Raises the errors of the mechanics."""
         theta_b, l_b = self.collars(point, joints[None])
         return self.robot(point).mechanics.friction_states(theta_b[0], l_b[0], accuracy=accuracy)
 

@@ -121,7 +121,7 @@ class Piece:
 
     @property
     def scenario(self) -> Scenario:
-        """Whose robot it is."""
+        """The scenario whose robot walks the piece."""
         return self.variants.scenario
 
     def shapes(self, sample: int) -> CornerShapes:

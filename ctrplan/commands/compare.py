@@ -88,7 +88,7 @@ def compared(first: WrittenPlan, second: WrittenPlan) -> list[tuple[str, float |
 
 
 def _heads(first: WrittenPlan, second: WrittenPlan, names: tuple[str, str]) -> list[str]:
-    """Which plans they are, and whether they are of one robot and one scenario."""
+    """Lines that name the plans and say whether robot and scenario are the same."""
     lines = [
         f"{letter}: {name} ({p.scenario.name})" for letter, name, p in zip("AB", names, (first, second), strict=True)
     ]

@@ -98,7 +98,7 @@ class Effect(ABC):
         return [{}]
 
     def shared(self, names: Sequence[str]) -> Sequence[str]:
-        """Those of the parameters by which other causes act as well: what they explain alone names nothing."""
+        """Names of the parameters by which other causes act as well: what these explain alone names nothing."""
         return []
 
     def delay_s(self, values: Values) -> float:

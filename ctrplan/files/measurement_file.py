@@ -36,7 +36,7 @@ class MarkerColumns:
 
 
 def marker_columns(table: CsvTable, robot: Robot, *, is_registered: bool) -> list[MarkerColumns]:
-    """Those markers that the table has two or three columns of. Raises InputError for one column, and half a row."""
+    """Markers with two or three columns in the table. Raises InputError for a single column, and for half a row."""
     results = []
     for number, marker in enumerate(robot.markers, start=1):
         there = [name in table.header for name in marker.columns]

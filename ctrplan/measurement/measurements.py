@@ -191,7 +191,7 @@ class Measurements:
         return np.asarray(np.argsort(np.argsort(first))[number.ravel()])  # in the order of appearance
 
     def subset(self, poses: NDArray[np.int_] | NDArray[np.bool_]) -> Measurements:
-        """These waypoints with some of the poses only, given by their numbers or a mask (K,)."""
+        """The waypoints with some of the poses only, given by their numbers or a mask (K,)."""
         there = [name for name in ("marker", "noise_ratio") if getattr(self, name) is not None]
         return replace(self, **{name: getattr(self, name)[poses] for name in ("rows", "position_m", "tangent", *there)})
 

@@ -114,7 +114,7 @@ class Equilibria:
 
     @property
     def stable(self) -> tuple[Equilibrium, ...]:
-        """Those in which the robot can stay."""
+        """Stable equilibria, in which the robot can stay."""
         return tuple(equilibrium for equilibrium in self.each if equilibrium.is_stable)
 
     def headline(self) -> str:

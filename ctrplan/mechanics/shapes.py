@@ -108,7 +108,7 @@ class Shape:
     equilibrium: _model.Equilibrium | None = field(default=None, repr=False)  # what the core kept of the solution
 
     def headline(self) -> str:
-        """Its tip and status, as it shows itself."""
+        """Tip and status of the shape, shown where it is printed."""
         tip = ", ".join(f"{x:.4g}" for x in (self.tip_m * 1e3).tolist())
         return f"tip at ({tip}) mm, {Status(self.status).name}"
 
@@ -232,7 +232,7 @@ class Gradient:
         return Gradient(*(np.full_like(getattr(self, each.name), np.nan) for each in fields(self)))
 
     def scattered(self, kept: NDArray[np.bool_]) -> Gradient:
-        """Its K rows where `kept` (L,) is true, and NaN in all others."""
+        """The gradient's K rows where `kept` (L,) is true, and NaN in all others."""
         columns = []
         for each in fields(self):
             values = getattr(self, each.name)

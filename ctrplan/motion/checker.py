@@ -417,7 +417,7 @@ def search_limits(scenario: Scenario, reserve_m: float = SEARCH_ROOM_M) -> PathL
 
 
 def breach(samples: PathSamples, limits: PathLimits) -> str:
-    """Which limit the last sample breaks, in words; empty if none."""
+    """The limit that the last sample breaks, in words; empty if none."""
     if samples.status[-1] == Status.FAILED:
         return "the mechanics solver failed"
     if samples.status[-1] == Status.UNSTABLE:

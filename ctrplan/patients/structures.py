@@ -228,7 +228,7 @@ def _is_known(path: Path) -> bool:
 
 
 def _of_image(path: Path, *, is_named: bool) -> tuple[list[Structure], str]:
-    """Its structures; and why it was not looked at, if that is so. Raises InputError for one that is damaged."""
+    """Structures of an image, and why it was not looked at, if so. Raises InputError for a damaged one."""
     try:
         return of_image(path), ""
     except ImageRefusal as refusal:

@@ -135,7 +135,7 @@ class Work:
         return self.folder / name
 
     def scenario(self, name: str) -> Scenario:
-        """That of a file of the case, which is read once; files that it names may lie anywhere."""
+        """The scenario of a file of the case, which is read once; files that it names may lie anywhere."""
         digest = digest_of(self.file(name))
         if digest not in self.read:
             self.read[digest] = load_scenario(self.file(name), allow_outside=True)

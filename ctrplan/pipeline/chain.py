@@ -191,7 +191,7 @@ def acting_in_file(robot: Robot) -> tuple[Acting, ...]:
 def taken_along(
     tables: Mapping[str, Mapping[str, Any]], robot: Robot, named: Mapping[str, float]
 ) -> dict[str, dict[str, Any]]:
-    """Those of a file's [effects.*] that take the place of numbers which change to `named`, with the new values.
+    """Tables of [effects.*] that take the place of numbers which change to `named`, with the new values.
 
     Their intervals go: they were of the values before.
     """

@@ -283,7 +283,7 @@ def follow_line(checker: MotionChecker, start: Array, goal: Goal) -> tuple[Array
 
 
 def line_beginnings(checker: MotionChecker, goals: list[GoalState], line: Goal) -> list[GoalState]:
-    """Those goals from which the line can be followed, at most MOST_BEGINNINGS; NoAnswerError without any."""
+    """Goals from which the line can be followed, at most MOST_BEGINNINGS. Raises NoAnswerError without any."""
     kept, why = [], ""
     onward = MotionChecker(replace(checker.scenario, goal=line))
     for goal in goals:

@@ -62,7 +62,7 @@ class InverseKinematics:
 
     @property
     def valid(self) -> tuple[Configuration, ...]:
-        """Those that keep all limits and margins."""
+        """Configurations that keep all limits and margins."""
         return tuple(c for c in self.configurations if c.valid)
 
     @property

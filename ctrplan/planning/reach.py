@@ -254,7 +254,7 @@ def _starts(solver: TipSolver, target: TipTarget, rng: np.random.Generator, coun
 
 
 def _by_room(checker: MotionChecker, q: Array, rows: NDArray[np.int_], least_m: float) -> NDArray[np.int_]:
-    """Those rows of q (K, m) whose zero-clearance shapes keep `least_m` to the anatomy, or all if none does.
+    """Rows of q (K, m) whose zero-clearance shapes keep `least_m` to the anatomy, or all if none does.
 
     Most room first; none counts as more than ROOM_ENOUGH_M.
     """
@@ -269,7 +269,7 @@ def _by_room(checker: MotionChecker, q: Array, rows: NDArray[np.int_], least_m: 
 def distinct_rows(
     checker: MotionChecker, q: Array, order: NDArray[np.int_], most: int | None = None
 ) -> NDArray[np.int_]:
-    """Those of `order` that are not within DISTINCT_MM of one before them, `most` of them at most."""
+    """Members of `order` that are not within DISTINCT_MM of one before them, at most `most`."""
     kept: list[int] = []
     while len(order) and len(kept) != most:
         kept.append(int(order[0]))

@@ -195,7 +195,7 @@ class Plan(PlannedMotion):
         return content_sha256((self.scenario, self.waypoints, self.trajectory.time_s, self.trajectory.position))
 
     def headline(self) -> str:
-        """Its scenario, length and duration, as it shows itself."""
+        """The scenario, length and duration of the plan, shown where it is printed."""
         legs = f"{len(self.legs)} leg{'s' if len(self.legs) != 1 else ''}"
         valid = "" if self.certificate.valid else ", not certified"
         return f"{self.scenario.name}, {legs} in {self.trajectory.duration_s:.3g} s{valid}"

@@ -108,7 +108,7 @@ def _moves(plan: Plan, leg: Leg) -> Iterator[str]:
 
 
 def _leg_remarks(plan: Plan, number: int) -> Iterator[str]:
-    """Which pairs forget their friction on a leg, from 1, and whether an interrupted run begins there again."""
+    """Remarks on pairs, from 1, that forget their friction on a leg, and on runs that may begin there again."""
     arrival = plan.certificate.arrival
     if arrival is None:
         return

@@ -172,7 +172,7 @@ DIRECTIONS = 96  # in which outermost points are sought, a few degrees apart
 
 
 def _outermost_mm(points_m: Array) -> list[list[float]]:
-    """Those of points (K, 3) that lie farthest in some direction: what a view of all of them has to hold."""
+    """Points among (K, 3) that lie farthest in some direction, which a view of all has to hold."""
     k = np.arange(DIRECTIONS) + 0.5
     height, turn = 1 - 2 * k / DIRECTIONS, np.pi * (1 + np.sqrt(5)) * k
     around = np.sqrt(1 - height**2)

@@ -195,7 +195,7 @@ class Robot:
         return Mechanics(self.tubes, self.clearance_m, self.friction[:, 1], self.loads)
 
     def headline(self) -> str:
-        """Its name and size, as it shows itself."""
+        """Name and size of the robot, shown where it is printed."""
         longest = max(tube.length_m for tube in self.tubes) * 1e3
         return f"{self.name}, {self.n} tube{'s' if self.n > 1 else ''} up to {longest:.4g} mm long"
 

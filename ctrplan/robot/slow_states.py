@@ -71,7 +71,7 @@ class Followable(HasNumbers, Protocol):
 
     @property
     def mechanics(self) -> Mechanics:
-        """Its compiled model."""
+        """The compiled model of the robot."""
 
 
 def values_of_slow(robot: Followable, slow: Sequence[SlowParameter]) -> dict[SlowParameter, float]:

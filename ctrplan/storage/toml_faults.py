@@ -85,7 +85,7 @@ def first_fault(content: Any, schema: type[msgspec.Struct]) -> Fault | None:
 
 
 def rule_of_options(options: Sequence[str], key: str = "", value: Any = None) -> str:
-    """That a value must be one of some, what they mean where the key tells, and the one that was most likely meant."""
+    """A rule that lists the options of a value, what they mean where known, and the one most likely meant."""
     meanings = MEANINGS.get(key, {})
     shown = ", ".join(f"{option} ({meanings[option]})" if option in meanings else option for option in options)
     said = str(value).lower() if isinstance(value, (str, bool)) else ""

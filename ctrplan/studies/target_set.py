@@ -171,7 +171,7 @@ def target_checker(scenario: Scenario) -> MotionChecker:
 
 
 def reachable(scenario: Scenario, goals: Sequence[Goal], seed: int) -> list[bool]:
-    """Which goals have a zero-clearance tip somewhere near, whatever collides: a cheap bound on what is reached."""
+    """Whether each goal has a zero-clearance tip near it, whatever collides: a cheap bound on what is reached."""
     checker = target_checker(scenario)
     solver = TipSolver(checker.space, checker.mechanics)
     tips = solver.tips(checker.space.sample(np.random.default_rng(seed), SAMPLES))[0]
@@ -289,7 +289,7 @@ class SetValue:
 
     @property
     def reached(self) -> list[TargetValue]:
-        """Those that are."""
+        """Targets that are reached."""
         return [target for target in self.targets if target is not None]
 
     @property

@@ -97,7 +97,7 @@ class UncertainParameters:
         return _changed(self.robot, dict(zip(self.names, values, strict=True)))
 
     def widened(self, factor: Array | float) -> UncertainParameters:
-        """These parameters with intervals `factor` times as wide."""
+        """The parameters with intervals `factor` times as wide."""
         low, high = (self.value + factor * (end - self.value) for end in (self.low, self.high))
         return replace(self, low=low, high=high)
 

@@ -314,7 +314,7 @@ class Draws:
         return cls(offset, shift, turn, unexplained, model_error_m)
 
     def elsewhere(self, number: int, seed: int = SEED) -> Draws:
-        """These robots and bases at another pose, whose unexplained error is another one."""
+        """The drawn robots and bases at another pose, where the unexplained error is drawn anew."""
         rng = np.random.default_rng((seed, number))
         error = self.model_error_m / CHI95 * rng.standard_normal(self.unexplained_m.shape)
         return replace(self, unexplained_m=error)

@@ -219,7 +219,7 @@ class Target:
 
     @property
     def kind(self) -> TargetKind:
-        """Its kind."""
+        """The kind of quantity that the term adds to."""
         return KINDS[self.kind_name]
 
     @property

@@ -46,7 +46,7 @@ class Learned(Effect):
 
     @property
     def inputs(self) -> dict[str, bool]:
-        """Its inputs, and whether each is only asked for modulo whole turns."""
+        """Inputs of the term, and whether each counts modulo whole turns."""
         results: dict[str, bool] = {}
         for _, one in self.parts.values():
             for name, periodic in parts.inputs(one).items():
@@ -57,7 +57,7 @@ class Learned(Effect):
         return self.parameters_of()
 
     def parameters_of(self) -> tuple[Parameter, ...]:
-        """Its own, whatever the robot."""
+        """Parameters of the term, whatever the robot."""
         kind = self.target.kind
         return tuple(Parameter(n, kind.prior, lower=-kind.most, upper=kind.most, si=kind.si) for n in self.parts)
 

@@ -90,7 +90,7 @@ class Polish:
         return True
 
     def _levels(self) -> list[Level]:
-        """Those that may move, in their order: the goal's last, which are one."""
+        """Levels that may move, in order; those of the goal come last and are one."""
         levels, ends, count = list[Level](), np.zeros(self.corners.shape[1], dtype=bool), len(self.corners)
         begins = count
         for kind in (self.space.drive.is_rotation, ~self.space.drive.is_rotation):

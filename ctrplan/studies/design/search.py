@@ -87,7 +87,7 @@ class Descent:
 def descend(
     space: DesignSpace, best: Sequence[EvaluatedDesign], steps: int, objectives: Sequence[str], look: Look
 ) -> list[EvaluatedDesign]:
-    """So many steps from each design, all of them together; where each ends."""
+    """Designs that `steps` steps from each of the best ones lead to, evaluated together."""
     objective = judged(objectives)
     descents = [Descent(looked) for looked in best]
     for _ in range(steps):
@@ -167,7 +167,7 @@ class Sampler:
         self.space = {name: optuna.distributions.FloatDistribution(0.0, 1.0) for name in self.names}
 
     def ask(self, count: int) -> list[tuple[Any, tuple[float, ...]]]:
-        """So many trials, each with its shares."""
+        """The next `count` trials, each with its shares."""
         results = []
         for _ in range(count):
             with warnings.catch_warnings():

@@ -210,7 +210,7 @@ class StockChoice:
         return self.made.least_clearance_mm + off_mm <= clearance_mm + 1e-12 <= self.made.most_clearance_mm + 2e-12
 
     def _fitting(self, outer: StockEntry | None, count: int) -> list[StockEntry]:
-        """Those that go into `outer` and leave room for count - 1 more."""
+        """Entries of the stock that go into `outer` and leave room for count - 1 more."""
         return [one for one in self.stock if (outer is None or self.fits(outer, one)) and self._depth(one) >= count]
 
     def _depth(self, outer: StockEntry) -> int:

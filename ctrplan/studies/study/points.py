@@ -121,7 +121,7 @@ def _on_surface(surface: Surface, targets: TargetsEntry) -> Array:
 
 
 def _apart(points: Array, step_m: float) -> Array:
-    """Those that are not within a step of one before them."""
+    """Points that are not within a step of one before them."""
     near = cKDTree(points)
     kept = np.ones(len(points), dtype=bool)
     for k in range(len(points)):

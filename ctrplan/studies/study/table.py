@@ -209,7 +209,7 @@ def extremes(rows: Sequence[dict[str, Any]], column: str) -> list[int]:
 
 
 def extreme_tasks(study: StudyDefinition, tasks: Sequence[Task], store: Store, files: Sequence[str]) -> list[Task]:
-    """Those of the best and the worst row whose plans are not there yet. Raises InputError for an unknown column."""
+    """Tasks of the best and the worst row whose plans are missing. Raises InputError for an unknown column."""
     column = judged_by(study)
     done = [task for task in tasks if (key := bytes.fromhex(task.key)) in store.offsets and key not in store.failed]
     rows = [_numbers(store, task) for task in done]
