@@ -21,12 +21,11 @@ from ctrplan.calibration.estimates import Errors, distances, summary
 from ctrplan.calibration.fit_warnings import excused, gross_outliers, too_many
 from ctrplan.calibration.least_squares import Fit, fit
 from ctrplan.calibration.residuals import Noise, residuals, robust_square
-from ctrplan.diagnosis.block_evidence import summed
 from ctrplan.diagnosis.correlated_bench import FRAMES, fixed, frames
 from ctrplan.diagnosis.cross_validation import steps_without
 from ctrplan.diagnosis.result import Diagnosis
 from ctrplan.diagnosis.usable_poses import blocks, usable_poses
-from ctrplan.diagnosis.workbench import CERTAIN, SURE, certainty, linear, values_by_name
+from ctrplan.diagnosis.workbench import CERTAIN, SURE, certainty, linear, summed, values_by_name
 from ctrplan.errors import InputError
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.pipeline.followed_runs import friction_correction

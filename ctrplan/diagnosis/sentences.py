@@ -11,7 +11,7 @@ from ctrplan.calibration.least_squares import Fit
 from ctrplan.diagnosis.correlated_bench import FRAME
 from ctrplan.diagnosis.gap import LARGEST_REST, times_noise
 from ctrplan.diagnosis.result import Diagnosis
-from ctrplan.diagnosis.smooth_evidence import IN_WORDS
+from ctrplan.diagnosis.unknown_errors import IN_WORDS
 from ctrplan.diagnosis.verdict import Posterior, shown
 from ctrplan.effects.drive.homing_shift import HomingShift
 from ctrplan.measurement.measurements import MOST_ROWS

@@ -1,9 +1,10 @@
-"""Evidence beside a smooth error: the density of all poses, whatever is integrated out how; and names that have it."""
+"""What acts beside a built term and a smooth error has a probability of its own, and a smooth error has no name."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cache
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,14 +14,13 @@ from scipy.stats import multivariate_normal
 from ctrplan.base.arrays import Array
 from ctrplan.calibration.discrepancy import SIZES, Linearised, Spectrum, block_of, shared
 from ctrplan.calibration.residuals import Noise
-from ctrplan.diagnosis import CATALOGUE, smooth_evidence
-from ctrplan.diagnosis import partial_diagnosis as rules
+from ctrplan.diagnosis import CATALOGUE, partial_diagnosis
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
-from ctrplan.diagnosis.partial_search import PartialSelector
-from ctrplan.diagnosis.smooth_evidence import Gain, SmoothEvidence
+from ctrplan.diagnosis.posterior import Compared, compared
 from ctrplan.diagnosis.term_search import built_term
+from ctrplan.diagnosis.unknown_errors import Peak
 from ctrplan.diagnosis.usable_poses import block_split, blocks
-from ctrplan.diagnosis.verdict import Finding
+from ctrplan.diagnosis.verdict import Posterior, normalised, standing_for
 from ctrplan.diagnosis.workbench import candidates
 from ctrplan.effects.learned.inputs import InputRange, Target
 from ctrplan.measurement.measurements import Measurements
@@ -55,70 +55,53 @@ def smooth_field() -> Array:
 FIELD_M = smooth_field()
 
 
-@cache
-def told(which: str, smooth_mm: float = 0.3) -> tuple[Finding, ...]:
-    """Named beside the ripple's term."""
-    return named_in(rippled({"offset": OFFSET, "frame": FRAME, "nothing": {}}[which], smooth_mm))
-
-
-def named_in(data: Measurements) -> tuple[Finding, ...]:
-    selector = selector_of(data)
-    return rules.effects_beside_built_term(selector, selector.bench.scored([RIPPLE])).findings
-
-
-def selector_of(data: Measurements) -> PartialSelector:
+def told_of(data: Measurements, *beside: object) -> Compared:
+    """The most probable sets from a ripple's term on, or from nothing."""
     block = blocks(data, 0.0)
     parts = block_split(data, np.ones(data.count, bool), block)
     chosen = parts.selection
     bench = CorrelatedBench(ROBOT, data.subset(chosen), Noise(SIGMA_M, SIGMA_RAD), block[chosen], parts.fold)
-    return PartialSelector(bench, candidates(ROBOT, data, QUICK), lambda _: None)
+    known = partial_diagnosis.testable_beside(candidates(ROBOT, data, QUICK), bench)
+    return compared(bench, bench.corrected(bench.scored(beside)), known, search=True)  # type: ignore[arg-type]
 
 
 def test_what_acts_beside_a_term_and_a_smooth_error_is_named() -> None:
-    (one,) = told("offset")
-    assert one.term.name == "sensor_offset" and len(one.alternatives) <= 3
+    told = told_of(rippled(OFFSET, 0.3), RIPPLE).posterior
+    assert told.of_effect("sensor_offset") > 0.99 and told.of_unknown > 0.99
+    assert told.of_effect("joint_scale", "tip_load") < 0.5
 
 
-def test_a_smooth_error_beside_a_term_has_no_name() -> None:
-    assert not told("nothing") and not told("nothing", 1.5)
+@pytest.mark.parametrize("smooth_mm", [0.3, 1.5])
+def test_a_smooth_error_beside_a_term_has_no_name(smooth_mm: float) -> None:
+    told = told_of(rippled({}, smooth_mm), RIPPLE).posterior
+    assert not [name for name in QUICK if told.of_effect(name) > 0.5]
 
 
-def test_a_frame_is_named_where_it_moves_more_than_all_that_is_left() -> None:
-    assert [one.term.name for one in told("frame", 0.3)] == ["base_misalignment"]
+def test_a_frame_that_is_displaced_is_more_probable_than_a_smooth_error_in_its_place() -> None:
+    assert told_of(rippled(FRAME, 0.3), RIPPLE).posterior.of_effect("base_misalignment") > 0.9
 
 
-@pytest.mark.parametrize(("own", "rival", "named"), [(40.0, 20.0, True), (40.0, 38.0, True), (20.0, 40.0, False)])
-def test_a_frame_gains_what_the_set_without_it_lacks(
-    own: float, rival: float, named: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Compared with the set that has it a frame would gain nothing, and every rival would do better."""
-    selector = selector_of(rippled(FRAME, 0.3))
-    settled = selector.bench.scored([RIPPLE])
-    (offset,) = (t for t in selector.candidates.terms if t.name == "tip_load")
-    monkeypatch.setattr(SmoothEvidence, "highest", lambda self, without="": 100.0 - own * (without == rules.FRAME))
-    monkeypatch.setattr(SmoothEvidence, "moved", lambda self, name: 1.0)
-    monkeypatch.setattr(SmoothEvidence, "gains", lambda self, variants, without="": [Gain(offset, rival)])
-    found = rules._frame(selector, settled, 100.0)
-    assert bool(found) == named
-    if named:
-        ((_, rivals),) = found.values()
-        assert bool(rivals) == (rival > own - smooth_evidence.EQUAL)
+def test_look_alikes_are_told_together_and_what_anything_stands_for_is_not() -> None:
+    a, b, c = (frozenset({name}) for name in "abc")
+    told = normalised({a: (0.0, -99.0), b: (-0.5, -99.0), c: (-9.0, -99.0), frozenset(): (-99.0, -99.0)})
+    assert standing_for(told, "a") == ["b"] and standing_for(told, "c") is None
+    certain = normalised({a: (0.0, -99.0), frozenset(): (-99.0, -99.0)})
+    assert standing_for(certain, "a") == []
+    many: Posterior = normalised({frozenset({name}): (0.01 * (name == "a"), -99.0) for name in "abcdefgh"})
+    assert standing_for(many, "a") is None
 
 
-def test_what_was_listed_as_or_is_not_listed_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(smooth_evidence, "EQUAL", 1e9)
-    (one,) = named_in(rippled({**OFFSET, "joint_scale": {"theta_2": 0.1}}, 0.3))
-    assert {one.term.name, *(a.term.name for a in one.alternatives)} >= {"sensor_offset", "joint_scale"}
-
-
-@pytest.mark.parametrize(("which", "smooth_mm", "name"), [("offset", 0.3, "sensor_offset"), ("nothing", 1.5, None)])
-def test_an_effect_may_be_likely_beside_a_smooth_error_alone(which: str, smooth_mm: float, name: str | None) -> None:
-    """A smooth error has none; gears that ripple are no smooth error, and an effect may be likely by mistake."""
-    values = {"offset": OFFSET, "nothing": {}}[which]
-    plain = replace(measured(ROBOT, PLAN, values), theta_commanded=PLAN.theta_commanded)
-    data = replace(plain, position_m=plain.position_m + smooth_mm * FIELD_M)
-    likely = rules.most_probable_alone(selector_of(data))
-    assert (likely and likely.names) == (name and (name,))
+def test_a_process_in_the_covariance_is_the_same_as_one_among_the_parameters() -> None:
+    rng = np.random.default_rng(1)
+    r, J, precision, whole = small()
+    modes = rng.standard_normal((r.size, 4))
+    error: Any
+    error = SimpleNamespace(spectrum=lambda fit: Spectrum.at(fit, (block_of(np.arange(6), np.zeros((6, 6))),)))
+    plain = Peak(error, 0.0, 0.0, modes).evidence(whole) - Peak(error, 0.0, 0.0).evidence(whole)
+    flat = J.reshape(-1, J.shape[2])
+    covariance = np.eye(r.size) + flat @ np.diag(1 / precision) @ flat.T
+    densities = [multivariate_normal.logpdf(r.ravel(), cov=C) for C in (covariance + modes @ modes.T, covariance)]
+    assert plain == pytest.approx(densities[0] - densities[1], abs=1e-9)
 
 
 def test_evidence_is_the_density_of_the_measurements() -> None:
@@ -142,21 +125,6 @@ def test_some_parameters_of_a_spectrum_are_a_spectrum_of_their_own() -> None:
     block = (block_of(np.arange(6), shared(6, 0.8)),)
     alone = Spectrum.at(Linearised(whole.r, J[:, :, [1]], precision[[1]]), block)
     assert Spectrum.at(whole, block).of([1]).highest() == pytest.approx(alone.highest(), rel=1e-12)
-
-
-def test_gains_are_differences_of_evidence_whatever_is_asked_with_them() -> None:
-    data = rippled(OFFSET, 0.7)
-    bench = CorrelatedBench(ROBOT, data, Noise(SIGMA_M, SIGMA_RAD), data.configuration, data.configuration % 6)
-    here, known = bench.corrected(bench.scored([RIPPLE])), candidates(ROBOT, data, QUICK).terms
-    known = tuple(t for t in known if t.name != "base_misalignment")
-    gains = {one.term.key: one.gain for one in SmoothEvidence(bench, here, known).gains(known)}
-    best = max(gains, key=lambda key: gains[key])
-    (alone,) = [t for t in known if t.key == best]
-    (again,) = SmoothEvidence(bench, here, [alone]).gains([alone])
-    assert alone.name == "sensor_offset" and gains[best] == pytest.approx(again.gain, rel=1e-3)
-    plain = SmoothEvidence(bench, here).highest()
-    refitted = SmoothEvidence(bench, bench.corrected(bench.scored([RIPPLE, alone], here.fit))).highest() - plain
-    assert 0.9 * again.gain < refitted < 2 * again.gain  # a fit of its own finds no less than the first order promises
 
 
 def small() -> tuple[Array, Array, Array, Linearised]:
