@@ -10,8 +10,9 @@ searched by this number itself, with one effect more or less than the most proba
 among them, until none is more probable. What is not worth a fit is compared to first order.
 
 Priors of parameters say where to look. How wide they have to be is itself uncertain, or an effect with a wide one would
-lose to another that does the same to the tips: a width w times the stated one is alike in its logarithm from a
-hundredth on, falls off as 1 / w^2 for w > 1, and is integrated out around its most probable value.
+lose to another that does the same to the tips: a width w times the stated one has the density 2 / (pi (1 + w^2)), the
+half-Cauchy prior of scales, and is integrated out around its most probable value, one effect at a time. An effect that
+is a hundredth of what its prior states pays for that once, and not once for each of its parameters.
 
 What something unknown may be, `unknown_errors.py` has.
 """
@@ -25,6 +26,7 @@ from itertools import combinations
 import numpy as np
 from scipy.special import logsumexp
 
+from ctrplan.base.arrays import Array
 from ctrplan.calibration.discrepancy import Linearised
 from ctrplan.calibration.least_squares import Fit
 from ctrplan.calibration.residuals import Noise
@@ -38,7 +40,6 @@ from ctrplan.diagnosis.workbench import Candidates, Scored, Workbench, linear
 from ctrplan.pipeline.term import Term
 
 MOST_EFFECTS = 4  # of a set
-LEAST_WIDTH = 0.01  # of a stated prior: effects smaller than that move no tip by what a tracker sees
 REFITTED = 5  # different effects that are fitted for good beside a set
 MOST_ITERATIONS, SETTLED = 10, 0.1  # of widths, whose logarithm changes no more: a tenth of what they are known to
 ROUNDS = 3  # of a search, each with the friction states and the rest that the set before leaves
@@ -129,6 +130,31 @@ class _Set:
         return prior + float(np.logaddexp(self.alone, self.beside + log_odds(UNKNOWN_ACTS)))
 
 
+@dataclass(frozen=True)
+class Width:
+    """How wide an effect's prior most probably is, and the logarithm of what it costs to choose it."""
+
+    over_stated: float
+    cost: float
+
+    @classmethod
+    def of(cls, square: Array, unknown: Array) -> Width:
+        """From k parameters' expected squares (k,) over the stated variances, and the shares of these that poses leave.
+
+        The k numbers have the density w^-k exp(-S / 2 w^2), S their sum, and log w that of w / (1 + w^2). What the
+        prior alone says of k parameters is no knowledge of w: the curvature counts those that poses determine.
+        """
+        k, total = len(square), float(square.sum())
+        half = (total + 1 - k) / 2
+        variance = (half + np.sqrt(half**2 + (k + 1) * total)) / (k + 1)
+        curvature = 2 * (k - float(unknown.sum())) + 4 * variance / (1 + variance) ** 2
+        density = 2 / np.pi * np.sqrt(variance) / (1 + variance)
+        return cls(float(np.sqrt(variance)), -float(np.log(density * np.sqrt(2 * np.pi / curvature))))
+
+
+STATED = Width(1.0, 0.0)  # of what has no parameters, and of the base's
+
+
 class _Asking:
     """What is the same for all sets of a search: poses, how much each counts, errors, and variants of effects."""
 
@@ -178,7 +204,7 @@ class _Asking:
         of_built = len(built) * self.of_piece
         for gone in self._frames(scored):
             names = frozenset(t.name for t in terms) - gone
-            cost = self._cost(names, widths, owners) + of_built
+            cost = self._cost(names, widths) + of_built
             fit = self._linearised(linear(scored.fit), scored.fit.noise, owners, widths, gone)
             beside, peak = self.errors.evidence(fit)
             alone = -np.inf if built else without_error(fit) - cost
@@ -285,7 +311,7 @@ class _Asking:
             names = mine.names | {t.name for t in added}
             widths = _widths(screened.linear, screened.owners, {*names, *here.names})
             fit = self._linearised(screened.linear, self.bench.noise, screened.owners, widths)
-            cost = self._cost(names, widths, screened.owners) + self.of_piece * sum(map(is_built, here.terms))
+            cost = self._cost(names, widths) + self.of_piece * sum(map(is_built, here.terms))
             alone = -np.inf if np.isneginf(mine.alone) else without_error(fit) - cost
             beside = mine.beside + mine.cost + mine.peak.evidence(fit) - of_peak - cost
             yield added, _Set(names, cost, alone, beside, mine.peak)
@@ -302,7 +328,7 @@ class _Asking:
         """Effects of a fit that the catalogue has, and frames."""
         return [t for t in scored.fit.chain.terms if t.name in self.known.variants or t.name in FRAMES]
 
-    def _of_fit(self, scored: Scored) -> tuple[dict[str, float], tuple[str, ...]]:
+    def _of_fit(self, scored: Scored) -> tuple[dict[str, Width], tuple[str, ...]]:
         """How wide each effect's prior is, and the effect of each parameter."""
         owners = tuple(t.name for t in scored.fit.chain.terms for _ in t.parameters)
         named = {*(t.name for t in self._named(scored)), *scored.names}
@@ -318,50 +344,42 @@ class _Asking:
         fit: Linear,
         noise: Noise,
         owners: Sequence[str],
-        widths: Mapping[str, float],
+        widths: Mapping[str, Width],
         without: Collection[str] = (),
     ) -> Linearised:
         """Residuals at the priors' centres over the noise alone, as poses count; without some effects' parameters."""
         r, J = fit.r, fit.J
         if noise.discrepancy is not None:
             r, J = noise.discrepancy.coloured(r), noise.discrepancy.coloured(J)
-        precision = fit.precision / np.square([widths.get(name, 1.0) for name in owners])
+        precision = fit.precision / np.square([widths.get(name, STATED).over_stated for name in owners])
         kept = [k for k, name in enumerate(owners) if name not in without]
         centred = self.root * (r + J @ fit.offset)
         return Linearised(centred, (self.root[:, :, None] * J)[:, :, kept], precision[kept])
 
-    def _cost(self, names: Iterable[str], widths: Mapping[str, float], owners: Sequence[str]) -> float:
-        """Logarithm of what the choice of one variant of each effect and of its size cost.
-
-        Of k parameters that share a width the evidence is a peak over its logarithm with the spread 1 / sqrt(2 k).
-        """
-        range_of_sizes = 1.0 - np.log(LEAST_WIDTH)
-        cost = 0.0
-        for name in names:
-            spread = np.sqrt(np.pi / max(owners.count(name), 1))
-            size = np.log(range_of_sizes / spread) + np.log(max(widths.get(name, 1.0), 1.0))
-            cost += float(np.log(self.known.variants.get(name, 1)) + size)
-        return cost
+    def _cost(self, names: Iterable[str], widths: Mapping[str, Width]) -> float:
+        """Logarithm of what the choice of one variant of each effect and of its width cost."""
+        variants = (float(np.log(self.known.variants.get(name, 1))) for name in names)
+        return sum(variants) + sum(widths.get(name, STATED).cost for name in names)
 
 
-def _widths(fit: Linear, owners: Sequence[str], named: Collection[str]) -> dict[str, float]:
-    """How wide each effect's prior is most probably, over the stated one: as wide as its parameters are large there.
+def _widths(fit: Linear, owners: Sequence[str], named: Collection[str]) -> dict[str, Width]:
+    """How wide each effect's prior most probably is, its parameters integrated out.
 
-    By expectation and maximisation, which never lowers the evidence.
+    By expectation and maximisation, which never lowers the posterior of the logarithms of the widths.
     """
     H, gradient = fit._system()
     data = H - np.diag(fit.precision)
     target, of = gradient + data @ fit.offset, np.array(owners)
-    places = {name: of == name for name in sorted(named) if name in owners}
-    widths = dict.fromkeys(places, 1.0)
+    places = {name: np.flatnonzero(of == name) for name in sorted(named) if name in owners}
+    widths = dict.fromkeys(places, STATED)
     for _ in range(MOST_ITERATIONS):
-        precision = fit.precision / np.square([widths.get(name, 1.0) for name in owners])
+        precision = fit.precision / np.square([widths.get(name, STATED).over_stated for name in owners])
         scale = 1 / np.sqrt(np.diag(data) + precision)
         covariance = np.linalg.inv((data + np.diag(precision)) * np.outer(scale, scale)) * np.outer(scale, scale)
-        square = ((covariance @ target) ** 2 + np.diag(covariance)) * fit.precision
-        before = widths
-        widths = {name: max(LEAST_WIDTH, float(np.sqrt(square[own].mean()))) for name, own in places.items()}
-        if all(abs(np.log(widths[name] / before[name])) < SETTLED for name in widths):
+        variance = np.diag(covariance)
+        square, unknown = ((covariance @ target) ** 2 + variance) * fit.precision, variance * precision
+        before, widths = widths, {name: Width.of(square[own], unknown[own]) for name, own in places.items()}
+        if all(abs(np.log(widths[name].over_stated / before[name].over_stated)) < SETTLED for name in widths):
             break
     return widths
 

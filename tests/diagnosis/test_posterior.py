@@ -235,8 +235,8 @@ def test_an_instant_that_the_data_chose_shares_its_prior_with_all_others(kind: t
     assert given / (1 - given) == pytest.approx(50 * chosen / (1 - chosen), rel=0.1)
 
 
-def test_an_effect_that_does_the_same_to_tips_as_another_is_as_probable_however_wide_its_prior_is() -> None:
-    """A base that is turned a little beside the weight of the tubes, whose priors have units that do not compare."""
+def test_an_effect_far_below_its_prior_pays_for_that_once_and_not_for_each_parameter() -> None:
+    """A base that is displaced a little beside loads, whose priors have units that do not compare."""
     data = measured(ROBOT, waypoints(ROBOT, 16, seed=4), {"base_misalignment": {"shift_x_mm": 0.1, "shift_y_mm": 0.05}})
     few = {name: CATALOGUE[name] for name in ("base_misalignment", "sensor_offset", "tip_load")}
     odds = []
@@ -249,4 +249,4 @@ def test_an_effect_that_does_the_same_to_tips_as_another_is_as_probable_however_
         ]
         told = compared(bench, bench.scored([]), replace(known, terms=tuple(wide)), search=True).posterior
         odds.append(np.log(told.of_effect("base_misalignment") / told.of_effect("sensor_offset", "tip_load")))
-    assert odds[0] == pytest.approx(odds[1], abs=0.5)  # 3 log 4 = 4.2 where widths are as stated
+    assert 0 < odds[1] - odds[0] < np.log(4)  # 3 log 4 = 4.2 where widths are as stated
