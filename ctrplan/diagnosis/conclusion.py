@@ -178,21 +178,21 @@ def _ordinary(
         parts = checked_split(data, usable & ~wrong)
         bench = bench_of(bench.robot, data, parts, bench.noise)
         result = _searched(bench, known, teller)
-    found = result.bench  # what follows is short, and nothing is told without it
+    last = result.bench  # its calibrated robot is fitted by now
     return Conclusion(
-        found,
+        last,
         result.path,
         result.chosen,
-        found.scored([]),
+        last.scored([]),
         result.judgement,
         parts,
         groups(data),
-        found.noise,
-        found.noise.position_m < bench.noise.position_m,
+        last.noise,
+        last.noise.position_m < bench.noise.position_m,
         wrong,
         result.notes,
         result.interrupted,
-        compared=result.told,
+        compared=result.compared,
     )
 
 
@@ -205,11 +205,11 @@ class _Searched:
     judgement: Judgement
     path: tuple[SelectionStep, ...]
     notes: tuple[str, ...]
-    told: Compared | None
+    compared: Compared | None
 
     @property
     def interrupted(self) -> bool:
-        return self.told is None
+        return self.compared is None
 
 
 def _searched(bench: Workbench, known: Candidates, teller: Teller) -> _Searched:
@@ -234,10 +234,10 @@ def _searched(bench: Workbench, known: Candidates, teller: Teller) -> _Searched:
 
 def _most_probable(bench: Workbench, known: Candidates, teller: Teller) -> _Searched:
     bench.pause = teller.pause
-    told, chosen, path = settled(bench, bench.scored([]), known, teller)
-    judgement = judge(bench, chosen, known, told.posterior, told.sets)
+    compared, chosen, path = settled(bench, bench.scored([]), known, teller)
+    judgement = judge(bench, chosen, known, compared.posterior, compared.sets)
     bench.pause = lambda: None
-    return _Searched(bench, chosen, judgement, path, (), told)
+    return _Searched(bench, chosen, judgement, path, (), compared)
 
 
 def _norms(scored: Scored) -> tuple[Array, Array]:

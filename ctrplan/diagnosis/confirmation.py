@@ -124,17 +124,17 @@ def confirm(diagnosis: Diagnosis, data: Measurements) -> Confirmation:
 def _new(diagnosis: Diagnosis, data: Measurements, usable: NDArray[np.bool_]) -> _New:
     """The poses to go by, of `usable` ones (K,), in blocks that last as long as can be where no memory is known."""
     some = np.flatnonzero(usable)
-    asked = data.subset(some[:: max(1, -(-len(some) // MOST_POSES))] if data.is_stream else some)
+    chosen_poses = data.subset(some[:: max(1, -(-len(some) // MOST_POSES))] if data.is_stream else some)
     if (
         data.homing is not None or diagnosis.data.homing is not None
     ):  # no run of these has the zeros of the first one there
-        asked = replace(asked, homing=data.homings + 1)
-    block = blocks(asked, math.inf if diagnosis.memory is None else diagnosis.memory)
+        chosen_poses = replace(chosen_poses, homing=data.homings + 1)
+    block = blocks(chosen_poses, math.inf if diagnosis.memory is None else diagnosis.memory)
     count = len(np.unique(block))
     if count < LEAST_BLOCKS:
         rule = f"has {count} usable blocks of poses, too few to confirm anything: at least {LEAST_BLOCKS}"
         raise InputError(rule, file=data.file)
-    return _New(asked, _noise(diagnosis), block)
+    return _New(chosen_poses, _noise(diagnosis), block)
 
 
 @dataclass(frozen=True, eq=False)

@@ -135,18 +135,18 @@ def most_probable(
 
     What remains is what the catalogue leaves: a built term explains nothing.
     """
-    told, here, path = settled(bench, begun, testable_beside(known, bench), tell)
-    asked = {SHIFT, HOMED, *(t.name for t in known.terms)}  # set-ups and homings are no matter of the catalogue
-    free = [t for t in frames_beside(bench.robot, bench.data, here.terms) if t.name in asked]
+    compared, here, path = settled(bench, begun, testable_beside(known, bench), tell)
+    testable = {SHIFT, HOMED, *(t.name for t in known.terms)}  # set-ups and homings are no matter of the catalogue
+    free = [t for t in frames_beside(bench.robot, bench.data, here.terms) if t.name in testable]
     listed = [*free, *(t for t in here.terms if not is_built(t))]
-    findings = findings_of(bench, here, listed, known, told.posterior, told.sets)
+    findings = findings_of(bench, here, listed, known, compared.posterior, compared.sets)
     beside, named = _by_name(bench, here)
     verdict: Verdict = "partial" if findings else "unexplained"
     others = tuple(a for f in findings for a in f.alternatives)
     judgement = Judgement(verdict, findings, left_by_names(beside, named), others)
     shares = tuple(_part(bench, base, here, f.term) for f in findings)
     rest = remainder_beside(beside, named, bench.plain)
-    return PartialDiagnosis(bench, parts, block, base, here, judgement, shares, rest, path, known, told)
+    return PartialDiagnosis(bench, parts, block, base, here, judgement, shares, rest, path, known, compared)
 
 
 def testable_beside(known: Candidates, bench: CorrelatedBench) -> Candidates:

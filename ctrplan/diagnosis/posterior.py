@@ -76,19 +76,19 @@ def compared(bench: Workbench, chosen: Scored, known: Candidates, search: bool =
     base = bench.scored([])
     less = [bench.scored([t for t in chosen.terms if t is not gone], chosen.fit) for gone in chosen.terms]
     among = [one for one in (base, *bench.visited, *less, chosen) if _is_alike(one.fit, chosen.fit)]
-    asking = _Asking(bench, known, base, chosen)
+    comparison = _Comparison(bench, known, base, chosen)
     for one in among:
-        asking.add(one)
+        comparison.add(one)
     if search:
-        asking.climb()
-        if asking.best is not chosen:  # poses count as they do in the most probable set
-            asking = _Asking(bench, known, base, asking.best, asking.fitted)
-    for here in (base, chosen, asking.best):
-        asking.ask_neighbours(asking.as_known(here))
-    ranked = sorted(asking.fitted, key=asking.weight, reverse=True)
-    gain = asking.weight(ranked[0]) - asking.weight(asking.as_known(chosen))
-    along = asking.errors.along(asking.as_fitted(ranked[0]))
-    return Compared(normalised(asking.by_names(), along), tuple(ranked), gain)
+        comparison.climb()
+        if comparison.best is not chosen:  # poses count as they do in the most probable set
+            comparison = _Comparison(bench, known, base, comparison.best, comparison.fitted)
+    for here in (base, chosen, comparison.best):
+        comparison.compare_neighbours(comparison.as_known(here))
+    ranked = sorted(comparison.fitted, key=comparison.weight, reverse=True)
+    gain = comparison.weight(ranked[0]) - comparison.weight(comparison.as_known(chosen))
+    along = comparison.errors.along(comparison.as_fitted(ranked[0]))
+    return Compared(normalised(comparison.by_names(), along), tuple(ranked), gain)
 
 
 def settled(
@@ -98,14 +98,14 @@ def settled(
     path = list[SelectionStep]()
     while True:
         tell("comparing sets of effects beside " + (", ".join(here.names) or "the calibrated robot"))
-        told = compared(bench, here, known, search=True)
-        best, before, here = told.sets[0], {t.key for t in here.terms}, bench.corrected(told.sets[0])
+        result = compared(bench, here, known, search=True)
+        best, before, here = result.sets[0], {t.key for t in here.terms}, bench.corrected(result.sets[0])
         if {t.key for t in best.terms} == before:
-            return told, here, tuple(path)
+            return result, here, tuple(path)
         names = tuple(q.name for t in best.terms for q in t.parameters)
-        path.append(SelectionStep("compare", " and ".join(best.names), names, round(told.gain, 2), bool(names)))
+        path.append(SelectionStep("compare", " and ".join(best.names), names, round(result.gain, 2), bool(names)))
         if here is best or len(path) == ROUNDS:
-            return told, here, tuple(path)
+            return result, here, tuple(path)
 
 
 def _is_alike(fit: Fit, other: Fit) -> bool:
@@ -155,7 +155,7 @@ class Width:
 STATED = Width(1.0, 0.0)  # of what has no parameters, and of the base's
 
 
-class _Asking:
+class _Comparison:
     """What is the same for all sets of a search: poses, how much each counts, errors, and variants of effects."""
 
     def __init__(
@@ -287,7 +287,7 @@ class _Asking:
         worth = [several for several in ranked.values() if several[0][0] > least]
         return sorted(worth, key=lambda several: -several[0][0])[:REFITTED]
 
-    def ask_neighbours(self, here: Scored) -> None:
+    def compare_neighbours(self, here: Scored) -> None:
         """Compares a set with one effect more, to first order."""
         for added, one in self._neighbours(here):
             _note(self._promised, [*self._named(here), *added], one)

@@ -56,15 +56,17 @@ class Judgement:
     notes: tuple[str, ...] = ()
 
 
-def judge(bench: Workbench, chosen: Scored, known: Candidates, told: Posterior, sets: Sequence[Scored]) -> Judgement:
+def judge(
+    bench: Workbench, chosen: Scored, known: Candidates, posterior: Posterior, sets: Sequence[Scored]
+) -> Judgement:
     """The verdict on the most probable of the `sets` that were fitted, before the held-out set is opened."""
     left = remains(bench, chosen)
     if not chosen.terms:
         return Judgement("no_missing_effect" if left.is_adequate else "unexplained", (), left, ())
-    findings = findings_of(bench, chosen, chosen.terms, known, told, sets)
+    findings = findings_of(bench, chosen, chosen.terms, known, posterior, sets)
     compared = tuple(a for f in findings for a in f.alternatives)
-    if told.of_unknown > 1 / 2:
-        note = f"Something unknown acts beside {' and '.join(chosen.names)}, {shown(told.of_unknown)}."
+    if posterior.of_unknown > 1 / 2:
+        note = f"Something unknown acts beside {' and '.join(chosen.names)}, {shown(posterior.of_unknown)}."
         return Judgement("unexplained", (), left, compared, (note,))
     if not left.is_adequate or _is_strained(bench, chosen) or len(findings) < len(chosen.terms):
         return Judgement("unexplained", (), left, compared)
@@ -81,7 +83,7 @@ def findings_of(
     chosen: Scored,
     terms: Sequence[Term],
     known: Candidates,
-    told: Posterior,
+    posterior: Posterior,
     sets: Sequence[Scored],
 ) -> tuple[Finding, ...]:
     """Those of some effects that act with the probability of a name, each with what may stand for it.
@@ -92,19 +94,19 @@ def findings_of(
     if chosen.failed.any() and not excused(chosen.failed).any():
         return ()
     for t in terms:
-        if (others := standing_for(told, t.name)) is not None:
+        if (others := standing_for(posterior, t.name)) is not None:
             results.append(Finding(t, tuple(_instead(bench, chosen, t, name, known, sets) for name in others)))
     return tuple(results)
 
 
-def standing_for(told: Posterior, name: str) -> list[str] | None:
+def standing_for(posterior: Posterior, name: str) -> list[str] | None:
     """Effects of which one acts with 0.99 if another does not, the most probable first; None where these are many."""
     group = [name]
-    others = sorted({other for one in told.hypotheses for other in one.names} - {name})
-    if told.of_effect(name) < 1 / 2:
+    others = sorted({other for one in posterior.hypotheses for other in one.names} - {name})
+    if posterior.of_effect(name) < 1 / 2:
         return None
-    while told.of_effect(*group) < NAMED:
-        best = max(others, key=lambda other: told.of_effect(*group, other), default=None)
+    while posterior.of_effect(*group) < NAMED:
+        best = max(others, key=lambda other: posterior.of_effect(*group, other), default=None)
         if best is None or len(group) > MOST_RIVALS:
             return None
         group.append(best)

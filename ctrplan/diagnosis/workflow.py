@@ -62,28 +62,29 @@ def opened(answer: Conclusion, data: Measurements) -> Opened:
 
     Names that hold beside it stay. An effect without which tips are nearer there is taken back.
     """
-    asked = _with_or_without_built(answer, data)
-    if harmful := _harmful(asked, data):
+    outcome = _with_or_without_built(answer, data)
+    if harmful := _harmful(outcome, data):
         names = ", ".join(t.name for t in harmful)
         note = f"Found and taken back: {names}, without which tips of the poses kept aside are nearer."
-        asked = _opened(_without(asked.answer, harmful), data)
-        asked = replace(asked, notes=(*asked.notes, note))
-    return replace(asked, framed_gap=_framed(asked.answer, data)) if asked.answer.partly else asked
+        outcome = _opened(_without(outcome.answer, harmful), data)
+        outcome = replace(outcome, notes=(*outcome.notes, note))
+    return replace(outcome, framed_gap=_framed(outcome.answer, data)) if outcome.answer.partly else outcome
 
 
-def _harmful(asked: Opened, data: Measurements) -> list[Term]:
+def _harmful(outcome: Opened, data: Measurements) -> list[Term]:
     """Effects without which poses kept aside are predicted better."""
-    part = asked.answer.partly
-    if part is None or asked.answer.interrupted or asked.judgement.verdict != "partial":
+    part = outcome.answer.partly
+    if part is None or outcome.answer.interrupted or outcome.judgement.verdict != "partial":
         return []
-    listed = {finding.term.key for finding in asked.judgement.findings}
-    aside, group = data.subset(asked.answer.split.held_out_set), asked.answer.group[asked.answer.split.held_out_set]
+    listed = {finding.term.key for finding in outcome.judgement.findings}
+    kept = outcome.answer.split.held_out_set
+    aside, group = data.subset(kept), outcome.answer.group[kept]
     results = []
-    for t in (t for t in asked.answer.chosen.terms if t.key in listed):
-        rest = part.bench.scored([other for other in asked.answer.chosen.terms if other.key != t.key])
+    for t in (t for t in outcome.answer.chosen.terms if t.key in listed):
+        rest = part.bench.scored([other for other in outcome.answer.chosen.terms if other.key != t.key])
         fit = _beside_a_remainder(part, rest).fit
-        gap = open_test_set(asked.answer.base.fit, fit, aside, group, asked.answer.noise)
-        if MOST_WORSE * gap.after.rms_m < asked.gap.after.rms_m:
+        gap = open_test_set(outcome.answer.base.fit, fit, aside, group, outcome.answer.noise)
+        if MOST_WORSE * gap.after.rms_m < outcome.gap.after.rms_m:
             results.append(t)
     return results
 
@@ -151,8 +152,8 @@ def _opened(answer: Conclusion, data: Measurements) -> Opened:
             judgement, notes = replace(judgement, verdict="unexplained"), [*notes, doubt]
     settled = answer.chosen if answer.partly else answer.bench.sized(answer.chosen)
     built = {t.name for t in settled.terms if is_built(t)}
-    told = [symptom.sentence for symptom in symptoms(settled.fit) if symptom.owner not in built]
-    return Opened(judgement, written, gap, place, (*notes, *told), answer)
+    sentences = [symptom.sentence for symptom in symptoms(settled.fit) if symptom.owner not in built]
+    return Opened(judgement, written, gap, place, (*notes, *sentences), answer)
 
 
 def _after_test_set(answer: Conclusion, gap: Gap, place: Place) -> tuple[Judgement, list[str]]:
@@ -266,32 +267,32 @@ def diagnose(
     usable = usable_poses(robot, data)
     checked_split(data, usable)  # before anything is asked
 
-    def concluded(data: Measurements, slip: Slip | None = None) -> Concluded:
+    def conclude_from(data: Measurements, slip: Slip | None = None) -> Concluded:
         known = candidates(robot, data, allowed, {HomingShift.name: slip.instants} if slip else {})
         return Concluded(data, slip, known, conclude(robot, data, usable, noise, known, teller))
 
     def after(slip: Slip | None) -> Concluded | None:
-        told = concluded(after_slip(data, slip), slip) if slip and HomingShift.name in allowed else None
-        if told is None or told.has_slip:
-            return told
-        needs_none = told.result.partly is None  # it was asked as any effect, and acts in no fit that is told
-        return Concluded(data, None, candidates(robot, data, allowed), told.result) if needs_none else None
+        concluded = conclude_from(after_slip(data, slip), slip) if slip and HomingShift.name in allowed else None
+        if concluded is None or concluded.has_slip:
+            return concluded
+        needs_none = concluded.result.partly is None  # it was asked as any effect, and acts in no fit that is told
+        return Concluded(data, None, candidates(robot, data, allowed), concluded.result) if needs_none else None
 
-    told = after(found_slip(robot, data, noise)) or concluded(data)
-    sets = told.result.compared.sets if told.result.compared else ()
-    if told.slip is None and told.result.judgement.verdict in ("partial", "unexplained") and sets:
-        told = after(found_slip(robot, data, noise, sets[0].terms)) or told
-    data, slip, known, result = told.data, told.slip, told.known, told.result
+    concluded = after(found_slip(robot, data, noise)) or conclude_from(data)
+    sets = concluded.result.compared.sets if concluded.result.compared else ()
+    if concluded.slip is None and concluded.result.judgement.verdict in ("partial", "unexplained") and sets:
+        concluded = after(found_slip(robot, data, noise, sets[0].terms)) or concluded
+    data, slip, known, result = concluded.data, concluded.slip, concluded.known, concluded.result
 
     def tell(step: str) -> None:
         if progress:
             progress(step, HELD_OUT_SHARE)
 
     tell("asking the held-out set")
-    asked = opened(result, data)
-    result = asked.answer
-    written, judgement = asked.written, asked.judgement
-    poses = _marked(result, asked, data)
+    outcome = opened(result, data)
+    result = outcome.answer
+    written, judgement = outcome.written, outcome.judgement
+    poses = _marked(result, outcome, data)
     stated = replace(result.noise, discrepancy=None)
     sentence, proposed = next_experiment(result.chosen, judgement, result.bench.data, stated, list(known.not_testable))
     if slip:
@@ -301,8 +302,8 @@ def diagnose(
         judgement=judgement,
         base=result.base,
         chosen=written,
-        gap=asked.gap,
-        place=asked.place,
+        gap=outcome.gap,
+        place=outcome.place,
         next_experiment=sentence,
         proposals=proposed,
         path=result.path,
@@ -314,7 +315,7 @@ def diagnose(
             *([about_noise] if about_noise else []),
             *result.notes,
             *judgement.notes,
-            *asked.notes,
+            *outcome.notes,
             *_coverage(usable),
             *outlier_sentences(written.fit, data, poses.outlying),
             *unsolved_sentence(data, poses.unsolved, ~poses.left_out, "calibrated or with the effects"),
@@ -328,9 +329,9 @@ def diagnose(
         time_s=time.monotonic() - began,
         partly=result.partly if judgement.verdict == "partial" else None,
         built=result.built,
-        named_gap=asked.named_gap,
+        named_gap=outcome.named_gap,
         memory=_memory(result),
-        framed_gap=asked.framed_gap,
+        framed_gap=outcome.framed_gap,
         reading=reading,
         posterior=None if result.interrupted else _posterior(result, known),
         slip=slip,
@@ -339,8 +340,8 @@ def diagnose(
 
 def _posterior(answer: Conclusion, known: Candidates) -> Posterior:
     """How probable it is that each effect acts."""
-    told = answer.partly.compared if answer.partly else answer.compared
-    return (told or compared(answer.bench, answer.chosen, known)).posterior
+    sets = answer.partly.compared if answer.partly else answer.compared
+    return (sets or compared(answer.bench, answer.chosen, known)).posterior
 
 
 def decide(
@@ -393,14 +394,14 @@ class _Marked:
     left_out: NDArray[np.bool_]
 
 
-def _marked(conclusion: Conclusion, asked: Opened, data: Measurements) -> _Marked:
-    parts, base, written = conclusion.split, conclusion.base, asked.written
+def _marked(conclusion: Conclusion, outcome: Opened, data: Measurements) -> _Marked:
+    parts, base, written = conclusion.split, conclusion.base, outcome.written
     outlying, (unsolved, left_out) = conclusion.wrong.copy(), np.zeros((2, data.count), bool)
     outlying[parts.selection] = ignored(written) & ~excused(written.failed)
-    outlying[parts.held_out_set] = asked.gap.outlying
-    unsolved[parts.selection], unsolved[parts.held_out_set] = base.failed | written.failed, asked.gap.failed
+    outlying[parts.held_out_set] = outcome.gap.outlying
+    unsolved[parts.selection], unsolved[parts.held_out_set] = base.failed | written.failed, outcome.gap.failed
     left_out[parts.selection] = excused(base.failed) | excused(written.failed)
-    left_out[parts.held_out_set] = excused(asked.gap.failed)
+    left_out[parts.held_out_set] = excused(outcome.gap.failed)
     return _Marked(outlying, unsolved, left_out)
 
 
