@@ -31,11 +31,13 @@ def _how_probable(diagnosis: Diagnosis) -> str:
     """The probability of the verdict, and that of something unknown where it is higher."""
     if diagnosis.posterior is None or diagnosis.verdict_probability is None:
         return ""
-    shown_p, unknown = shown(diagnosis.verdict_probability), diagnosis.posterior.of_unknown
-    against = f"; that something acts which the catalogue lacks has {shown(unknown)}"
-    is_left = diagnosis.verdict in ("partial", "unexplained")
-    is_against = diagnosis.verdict_probability < unknown and not is_left
-    return f" {shown_p[0].upper()}{shown_p[1:]}{against if is_against else ''}.{_along(diagnosis.posterior) if is_left else ''}"
+    probability, unknown = shown(diagnosis.verdict_probability), diagnosis.posterior.of_unknown
+    sentence = f" {probability[0].upper()}{probability[1:]}"
+    if diagnosis.verdict in ("partial", "unexplained"):
+        return f"{sentence}.{_along(diagnosis.posterior)}"
+    if diagnosis.verdict_probability < unknown:
+        sentence += f"; that something acts which the catalogue lacks has {shown(unknown)}"
+    return f"{sentence}."
 
 
 def _along(posterior: Posterior) -> str:
