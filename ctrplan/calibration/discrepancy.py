@@ -18,6 +18,7 @@ from ctrplan.base.arrays import Array
 POSITION, TANGENT = slice(0, 3), slice(3, None)  # of the numbers of a pose
 SIZES = np.concatenate([[0.0], np.geomspace(0.1, 1000.0, 33)])  # of s, over the noise
 SHARES = np.array([0.0, 0.2, 0.4, 0.6, 0.8, 0.95, 1.0])  # of the variance that approaches of a configuration share
+STRIDE = 4  # of sizes that are asked first
 MEMORIES = 12  # tried, from half a step to a quarter of the motion
 
 
@@ -30,6 +31,7 @@ class Block:
     vectors: Array
 
 
+Chosen = int | slice | NDArray[np.int_]  # numbers of sizes
 Numbered = tuple[NDArray[np.int_], Block]  # (k, c) of the numbers r.ravel() of a fit, c for each row of a block
 
 
@@ -85,13 +87,6 @@ def of_configurations(fit: Linearised, configuration: NDArray[np.int_]) -> Discr
     """The most probable discrepancy of poses at rest, (K,) numbers of their configurations."""
     rows = [np.flatnonzero(configuration == number) for number in np.unique(configuration)]
     return _most_probable(fit, rows, SHARES, lambda poses, share: shared(len(poses), share))
-
-
-def over_joints(fit: Linearised, share: float, correlation: Array) -> Discrepancy:
-    """The most probable sizes where configurations go along with each other, `correlation` (K, K) of their poses."""
-    rows = [np.arange(len(correlation))]
-    own = np.eye(len(correlation))
-    return _most_probable(fit, rows, np.array([share]), lambda _, a: a * correlation + (1 - a) * own)
 
 
 def decay(time_s: Array, memory_s: float) -> Array:
@@ -209,27 +204,44 @@ class Spectrum:
         return Spectrum(self.precision[columns], self.position.of(columns), self.tangent.of(columns))
 
     def highest(self) -> tuple[float, float, float]:
-        """The highest evidence, and the sizes of position and tangent that it has: one by one, until both stay."""
-        position, tangent = 0, 0
-        while True:
-            better = int(self.evidences(slice(None), tangent).argmax())
-            evidences = self.evidences(better, slice(None))
-            best = int(evidences.argmax())
-            if better == position and best == tangent:
-                return float(evidences[best]), float(self.position.size[position]), float(self.tangent.size[tangent])
-            position, tangent = better, best
+        """The highest evidence, and the sizes of position and tangent that it has: one by one, until both stay.
+
+        Every fourth size is asked, and then those between.
+        """
+        at = [0, 0]
+        for every in (slice(None, None, STRIDE), None):
+            best = -np.inf
+            while True:
+                before = list(at)
+                for k, part in enumerate((self.position, self.tangent)):
+                    near = np.arange(max(at[k] - STRIDE, 0), min(at[k] + STRIDE + 1, len(part.size)))
+                    asked = np.arange(len(part.size))[every] if every else near
+                    found = self.evidences(asked, at[1]) if k == 0 else self.evidences(at[0], asked)
+                    at[k], best = int(asked[found.argmax()]), float(found.max())
+                if at == before:
+                    break
+        return best, float(self.position.size[at[0]]), float(self.tangent.size[at[1]])
 
     @property
     def without_error(self) -> float:
         """Twice the logarithm of the evidence beside noise alone, up to a constant."""
         return float(self.evidences(slice(0, 1), 0)[0])
 
-    def evidences(self, position: int | slice, tangent: int | slice) -> Array:
-        """(S,) twice their logarithms, up to a constant, at numbers of the sizes; one of each is a single number."""
+    def evidences(self, position: Chosen, tangent: Chosen) -> Array:
+        """(S,) twice their logarithms, up to a constant, at numbers of the sizes; one of each is a single number.
+
+        g^T H^-1 g is what the last pivot lacks of the corner of [H, g; g^T, corner].
+        """
         first, second, scale = self.position, self.tangent, 1 / np.sqrt(self.precision)
         H = (first.H[position] + second.H[tangent]) * np.outer(scale, scale) + np.eye(len(scale))
-        factor = np.linalg.cholesky(H)
-        z = np.linalg.solve(factor, ((first.g[position] + second.g[tangent]) * scale)[..., None])[..., 0]
-        volume = np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(axis=-1)
-        evidences: Array = first.likelihood[position] + second.likelihood[tangent] + (z**2).sum(axis=-1) - 2 * volume
+        g = (first.g[position] + second.g[tangent]) * scale
+        corner = 1.0 + (g**2).sum(axis=-1)  # H is no smaller than 1
+        whole = np.concatenate([H, g[..., None, :]], axis=-2)
+        column = np.concatenate([g, corner[..., None]], axis=-1)
+        pivots = np.diagonal(
+            np.linalg.cholesky(np.concatenate([whole, column[..., None]], axis=-1)), axis1=-2, axis2=-1
+        )
+        fitted = corner - pivots[..., -1] ** 2
+        volume = np.log(pivots[..., :-1]).sum(axis=-1)
+        evidences: Array = first.likelihood[position] + second.likelihood[tangent] + fitted - 2 * volume
         return evidences

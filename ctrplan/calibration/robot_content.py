@@ -161,6 +161,7 @@ def calibrated_content(
 
 
 ERASED = 0.1  # of the bound: less than that the model leaves of two approaches to one configuration
+INSIDE = 0.95  # share of tips within a stated radius
 LEAST_PAIRS = 6  # of poses, from which a share is estimated
 
 
@@ -204,8 +205,13 @@ def _si(t: Term, name: str) -> float:
 
 
 def model_error_m(error_m: np.ndarray[Any, np.dtype[np.float64]], position_sigma_m: float) -> float:
-    """What held-out distances (K,) [m] leave beyond noise: their 95th percentile, the noise's taken out in squares."""
-    excess = float(np.percentile(error_m, 95)) ** 2 - (CHI95 * position_sigma_m) ** 2
+    """The radius that holds 95 % of tips beyond noise, from held-out distances (K,) [m]; the noise's in squares.
+
+    It is the distance of rank 0.95 (K + 1): a tip that nothing has read is as likely at each rank among K + 1 (split
+    conformal prediction). Of fewer than 19 distances it is the largest.
+    """
+    rank = min(math.ceil(INSIDE * (len(error_m) + 1)), len(error_m))
+    excess = float(np.sort(error_m)[rank - 1]) ** 2 - (CHI95 * position_sigma_m) ** 2
     return math.sqrt(max(excess, 0.0))
 
 

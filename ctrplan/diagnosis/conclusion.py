@@ -19,11 +19,9 @@ from ctrplan.calibration.residuals import Noise
 from ctrplan.diagnosis.adequacy import ignored, remains, rescaled_noise
 from ctrplan.diagnosis.built_term import Built, build
 from ctrplan.diagnosis.partial_diagnosis import PartialDiagnosis, diagnose_partially
-from ctrplan.diagnosis.posterior import Compared, compared
-from ctrplan.diagnosis.selection import SelectionStep, Selector
-from ctrplan.diagnosis.smooth_evidence import remaining_error
+from ctrplan.diagnosis.posterior import Compared, SelectionStep, settled
 from ctrplan.diagnosis.usable_poses import MOST_POSES, bench_of, checked_split, thinned, without_outliers
-from ctrplan.diagnosis.verdict import NAMED, Finding, Judgement, judge, names_of, specific
+from ctrplan.diagnosis.verdict import Judgement, judge
 from ctrplan.diagnosis.workbench import Candidates, Scored, Workbench
 from ctrplan.measurement.measurements import Measurements, Split, groups
 from ctrplan.robot.robot import Robot
@@ -95,14 +93,12 @@ def conclude(
         first = _beside_a_remainder(nothing, data, usable, noise, known, teller)
         if first.interrupted or (first.partly and not first.partly.is_noise):
             return _with_built(first, first, teller)
-    result = _unless_something_remains(_ordinary(data, usable, wrong, bench, parts, known, teller))
-    result = result if is_long else _unless_improbable(result, known, teller)
-    explained = result.judgement.verdict != "unexplained" or result.judgement.adequacy.is_adequate
+    result = _ordinary(data, usable, wrong, bench, parts, known, teller)
+    is_alone = result.compared is None or result.compared.posterior.of_unknown < 1 / 2
+    explained = result.judgement.verdict != "unexplained" or (result.judgement.adequacy.is_adequate and is_alone)
     if explained or result.interrupted or is_long:
         return result
     part = _beside_a_remainder(result, data, usable, noise, known, teller)
-    if whole := _explaining_all(part, known, teller):
-        return whole
     return _with_built(part, part if part.judgement.verdict == "partial" or part.interrupted else result, teller)
 
 
@@ -158,85 +154,6 @@ def _beside_a_remainder(
     )
 
 
-def _unless_something_remains(conclusion: Conclusion) -> Conclusion:
-    """The answer, its names taken back where what they leave has a memory: effects are at work then, but not alone."""
-    judgement = conclusion.judgement
-    if judgement.verdict not in ("named", "ambiguous") or conclusion.interrupted:
-        return conclusion
-    remains_too = remaining_error(conclusion.bench, conclusion.chosen)
-    if not remains_too:
-        return conclusion
-    kept = specific(conclusion.bench, conclusion.chosen, judgement.findings, judgement.adequacy)
-    notes = (*judgement.notes, remains_too)
-    return replace(conclusion, judgement=replace(judgement, verdict="unexplained", findings=kept, notes=notes))
-
-
-def _unless_improbable(conclusion: Conclusion, known: Candidates, teller: Teller) -> Conclusion:
-    """The answer, or the most probable set of effects where its names are not, or where it has none.
-
-    The search goes by poses left out, one effect at a time, and may not come to effects that only explain together. A
-    set that the posterior prefers is judged as any other.
-    """
-    judgement = conclusion.judgement
-    if conclusion.interrupted:
-        return conclusion
-    bench, chosen, more = conclusion.bench, conclusion.chosen, [a.scored for a in judgement.compared]
-    told = compared(bench, chosen, known, more)
-    if judgement.verdict != "unexplained" and _is_probable(told, judgement):
-        return replace(conclusion, compared=told)
-    try:
-        bench.pause = teller.pause
-        teller("comparing sets of effects")
-        told = compared(bench, chosen, known, more, search=True)
-        best = bench.corrected(told.sets[0])
-        certain = best.terms and told.is_alone and all(told.posterior.of_effect(name) >= NAMED for name in best.names)
-        if certain and remains(bench, best).is_adequate and not remaining_error(bench, best):
-            selector = Selector(bench, known, teller, best)
-            other = judge(selector, selector.found)
-            if other.verdict in ("named", "ambiguous"):
-                names = tuple(q.name for t in best.terms for q in t.parameters)
-                taken = SelectionStep("compare", " and ".join(best.names), names, round(told.gain, 2), 0.0, 0.0, True)
-                path = (*conclusion.path, taken)
-                return replace(conclusion, chosen=best, judgement=other, compared=told, path=path)
-    except Interrupted:
-        return replace(conclusion, interrupted=True, notes=(*conclusion.notes, INTERRUPTED))
-    finally:
-        bench.pause = lambda: None
-    if judgement.verdict in ("named", "ambiguous") and not _is_probable(told, judgement):
-        judgement = replace(judgement, verdict="unexplained", findings=())
-    return replace(conclusion, judgement=judgement, compared=told)
-
-
-def _is_probable(told: Compared, judgement: Judgement) -> bool:
-    """Whether what is named acts more probably than not."""
-    return all(told.posterior.of_effect(*names) > 1 / 2 for names in names_of(judgement))
-
-
-def _explaining_all(part: Conclusion, known: Candidates, teller: Teller) -> Conclusion | None:
-    """What was found beside a rest, judged as any other set: None where something remains after all.
-
-    Effects that hide one another are found beside a rest, where each need not leave noise alone.
-    """
-    if part.partly is None or part.interrupted or not part.judgement.findings:
-        return None
-    there = part.partly.bench
-    bench = Workbench(there.robot, there.data, part.noise, there.group, there.fold)
-    frames = [f.term for f in part.judgement.findings if f.term.name not in part.chosen.names]
-    chosen = bench.corrected(bench.scored([*part.chosen.terms, *frames], part.chosen.fit))
-    if not remains(bench, chosen).is_adequate or remaining_error(bench, chosen):
-        return None
-    selector = Selector(bench, known, teller, chosen)
-    try:
-        bench.pause = teller.pause
-        judgement = judge(selector, selector.found)
-    except Interrupted:
-        return None
-    bench.pause = lambda: None
-    if judgement.verdict not in ("named", "ambiguous"):
-        return None
-    return replace(part, bench=bench, chosen=chosen, judgement=judgement, partly=None)
-
-
 def _nothing(data: Measurements, parts: Split, bench: Workbench, wrong: NDArray[np.bool_]) -> Conclusion:
     """Before any search."""
     base = bench.scored([])
@@ -254,55 +171,73 @@ def _ordinary(
     teller: Teller,
 ) -> Conclusion:
     """The search for what leaves noise alone, once more without poses that something missing had hidden."""
-    selector, judgement, notes, stopped = _searched(bench, known, teller)
-    more = gross_outliers(selector.found.chosen.fit, data, usable & ~wrong)
-    if more.any() and not too_many(wrong | more, usable) and not stopped:
+    result = _searched(bench, known, teller)
+    more = gross_outliers(result.chosen.fit, data, usable & ~wrong)
+    if more.any() and not too_many(wrong | more, usable) and not result.interrupted:
         wrong = wrong | more
         parts = checked_split(data, usable & ~wrong)
         bench = bench_of(bench.robot, data, parts, bench.noise)
-        selector, judgement, notes, stopped = _searched(bench, known, teller)
-    selector.bench.pause = lambda: None  # what follows is short, and nothing is told without it
-    noise, result = selector.bench.noise, selector.found
-    base = selector.bench.scored([])
-    is_rescaled = noise.position_m < bench.noise.position_m
+        result = _searched(bench, known, teller)
+    last = result.bench  # its calibrated robot is fitted by now
     return Conclusion(
-        selector.bench,
-        tuple(result.path),
+        last,
+        result.path,
         result.chosen,
-        base,
-        judgement,
+        last.scored([]),
+        result.judgement,
         parts,
         groups(data),
-        noise,
-        is_rescaled,
+        last.noise,
+        last.noise.position_m < bench.noise.position_m,
         wrong,
-        tuple(notes),
-        stopped,
+        result.notes,
+        result.interrupted,
+        compared=result.compared,
     )
 
 
-def _searched(bench: Workbench, known: Candidates, teller: Teller) -> tuple[Selector, Judgement, list[str], bool]:
-    """Selection and judgement, once more with the noise that the data show if it is not the stated one."""
-    selector, notes = Selector(bench, known, teller), list[str]()
-    bench.pause = teller.pause
+@dataclass(frozen=True, eq=False)
+class _Searched:
+    """The most probable set and its verdict; of an interrupted search the calibrated robot."""
+
+    bench: Workbench
+    chosen: Scored
+    judgement: Judgement
+    path: tuple[SelectionStep, ...]
+    notes: tuple[str, ...]
+    compared: Compared | None
+
+    @property
+    def interrupted(self) -> bool:
+        return self.compared is None
+
+
+def _searched(bench: Workbench, known: Candidates, teller: Teller) -> _Searched:
+    """Search and judgement, once more with the noise that the data show if it is not the stated one."""
+    notes = list[str]()
     try:
         teller("calibrating")
-        selector.run()
-        judgement = judge(selector, selector.found)
-        scaled, note = rescaled_noise(judgement.adequacy, bench.noise, *_norms(selector.found.chosen))
+        result = _most_probable(bench, known, teller)
+        adequacy = result.judgement.adequacy
+        scaled, note = rescaled_noise(adequacy, bench.noise, *_norms(result.chosen))
         notes += [note] if note else []
         if scaled is not None:
-            again = Workbench(bench.robot, bench.data, scaled, bench.group, bench.fold)
-            selector = Selector(again, known, teller)
-            again.pause = teller.pause
-            selector.run()
-            judgement = judge(selector, selector.found)
+            bench = Workbench(bench.robot, bench.data, scaled, bench.group, bench.fold)
+            result = _most_probable(bench, known, teller)
+        return replace(result, notes=tuple(notes))
     except Interrupted:
-        notes.append(INTERRUPTED)
-        chosen = selector.found.chosen
-        findings = tuple(Finding(t) for t in chosen.terms)
-        return selector, Judgement("unexplained", findings, remains(bench, chosen), ()), notes, True
-    return selector, judgement, notes, False
+        bench.pause = lambda: None
+        base = bench.scored([])
+        judgement = Judgement("unexplained", (), remains(bench, base), ())
+        return _Searched(bench, base, judgement, (), (*notes, INTERRUPTED), None)
+
+
+def _most_probable(bench: Workbench, known: Candidates, teller: Teller) -> _Searched:
+    bench.pause = teller.pause
+    compared, chosen, path = settled(bench, bench.scored([]), known, teller)
+    judgement = judge(bench, chosen, known, compared.posterior, compared.sets)
+    bench.pause = lambda: None
+    return _Searched(bench, chosen, judgement, path, (), compared)
 
 
 def _norms(scored: Scored) -> tuple[Array, Array]:

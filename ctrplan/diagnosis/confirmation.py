@@ -21,12 +21,11 @@ from ctrplan.calibration.estimates import Errors, distances, summary
 from ctrplan.calibration.fit_warnings import excused, gross_outliers, too_many
 from ctrplan.calibration.least_squares import Fit, fit
 from ctrplan.calibration.residuals import Noise, residuals, robust_square
-from ctrplan.diagnosis.block_evidence import summed
 from ctrplan.diagnosis.correlated_bench import FRAMES, fixed, frames
 from ctrplan.diagnosis.cross_validation import steps_without
 from ctrplan.diagnosis.result import Diagnosis
 from ctrplan.diagnosis.usable_poses import blocks, usable_poses
-from ctrplan.diagnosis.workbench import CERTAIN, SURE, certainty, linear, values_by_name
+from ctrplan.diagnosis.workbench import CERTAIN, SURE, certainty, linear, summed, values_by_name
 from ctrplan.errors import InputError
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.pipeline.followed_runs import friction_correction
@@ -125,17 +124,17 @@ def confirm(diagnosis: Diagnosis, data: Measurements) -> Confirmation:
 def _new(diagnosis: Diagnosis, data: Measurements, usable: NDArray[np.bool_]) -> _New:
     """The poses to go by, of `usable` ones (K,), in blocks that last as long as can be where no memory is known."""
     some = np.flatnonzero(usable)
-    asked = data.subset(some[:: max(1, -(-len(some) // MOST_POSES))] if data.is_stream else some)
+    chosen_poses = data.subset(some[:: max(1, -(-len(some) // MOST_POSES))] if data.is_stream else some)
     if (
         data.homing is not None or diagnosis.data.homing is not None
     ):  # no run of these has the zeros of the first one there
-        asked = replace(asked, homing=data.homings + 1)
-    block = blocks(asked, math.inf if diagnosis.memory is None else diagnosis.memory)
+        chosen_poses = replace(chosen_poses, homing=data.homings + 1)
+    block = blocks(chosen_poses, math.inf if diagnosis.memory is None else diagnosis.memory)
     count = len(np.unique(block))
     if count < LEAST_BLOCKS:
         rule = f"has {count} usable blocks of poses, too few to confirm anything: at least {LEAST_BLOCKS}"
         raise InputError(rule, file=data.file)
-    return _New(asked, _noise(diagnosis), block)
+    return _New(chosen_poses, _noise(diagnosis), block)
 
 
 @dataclass(frozen=True, eq=False)

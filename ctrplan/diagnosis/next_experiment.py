@@ -18,7 +18,7 @@ from ctrplan.base.arrays import Array
 from ctrplan.calibration.least_squares import Fit
 from ctrplan.calibration.residuals import Noise, Residuals, residuals
 from ctrplan.diagnosis.adequacy import REJECTED
-from ctrplan.diagnosis.verdict import NAMED, Alternative, Finding, Judgement
+from ctrplan.diagnosis.verdict import NAMED, Alternative, Finding, Judgement, Posterior
 from ctrplan.diagnosis.workbench import Scored
 from ctrplan.measurement.measurements import SEED, Measurements
 from ctrplan.pipeline.followed_runs import friction_correction
@@ -131,10 +131,10 @@ def _approaches(n: int) -> list[Array]:
 
 @dataclass(frozen=True)
 class Decision:
-    """What poses that were measured to decide say of explanations that were as good before."""
+    """What poses that were measured to decide say of explanations, with what was known before."""
 
     explanations: tuple[str, ...]  # effects, likeliest first
-    probability: tuple[float, ...]  # of each, equal before
+    probability: tuple[float, ...]  # of each, if one of them acts
     poses: int
     explains: bool  # whether the likeliest explains the new poses, to noise and the uncertainty of its fit
 
@@ -162,12 +162,16 @@ class Decision:
         return {"probability": shares, "poses": self.poses, "explains": self.explains, "decided": self.is_decided}
 
 
-def decision(chosen: Scored, finding: Finding, data: Measurements, noise: Noise) -> Decision:
-    """Compares a finding with its alternatives by poses that no fit has seen."""
+def decision(
+    chosen: Scored, finding: Finding, data: Measurements, noise: Noise, before: Posterior | None = None
+) -> Decision:
+    """Compares a finding with its alternatives by poses that no fit has seen; before: what is known, or nothing."""
     fits = {finding.term.name: chosen.fit} | {a.term.name: a.scored.fit for a in finding.alternatives}
     evidence = {name: _predictive(fit, data, noise) for name, fit in fits.items()}
-    order = sorted(fits, key=lambda name: -evidence[name][0])
-    logs = np.array([evidence[name][0] for name in order])
+    known = {name: before.of_one(name, fits) if before else 1.0 for name in fits}
+    total = {name: evidence[name][0] + float(np.log(max(known[name], np.finfo(float).tiny))) for name in fits}
+    order = sorted(fits, key=lambda name: -total[name])
+    logs = np.array([total[name] for name in order])
     probability = np.exp(logs - logs[0]) / np.exp(logs - logs[0]).sum()
     return Decision(tuple(order), tuple(probability.tolist()), data.count, evidence[order[0]][1] > REJECTED)
 

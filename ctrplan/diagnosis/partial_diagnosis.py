@@ -1,206 +1,57 @@
-"""A part of the truth: effects that are supported although something else remains. docs/diagnosis.md, partial.
+"""A part of the truth: effects that act although something else remains. docs/diagnosis.md, partial.
 
-A built term takes out what hid them, and what is left is mostly smooth in the joints. So names are asked anew there, by
-their evidence beside an error that is as smooth as is most probable, `smooth_evidence.py`, not by blocks left out.
-What is nearly as probable in the place of a name is told with it. Blocks left out say little there, but what they speak
-against is no name: it does again what the built term does. A frame is free in every fit, and a smooth error is partly a
-frame, of the headings most of all: it is a name only where it moves positions as far as all that is left, and no effect
-explains more. Effects that explain as much are told with it.
-
-It begins where nothing in the catalogue leaves noise alone. What no effect explains gets a size and a memory, the
-search is repeated beside it, and every effect found has to hold against every competitor, by blocks that were left out.
+It begins where nothing in the catalogue leaves noise alone. What no effect explains gets a size and a memory, so that
+poses count for as much as they say, and sets of effects are compared beside everything unknown, `posterior.py`. An
+effect of the most probable set is told where it acts with 0.99, alone or together with what may stand for it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ctrplan.base.arrays import Array
 from ctrplan.calibration.residuals import Noise
 from ctrplan.diagnosis import remainder
 from ctrplan.diagnosis.adequacy import Adequacy, remains
-from ctrplan.diagnosis.block_evidence import LEAST_ODDS, LIKELY, Evidence, Part, mean_square, part_of
-from ctrplan.diagnosis.correlated_bench import FRAME, FRAME_MOVES, FRAMES, CorrelatedBench, frames_beside
+from ctrplan.diagnosis.correlated_bench import FRAMES, HOMED, SHIFT, CorrelatedBench, frames_beside
+from ctrplan.diagnosis.cross_validation import left_out_residuals
 from ctrplan.diagnosis.gap import localise
-from ctrplan.diagnosis.partial_search import (
-    MOST_PARTS,
-    NamedSet,
-    PartialSelector,
-    evidence_for,
-    is_built,
-    named_set,
-    with_zero,
-)
+from ctrplan.diagnosis.posterior import Compared, Report, SelectionStep, settled
 from ctrplan.diagnosis.remainder import Remainder
-from ctrplan.diagnosis.selection import Report, Selection, SelectionStep, step
-from ctrplan.diagnosis.smooth_evidence import EQUAL, Gain, SmoothEvidence, best_of_each, rivals_of
+from ctrplan.diagnosis.term_search import is_built
 from ctrplan.diagnosis.usable_poses import block_split, blocks, on_one_branch, thinned, thinning
-from ctrplan.diagnosis.verdict import MOST_RIVALS, Alternative, Finding, Judgement, Verdict
-from ctrplan.diagnosis.workbench import Candidates, Scored, Workbench
+from ctrplan.diagnosis.verdict import Judgement, Verdict, findings_of
+from ctrplan.diagnosis.workbench import Candidates, Scored, Workbench, linear
 from ctrplan.measurement.measurements import Measurements, Split
 from ctrplan.pipeline.term import Term
 from ctrplan.robot.robot import Robot
 
-LEAST_AGAIN = 4.0  # logarithm of the evidence, of a name that the terms were built beside: it is one, chosen before
 
+@dataclass(frozen=True)
+class Closing:
+    """Rms errors [m] without an effect and with it; gap_m: what calibration alone leaves, beyond the noise."""
 
-def effects_beside_built_term(selector: PartialSelector, chosen: Scored) -> NamedSet:
-    """The built terms of a set of poses at rest with the names that act beside them, instead of those in the set.
+    without_m: float
+    with_m: float
+    gap_m: float
 
-    It grows from the one built term that is most probable alone: what else was built may have stood for a name.
-    """
-    bench, path, result = selector.partial_bench, list[SelectionStep](), dict[str, tuple[Term, list[Gain]]]()
-    alone = [_ProbableSet.of(bench, [t], chosen) for t in chosen.terms if is_built(t)]
-    here = max(alone, key=lambda one: one.value)
-    before = {t.name for t in chosen.terms if not is_built(t)}
-    others = [t for t in chosen.terms if is_built(t) and t not in here.scored.terms]
-    while True:
-        selector.tell("asking what acts beside " + ", ".join(here.scored.names))
-        bench.corrected(here.scored)
-        told = {*result, *(one.term.name for _, rivals in result.values() for one in rivals)}
-        ranked = _ranked(selector, here.scored, told) if len(result) < MOST_PARTS else []
-        name = next((one for one in ranked if one.gain >= _least_gain(one.term.name, before)), None)
-        more = [(t, _ProbableSet.of(bench, [*here.scored.terms, t], here.scored)) for t in others]
-        built, there = max(more, key=lambda one: one[1].value, default=(None, here))
-        if built is not None and there.value - here.value > (name.gain if name else 0.0):
-            here, others = there, [t for t in others if t is not built]
-            continue
-        if name is None:
-            break
-        rivals, least = (
-            rivals_of(name.gain, [one for one in ranked if one is not name]),
-            _least_gain(name.term.name, before),
-        )
-        there = _ProbableSet.of(bench, [*here.scored.terms, name.term], here.scored)
-        passes = there.value - here.value >= least and len(rivals) <= MOST_RIVALS
-        path.append(step("add", name.term, there.value - here.value, 0.0, least, passes))
-        if not passes:
-            break
-        here, result[name.term.name] = there, (name.term, rivals)
-    here = _without_the_idle(bench, here, result, path, before)
-    settled = bench.corrected(here.scored)
-    while True:
-        names = {**result, **_frame(selector, settled, here.value)}
-        evidence = evidence_for(selector, settled, [t for t, _ in names.values()])
-        against = min((e for e in evidence if e.term.name in result), key=lambda e: e.gain, default=None)
-        if against is None or against.gain > 0:
-            break
-        path.append(step("drop", against.term, against.gain, against.error, 0.0, True))
-        result.pop(against.term.name)
-        here = _ProbableSet.of(bench, [t for t in settled.terms if t is not against.term], settled)
-        settled = bench.corrected(here.scored)
-    result = names
-    findings = tuple(_finding(bench, settled, t, rivals) for t, rivals in result.values())
-    compared = tuple(a for f in findings for a in f.alternatives)
-    return NamedSet(settled, evidence, findings, compared, (), tuple(path))
-
-
-def most_probable_alone(selector: PartialSelector) -> Scored | None:
-    """The effect that is most probable beside a smooth error and nothing else, where it is likely; None if none is.
-
-    It may be wrong: what no effect explains is no smooth error, and the effect that is most like it is most probable.
-    """
-    bench = selector.partial_bench
-    nothing = _ProbableSet.of(bench, [], bench.begun())
-    bench.corrected(nothing.scored)
-    ranked = _ranked(selector, nothing.scored)
-    if not ranked or ranked[0].gain < LIKELY:
-        return None
-    there = _ProbableSet.of(bench, [ranked[0].term], nothing.scored)
-    return bench.corrected(there.scored) if there.value - nothing.value >= LIKELY else None
+    @property
+    def share(self) -> float:
+        """The share of the gap, in squares. Where effects hide one another, it may be below 0 or above 1."""
+        return (self.without_m**2 - self.with_m**2) / max(self.gap_m**2, 1e-12)
 
 
 @dataclass(frozen=True, eq=False)
-class _ProbableSet:
-    """A set, and the logarithm of its evidence."""
+class Part:
+    """An effect of the verdict, with what it closes of the gap alone, and last of all."""
 
-    scored: Scored
-    value: float
-
-    @classmethod
-    def of(cls, bench: CorrelatedBench, terms: Sequence[Term], near: Scored) -> _ProbableSet:
-        scored = bench.corrected(bench.scored(terms, near.fit))
-        return cls(scored, SmoothEvidence(bench, scored).highest())
-
-
-def _least_gain(name: str, before: Collection[str]) -> float:
-    """Gain that a name needs; before: names that the terms were built beside."""
-    return LEAST_AGAIN if name in before else LEAST_ODDS
-
-
-def _ranked(selector: PartialSelector, here: Scored, told: Collection[str] = ()) -> list[Gain]:
-    """Best first, each effect in its best variant; told: names that are listed already, by themselves or as "or"."""
-    variants = [t for t in _variants(selector, here) if t.name not in told]
-    return best_of_each(SmoothEvidence(selector.partial_bench, here, variants).gains(variants)) if variants else []
-
-
-def _variants(selector: PartialSelector, here: Scored) -> list[Term]:
-    """Variants of effects that are not in a set and no frames; none with more parameters than there are blocks.
-
-    On a pair, whose joints the place of the tip gives away, a distortion follows any smooth error better than an error
-    of one length can.
-    """
-    most, known = len(np.unique(selector.bench.group)), {*FRAMES, *here.names}
-    return [t for t in selector.candidates.beside(here.terms) if t.name not in known and len(t.parameters) <= most]
-
-
-def _frame(selector: PartialSelector, settled: Scored, value: float) -> dict[str, tuple[Term, list[Gain]]]:
-    """The frame of the base, where it is a name: it moves positions far, and few effects explain as much in its place.
-
-    value: logarithm of the evidence of the set, with its free frame.
-    """
-    bench = selector.partial_bench
-    mine = [t for t in frames_beside(bench.robot, bench.data, settled.terms) if t.name == FRAME]
-    if not mine or SmoothEvidence(bench, _with_zeros(bench, settled)).moved(FRAME) < FRAME_MOVES:
-        return {}
-    others = _variants(selector, settled)
-    if not others:
-        return {FRAME: (mine[0], [])}
-    asked = SmoothEvidence(bench, settled, others)
-    gains = best_of_each(asked.gains(others, without=FRAME))
-    own = value - asked.highest(without=FRAME)
-    rivals = [one for one in rivals_of(own, gains) if one.gain > LEAST_ODDS]
-    better = any(one.gain > own + EQUAL for one in rivals)
-    return {} if better or len(rivals) > MOST_RIVALS else {FRAME: (mine[0], rivals)}
-
-
-def _with_zeros(bench: CorrelatedBench, settled: Scored) -> Scored:
-    """With the constants of the terms of sensor and plate, whose zero is arbitrary: they do what a frame does."""
-    terms = [with_zero(bench, t) for t in settled.terms]
-    return bench.scored(terms, settled.fit)
-
-
-def _without_the_idle(
-    bench: CorrelatedBench,
-    here: _ProbableSet,
-    results: dict[str, tuple[Term, list[Gain]]],
-    path: list[SelectionStep],
-    before: Collection[str],
-) -> _ProbableSet:
-    """Without the names whose place later ones have taken, the least probable first."""
-    while len(results) > 1:
-        without = {
-            name: _ProbableSet.of(bench, [t for t in here.scored.terms if t.name != name], here.scored)
-            for name in results
-        }
-        idle = max(without, key=lambda name: without[name].value)
-        least = _least_gain(idle, before)
-        if here.value - without[idle].value >= least:
-            break
-        path.append(step("drop", results.pop(idle)[0], here.value - without[idle].value, 0.0, least, True))
-        here = without[idle]
-    return here
-
-
-def _finding(bench: CorrelatedBench, here: Scored, t: Term, rivals: Sequence[Gain]) -> Finding:
-    others = [other for other in here.terms if other is not t]
-    scored = [bench.scored([*others, one.term], here.fit) for one in rivals]
-    alternatives = [Alternative(one.term, s, *bench.difference(here, s)) for one, s in zip(rivals, scored, strict=True)]
-    return Finding(t, tuple(alternatives))
+    term: Term
+    alone: Closing
+    last: Closing
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,13 +62,13 @@ class PartialDiagnosis:
     split: Split
     block: NDArray[np.int_]  # of all poses
     base: Scored  # calibrated without effects, and without a free frame
-    chosen: Scored  # with those that hold
+    chosen: Scored  # the most probable set
     judgement: Judgement
     parts: tuple[Part, ...]
     rest: Remainder
     path: tuple[SelectionStep, ...]
     known: Candidates  # that were asked
-    doubted: tuple[Evidence, ...]  # effects that were found and do not hold
+    compared: Compared
 
     def to_json(self) -> dict[str, Any]:
         """What remains, for diagnosis.json."""
@@ -232,25 +83,16 @@ class PartialDiagnosis:
             "blocks": len(np.unique(self.bench.group)),
             "poses_compared": self.bench.data.count,
             "restarts": self.bench.restarts,
-            "doubted": {e.term.name: e.doubts for e in self.doubted},
         }
 
-    def evidence_json(self, t: Term) -> dict[str, Any]:
-        """Why an effect holds, for diagnosis.json."""
-        (part,) = (part for part in self.parts if part.evidence.term.key == t.key)
-        e = part.evidence
+    def shares_json(self, t: Term) -> dict[str, Any]:
+        """What an effect closes of the gap, for diagnosis.json."""
+        (part,) = (part for part in self.parts if part.term.key == t.key)
         return {
             "share_of_gap_alone": round(part.alone.share, 3),
             "share_of_gap_last": round(part.last.share, 3),
             "alone_rms_mm": [round(x * 1e3, 4) for x in (part.alone.without_m, part.alone.with_m)],
             "last_rms_mm": [round(x * 1e3, 4) for x in (part.last.without_m, part.last.with_m)],
-            "gain": round(e.gain, 2),
-            "standard_error": round(e.error, 2),
-            "surrogates_98": round(e.chance, 2),
-            **({"odds_beside_a_smooth_error": round(e.odds, 1)} if np.isfinite(e.odds) else {}),
-            "winning_blocks": round(e.winning, 3),
-            "weakest_beside": {"effect": e.weakest, "z": round(e.weakest_z, 2)},
-            "most_moved_by": {"effect": e.shifted_by, "standard_errors": round(e.shift, 2)},
         }
 
     @property
@@ -272,8 +114,7 @@ def diagnose_partially(
         parts = Split(parts.selection[certain], parts.held_out_set, parts.fold[certain])
     bench = _bench(robot, data, noise, parts, block)
     base = Workbench(robot, bench.data, noise, bench.group, bench.fold).scored([])
-    selector = PartialSelector(bench, known, tell)
-    return concluded(selector, selector.run(), known, parts, block, base)
+    return most_probable(bench, bench.begun(), known, parts, block, base, tell)
 
 
 def _bench(robot: Robot, data: Measurements, noise: Noise, parts: Split, block: NDArray[np.int_]) -> CorrelatedBench:
@@ -281,39 +122,62 @@ def _bench(robot: Robot, data: Measurements, noise: Noise, parts: Split, block: 
     return CorrelatedBench(robot, data.subset(parts.selection), noise, block[parts.selection], parts.fold)
 
 
-def concluded(
-    selector: PartialSelector,
-    searched: Selection,
+def most_probable(
+    bench: CorrelatedBench,
+    begun: Scored,
     known: Candidates,
     parts: Split,
     block: NDArray[np.int_],
     base: Scored,
+    tell: Report = lambda _: None,
 ) -> PartialDiagnosis:
-    """What a search ended with, as far as it holds, beside the built terms that are in it.
+    """The most probable set from a settled one on, and what is told of it.
 
     What remains is what the catalogue leaves: a built term explains nothing.
     """
-    bench = selector.partial_bench
-    is_beside = any(is_built(t) for t in searched.chosen.terms) and not bench.data.is_stream
-    result = (effects_beside_built_term if is_beside else named_set)(selector, searched.chosen)
-    chosen = result.chosen
-    beside, named = _by_name(bench, chosen)
-    verdict: Verdict = "partial" if result.findings else "unexplained"
-    judgement = Judgement(verdict, result.findings, left_by_names(beside, named), result.compared)
-    shares = tuple(part_of(bench, base, chosen, e) for e in result.found)
-    return PartialDiagnosis(
-        bench,
-        parts,
-        block,
-        base,
-        chosen,
-        judgement,
-        shares,
-        remainder_beside(beside, named, bench.plain),
-        (*searched.path, *result.path),
-        known,
-        result.doubted,
-    )
+    compared, here, path = settled(bench, begun, testable_beside(known, bench), tell)
+    testable = {SHIFT, HOMED, *(t.name for t in known.terms)}  # set-ups and homings are no matter of the catalogue
+    free = [t for t in frames_beside(bench.robot, bench.data, here.terms) if t.name in testable]
+    listed = [*free, *(t for t in here.terms if not is_built(t))]
+    findings = findings_of(bench, here, listed, known, compared.posterior, compared.sets)
+    beside, named = _by_name(bench, here)
+    verdict: Verdict = "partial" if findings else "unexplained"
+    others = tuple(a for f in findings for a in f.alternatives)
+    judgement = Judgement(verdict, findings, left_by_names(beside, named), others)
+    shares = tuple(_part(bench, base, here, f.term) for f in findings)
+    rest = remainder_beside(beside, named, bench.plain)
+    return PartialDiagnosis(bench, parts, block, base, here, judgement, shares, rest, path, known, compared)
+
+
+def testable_beside(known: Candidates, bench: CorrelatedBench) -> Candidates:
+    """What may be missing beside free frames and, on a continuous motion, friction that follows its history."""
+    always = {*FRAMES, "translation_release"} if bench.data.is_stream else {*FRAMES}
+    return replace(known, terms=tuple(t for t in known.terms if t.name not in always))
+
+
+def _part(bench: CorrelatedBench, base: Scored, chosen: Scored, t: Term) -> Part:
+    """The part of an effect in a set, where `base` is calibrated without effects and without free frames."""
+    whole = left_out_residuals(linear(base.fit), bench.fold)[:, :3] * bench.plain.position_m * bench.data.over_tip
+    before, after = _rms(whole), _rms(bench.left_out_m(chosen))
+    gap = float(np.sqrt(max(before**2 - bench.plain.floor_m**2, 0.0)))
+    none = bench.scored([])
+    if t.name in FRAMES:
+        others = [one for one in none.fit.chain.terms if one.name in FRAMES and one.name != t.name]
+        alone, last = _rms(bench.left_out_m(none, *others)), _rms(bench.left_out_m(chosen, t))
+        return Part(t, Closing(before, alone, gap), Closing(last, after, gap))
+    free, alone = _rms(bench.left_out_m(none)), _rms(bench.left_out_m(bench.scored([t], chosen.fit)))
+    last = _rms(bench.left_out_m(bench.scored([other for other in chosen.terms if other is not t], chosen.fit)))
+    return Part(t, Closing(free, alone, gap), Closing(last, after, gap))
+
+
+def _rms(error_m: Array) -> float:
+    """[m] of errors (K, 3)."""
+    return float(np.sqrt(mean_square(error_m)))
+
+
+def mean_square(error_m: Array) -> float:
+    """[m^2] of errors (K, 3)."""
+    return float((error_m**2).sum(axis=1).mean())
 
 
 def left_by_names(bench: CorrelatedBench, chosen: Scored) -> Adequacy:

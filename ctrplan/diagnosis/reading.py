@@ -84,7 +84,7 @@ def how_taken(data: Measurements) -> list[str]:
     moved = np.abs(np.diff(theta, axis=0)).max(axis=1) > 0 if len(theta) > 1 else np.zeros(0, bool)
     if not (at_once & moved).sum() > len(rows) / 2:
         return []
-    told = [
+    sentences = [
         "Every row is taken for a pose at rest, to which the robot was driven from the row before; a mapping file says "
         "otherwise with at_rest = false."
     ]
@@ -93,11 +93,11 @@ def how_taken(data: Measurements) -> list[str]:
     if len(wide):
         k, i = wide[0].tolist()
         where = f"Between rows {rows[k] + 1} and {rows[k + 1] + 1} rotation {i + 1} changes by"
-        told.append(
+        sentences.append(
             f"{where} {np.degrees(steps[k, i]):.0f} deg ({len(wide)} such steps). If the log wraps rotations, say "
             "so in a mapping file with rotations: friction heeds the way."
         )
-    return told
+    return sentences
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,11 +1,6 @@
 """What remains beside the effects that are supported: how large it is, how long it lasts, along which joints it is
 smooth.
 
-Of a residual over the noise, the means over the approaches of a configuration have the covariance
-n^2 + v ((1 - q) I + q K), K = exp(-d^2 / (2 length^2)) with d the distance of two configurations in rad of joints, n
-the noise of a mean, and v what configurations differ by besides. q and the length are the most probable ones, with all
-parameters integrated out over their priors: a fit takes much of what is smooth.
-
 At rest an error goes along with the joints, or it is smooth in time. On a continuous motion it is forgotten with time,
 exponentially or as a smooth function does, or it goes along with the joints. The error of a tangent is a small rotation
 whose axes stay where they are: a tangent that turns shows other components of it.
@@ -26,7 +21,6 @@ from ctrplan.calibration.discrepancy import (
     POSITION,
     TANGENT,
     Block,
-    Discrepancy,
     Linearised,
     Numbered,
     Spectrum,
@@ -132,59 +126,6 @@ def _left_out(kernel: Array, ridge: float, error: Array, block: NDArray[np.int_]
 
 
 JOINT_LENGTHS = (0.3, 0.6, 1.0, 1.5, 2.5)  # [rad]; longer ones are what frames and offsets are
-JOINT_SMOOTHNESS = (0.0, 0.5, 0.8, 0.95, 1.0)  # of q
-
-
-@dataclass(frozen=True, eq=False)
-class JointMemory:
-    """Symmetric roots (B, B) of the covariances of means, of a coordinate of the position and of the tangent."""
-
-    position: Array
-    tangent: Array
-    length: float  # [rad]
-    smooth: float  # q
-    correlation: Array  # (K, K) of the poses, 1 within a configuration
-
-    def whitened(self, means: Array) -> Array:
-        """(B, 5) means over their own covariance."""
-        return np.hstack([np.linalg.solve(root, means[:, part]) for root, part in self._parts])
-
-    def coloured(self, means: Array) -> Array:
-        """The inverse of `whitened`."""
-        return np.hstack([root @ means[:, part] for root, part in self._parts])
-
-    @property
-    def _parts(self) -> list[tuple[Array, slice]]:
-        return [(self.position, POSITION), (self.tangent, TANGENT)]
-
-
-def joint_memory(fit: Linearised, data: Measurements, discrepancy: Discrepancy) -> JointMemory:
-    """The most probable one of what remains of a fit, over the noise, beside a discrepancy of its configurations."""
-    members = [np.flatnonzero(data.configuration == number) for number in np.unique(data.configuration)]
-    means = Linearised(
-        np.array([fit.r[rows].mean(axis=0) for rows in members]),
-        np.array([fit.J[rows].mean(axis=0) for rows in members]),
-        fit.precision,
-    )
-    square = square_distances(data, [int(rows[0]) for rows in members])
-    count = np.array([len(rows) for rows in members])
-    best: JointMemory | None = None
-    highest = -np.inf
-    for smooth, length in product(JOINT_SMOOTHNESS, JOINT_LENGTHS):
-        correlation = (1 - smooth) * np.eye(len(members)) + smooth * np.exp(-square / (2 * length**2))
-        covariances = [
-            _covariance(size, discrepancy.memory, count, correlation)
-            for size in (discrepancy.position, discrepancy.tangent)
-        ]
-        value = _evidence(means, covariances)
-        if value > highest:
-            which = np.unique(data.configuration, return_inverse=True)[1].ravel()
-            best = JointMemory(
-                _root(covariances[0]), _root(covariances[1]), length, smooth, correlation[np.ix_(which, which)]
-            )
-            highest = value
-    assert best is not None
-    return best
 
 
 def square_distances(data: Measurements, poses: Sequence[int]) -> Array:
@@ -197,37 +138,8 @@ def square_distances(data: Measurements, poses: Sequence[int]) -> Array:
     return square
 
 
-def _covariance(size: float, share: float, count: NDArray[np.int_], correlation: Array) -> Array:
-    """(B, B) of the means over `count` (B,) approaches, `share` of a variance of size^2 the configurations'."""
-    of_mean: Array = np.diag((1 + size**2 * (1 - share)) / count) + size**2 * share * correlation
-    return of_mean
-
-
-def _root(covariance: Array) -> Array:
-    values, vectors = np.linalg.eigh(covariance)
-    root: Array = (vectors * np.sqrt(np.maximum(values, 1e-12))) @ vectors.T
-    return root
-
-
-def _evidence(means: Linearised, covariances: Sequence[Array]) -> float:
-    """Twice the logarithm of it, up to a constant."""
-    H, gradient, fits = np.diag(means.precision), np.zeros(len(means.precision)), 0.0
-    for covariance, part in zip(covariances, (POSITION, TANGENT), strict=True):
-        r, J = means.r[:, part], means.J[:, part]
-        factor = np.linalg.cholesky(covariance)
-        white = np.linalg.solve(factor, r)
-        by = np.linalg.solve(factor, J.reshape(len(J), -1)).reshape(-1, J.shape[2])
-        H, gradient = H + by.T @ by, gradient + by.T @ white.ravel()
-        fits -= float((white**2).sum()) + 2 * r.shape[1] * float(np.log(np.diag(factor)).sum())
-    scale = 1 / np.sqrt(means.precision)
-    factor = np.linalg.cholesky(H * np.outer(scale, scale))
-    z = np.linalg.solve(factor, scale * gradient)
-    return fits + float(z @ z - 2 * np.log(np.diag(factor)).sum())
-
-
 SMOOTH = (0.7, 1.0)  # share of what configurations differ by that goes along with the joints
-MEMORIES = 5  # forgotten ones from a step of the poses to half of the motion, smooth ones from four to twice of it
-MEMORIES_AT_REST = 6  # smooth ones from four steps to half of the time: what changes more slowly is a drift
+MEMORIES = 6  # forgotten ones from a step of the poses to half of the motion, smooth ones from four to twice of it
 
 Along = Literal["configuration", "joints", "time"]  # poses with like errors have the same of these, or are near in it
 
@@ -264,7 +176,8 @@ def at_rest(data: Measurements, share: float, axes: Array) -> list[SmoothError]:
     of_poses = [share * one + (1 - share) * np.eye(data.count) for one in of_poses]
     one_by_one = _error("configuration", data, of_poses[0], axes)
     along_joints = [_error("joints", data, one, axes) for one in of_poses[1:]]
-    in_time = [_error("time", data, one, axes) for one in _smooth_in_time(clock(data), MEMORIES_AT_REST, 0.5)]
+    slow = _smooth_in_time(clock(data), 0.5)  # what changes still more slowly is a drift
+    in_time = [_error("time", data, one, axes) for one in slow]
     return [one_by_one, *along_joints, *in_time]
 
 
@@ -284,17 +197,17 @@ def _correlations(data: Measurements) -> Iterator[tuple[Along, Array]]:
     step, whole = _spans(time)
     for memory in np.geomspace(step, max(whole / 2, step), MEMORIES):
         yield "time", decay(time, memory) * together
-    for one in _smooth_in_time(time, MEMORIES, 2.0):
+    for one in _smooth_in_time(time, 2.0):
         yield "time", one * together
     square = square_distances(data, range(data.count))
     for length in JOINT_LENGTHS:
         yield "joints", np.exp(-square / (2 * length**2))
 
 
-def _smooth_in_time(time: Array, count: int, longest: float) -> Iterator[Array]:
+def _smooth_in_time(time: Array, longest: float) -> Iterator[Array]:
     """(K, K) of memories from four steps of the poses to `longest` times the whole."""
     step, whole = _spans(time)
-    for memory in np.geomspace(4 * step, max(longest * whole, 4 * step), count):
+    for memory in np.geomspace(4 * step, max(longest * whole, 4 * step), MEMORIES):
         yield np.exp(-((time[:, None] - time) ** 2) / (2 * memory**2))
 
 

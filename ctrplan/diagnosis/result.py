@@ -20,9 +20,9 @@ from ctrplan.diagnosis.correlated_bench import FRAMES
 from ctrplan.diagnosis.gap import Gap, Place
 from ctrplan.diagnosis.next_experiment import Decision, Proposal
 from ctrplan.diagnosis.partial_diagnosis import PartialDiagnosis
+from ctrplan.diagnosis.posterior import SelectionStep
 from ctrplan.diagnosis.reading import MisreadError, Reading
 from ctrplan.diagnosis.remainder import Remainder
-from ctrplan.diagnosis.selection import SelectionStep
 from ctrplan.diagnosis.slips import Slip
 from ctrplan.diagnosis.verdict import Judgement, Posterior, Verdict, names_of
 from ctrplan.diagnosis.workbench import Scored
@@ -197,7 +197,7 @@ class Diagnosis:
                 for a in self.judgement.compared
                 if finding.term.key not in {t.key for t in a.scored.terms}
             ],
-            **(self.partly.evidence_json(finding.term) if self.partly else {}),
+            **(self.partly.shares_json(finding.term) if self.partly else {}),
         }
 
 

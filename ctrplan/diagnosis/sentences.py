@@ -11,7 +11,7 @@ from ctrplan.calibration.least_squares import Fit
 from ctrplan.diagnosis.correlated_bench import FRAME
 from ctrplan.diagnosis.gap import LARGEST_REST, times_noise
 from ctrplan.diagnosis.result import Diagnosis
-from ctrplan.diagnosis.smooth_evidence import IN_WORDS
+from ctrplan.diagnosis.unknown_errors import IN_WORDS
 from ctrplan.diagnosis.verdict import Posterior, shown
 from ctrplan.effects.drive.homing_shift import HomingShift
 from ctrplan.measurement.measurements import MOST_ROWS
@@ -23,29 +23,29 @@ WORTH_TELLING = 0.9  # of the error without them, which frames have to undercut
 def verdict_sentence(diagnosis: Diagnosis) -> str:
     """What a person can repeat, a wrong tube first."""
     tubes = " and ".join(diagnosis.other_tubes)
-    told = f"{_verdict(diagnosis)}{_how_probable(diagnosis)}"
-    return f"{tubes[0].upper()}{tubes[1:]}. Taken for that, {told[0].lower()}{told[1:]}" if tubes else told
+    sentence = f"{_verdict(diagnosis)}{_how_probable(diagnosis)}"
+    return f"{tubes[0].upper()}{tubes[1:]}. Taken for that, {sentence[0].lower()}{sentence[1:]}" if tubes else sentence
 
 
 def _how_probable(diagnosis: Diagnosis) -> str:
     """The probability of the verdict, and that of something unknown where it is higher."""
     if diagnosis.posterior is None or diagnosis.verdict_probability is None:
         return ""
-    told, unknown = shown(diagnosis.verdict_probability), diagnosis.posterior.of_unknown
-    against = f"; that something acts which the catalogue lacks has {shown(unknown)}"
-    is_left = diagnosis.verdict in ("partial", "unexplained")
-    is_against = diagnosis.verdict_probability < unknown and not is_left
-    return (
-        f" {told[0].upper()}{told[1:]}{against if is_against else ''}.{_along(diagnosis.posterior) if is_left else ''}"
-    )
+    probability, unknown = shown(diagnosis.verdict_probability), diagnosis.posterior.of_unknown
+    sentence = f" {probability[0].upper()}{probability[1:]}"
+    if diagnosis.verdict in ("partial", "unexplained"):
+        return f"{sentence}.{_along(diagnosis.posterior)}"
+    if diagnosis.verdict_probability < unknown:
+        sentence += f"; that something acts which the catalogue lacks has {shown(unknown)}"
+    return f"{sentence}."
 
 
-def _along(told: Posterior) -> str:
+def _along(posterior: Posterior) -> str:
     """What something unknown goes along with, where that is more probable than all else."""
-    name = max(told.along, key=lambda one: told.along[one], default="")
-    if not name or min(told.along[name], told.of_unknown) < 1 / 2:
+    name = max(posterior.along, key=lambda input_name: posterior.along[input_name], default="")
+    if not name or min(posterior.along[name], posterior.of_unknown) < 1 / 2:
         return ""
-    return f" What is unknown {IN_WORDS[name]}, {shown(told.along[name])}."
+    return f" What is unknown {IN_WORDS[name]}, {shown(posterior.along[name])}."
 
 
 def probabilities(diagnosis: Diagnosis, k: int) -> str:
@@ -110,8 +110,8 @@ def effect_lines(diagnosis: Diagnosis) -> list[str]:
         values = [f"{name} = {e.shown} ({e.shown_ci95})" for name, e in estimates(diagnosis.chosen.fit, t).items()]
         probable = f", {likely}" if (likely := probabilities(diagnosis, k)) else ""
         lines.append(f"{t.name}{probable} ({t.effect.stage}): {', '.join(values)}")
-    told = [*lines, *built_lines(diagnosis), *_free_frame_lines(diagnosis)]
-    return [*_frame_lines(diagnosis), *told, *([rest.sentence] if (rest := diagnosis.rest) else [])]
+    effects = [*lines, *built_lines(diagnosis), *_free_frame_lines(diagnosis)]
+    return [*_frame_lines(diagnosis), *effects, *([rest.sentence] if (rest := diagnosis.rest) else [])]
 
 
 def _frame_lines(diagnosis: Diagnosis) -> list[str]:

@@ -3,8 +3,9 @@
 Such a slip is a homing that the file does not tell of: the instant found, the rest of the diagnosis treats it as one
 (`homing_shift`). It is looked for beside an ordinary calibration, and beside the most probable effects where these
 leave something, linearised: of every joint that moves and every pose, what a constant change of its zero from there on
-would explain. It is believed as another reading of the file is (`reading.py`): where it leaves less than half of the
-error beyond the noise, and less than anything smooth in time that the same joint could do.
+would explain. It is asked after where it leaves less than half of the error beyond the noise, as another reading of the
+file does (`reading.py`), and less than anything smooth in time that the same joint could do. Whether it is believed,
+the posterior says, as of any other effect, for which every instant is a variant.
 """
 
 from __future__ import annotations
@@ -36,6 +37,7 @@ class Slip:
     pose: int  # from 0
     row: int  # of the file's waypoints, from 1
     joint: str  # as the parameter of homing_shift is called: "theta_2_2_deg"
+    instants: int = 1  # of which it is one, each as probable a priori
 
 
 def found_slip(robot: Robot, data: Measurements, noise: Noise, beside: Sequence[Term] = ()) -> Slip | None:
@@ -63,9 +65,10 @@ def found_slip(robot: Robot, data: Measurements, noise: Noise, beside: Sequence[
     free = _Free(J[..., : len(calibrated.p)], 1 / calibrated.chain.prior)
     before = free.left(r)
     best: tuple[float, int, int] = (np.inf, 0, 0)
+    instants = range(LEAST_POSES, data.count - LEAST_POSES + 1)
     for j in range(len(names)):
         column = J[..., len(calibrated.p) + j]
-        for pose in range(LEAST_POSES, data.count - LEAST_POSES + 1):
+        for pose in instants:
             left = free.left(r, _masked(column, pose)[..., None])
             best = min(best, (left, j, pose))
     left, j, pose = best
@@ -75,7 +78,7 @@ def found_slip(robot: Robot, data: Measurements, noise: Noise, beside: Sequence[
     excess = [np.sqrt(max(value / given - 1.0, 0.0)) for value in (before, left, smooth)]
     if excess[0] < 1.0 / BETTER or excess[1] * BETTER > excess[0] or left >= smooth:
         return None
-    return Slip(pose, int(data.rows[pose]) + 1, names[j])
+    return Slip(pose, int(data.rows[pose]) + 1, names[j], len(instants))
 
 
 def after_slip(data: Measurements, slip: Slip) -> Measurements:

@@ -1,8 +1,7 @@
-"""From a selected set of effects to a verdict: named, ambiguous, unexplained, or nothing missing; partial: `partly.py`.
+"""From the most probable set of effects to a verdict: named, ambiguous, unexplained, or nothing missing.
 
 A name is given only when what remains looks like noise, on the poses of the selection and in the held-out set. Where
-it does not, the best of the wrong names would be given with confidence; then only effects stay listed whose evidence
-lies in a part of the data that they explain completely.
+it does not, the best of the wrong names would be given with confidence.
 
 How probable a verdict is, a posterior over sets of effects says.
 """
@@ -18,15 +17,13 @@ import numpy as np
 from scipy.special import logsumexp
 
 from ctrplan.base.arrays import Array
-from ctrplan.calibration.fit_warnings import is_strained, strained
+from ctrplan.calibration.fit_warnings import excused, is_strained, strained
 from ctrplan.diagnosis.adequacy import Adequacy, remains
-from ctrplan.diagnosis.selection import Selection, Selector
-from ctrplan.diagnosis.workbench import OVERWHELMING, SURE, Scored, Workbench
+from ctrplan.diagnosis.workbench import Candidates, Scored, Workbench
 from ctrplan.pipeline.term import Term, term
 
 Verdict = Literal["named", "no_missing_effect", "ambiguous", "partial", "unexplained"]
 
-CLOSE = 3.0  # log-likelihood, or a standard error: an alternative that predicts nearly as well
 MOST_RIVALS = 3  # alternatives of one of several effects: with more of them the data ask for something else
 
 
@@ -59,26 +56,78 @@ class Judgement:
     notes: tuple[str, ...] = ()
 
 
-def judge(selector: Selector, selection: Selection) -> Judgement:
-    """The verdict before the held-out set is opened."""
-    bench, chosen = selector.bench, selection.chosen
+def judge(
+    bench: Workbench, chosen: Scored, known: Candidates, posterior: Posterior, sets: Sequence[Scored]
+) -> Judgement:
+    """The verdict on the most probable of the `sets` that were fitted, before the held-out set is opened."""
     left = remains(bench, chosen)
     if not chosen.terms:
         return Judgement("no_missing_effect" if left.is_adequate else "unexplained", (), left, ())
-    compared = [a for t in chosen.terms for a in _compared(selector, selection, t)]
-    findings = tuple(_finding(bench, chosen, t, compared, left) for t in chosen.terms)
-    if not left.is_adequate or _is_strained(bench, chosen):
-        kept = () if _is_enlarged(bench) else specific(bench, chosen, findings, left)
-        return Judgement("unexplained", kept, left, tuple(compared))
-    clear = tuple(f for f in findings if len(f.alternatives) <= MOST_RIVALS)
-    if len(findings) > 1 and len(clear) < len(findings):  # beside others, what anything can stand in for is nothing
-        return Judgement("unexplained", clear, left, tuple(compared))
+    findings = findings_of(bench, chosen, chosen.terms, known, posterior, sets)
+    compared = tuple(a for f in findings for a in f.alternatives)
+    if posterior.of_unknown > 1 / 2:
+        note = f"Something unknown acts beside {' and '.join(chosen.names)}, {shown(posterior.of_unknown)}."
+        return Judgement("unexplained", (), left, compared, (note,))
+    if not left.is_adequate or _is_strained(bench, chosen) or len(findings) < len(chosen.terms):
+        return Judgement("unexplained", (), left, compared)
     shared = [f for f in findings if not f.alternatives and _is_shared(bench, chosen, f.term)]
     if shared:
         rest = tuple(f for f in findings if f not in shared)
-        return Judgement("unexplained", rest, left, tuple(compared), tuple(_disbelieved(f.term) for f in shared))
+        return Judgement("unexplained", rest, left, compared, tuple(_disbelieved(f.term) for f in shared))
     verdict: Verdict = "ambiguous" if any(f.alternatives for f in findings) else "named"
-    return Judgement(verdict, findings, left, tuple(compared))
+    return Judgement(verdict, findings, left, compared)
+
+
+def findings_of(
+    bench: Workbench,
+    chosen: Scored,
+    terms: Sequence[Term],
+    known: Candidates,
+    posterior: Posterior,
+    sets: Sequence[Scored],
+) -> tuple[Finding, ...]:
+    """Those of some effects that act with the probability of a name, each with what may stand for it.
+
+    A model without a solution in many poses explains nothing.
+    """
+    results = list[Finding]()
+    if chosen.failed.any() and not excused(chosen.failed).any():
+        return ()
+    for t in terms:
+        if (others := standing_for(posterior, t.name)) is not None:
+            results.append(Finding(t, tuple(_instead(bench, chosen, t, name, known, sets) for name in others)))
+    return tuple(results)
+
+
+def standing_for(posterior: Posterior, name: str) -> list[str] | None:
+    """Effects of which one acts with 0.99 if another does not, the most probable first; None where these are many."""
+    group = [name]
+    others = sorted({other for one in posterior.hypotheses for other in one.names} - {name})
+    if posterior.of_effect(name) < 1 / 2:
+        return None
+    while posterior.of_effect(*group) < NAMED:
+        best = max(others, key=lambda other: posterior.of_effect(*group, other), default=None)
+        if best is None or len(group) > MOST_RIVALS:
+            return None
+        group.append(best)
+        others.remove(best)
+    return group[1:]
+
+
+def _instead(
+    bench: Workbench, chosen: Scored, t: Term, name: str, known: Candidates, sets: Sequence[Scored]
+) -> Alternative:
+    """The best set in which another effect stands for one of the chosen ones; a frame is free in it anyway."""
+    rest = [other for other in chosen.terms if other is not t]
+    free = next((one for one in chosen.fit.chain.terms if one.name == name and name not in chosen.names), None)
+    if free:
+        without = bench.scored(rest, chosen.fit)
+        return Alternative(free, without, *bench.difference(chosen, without))
+    seen = [one for fitted in sets if name in fitted.names for one in fitted.terms if one.name == name]
+    variants = seen[:1] or [one for one in known.terms if one.name == name]
+    fits = [bench.scored([*rest, one], chosen.fit) for one in variants]
+    best = min(fits, key=lambda one: one.fit.loss)
+    return Alternative(best.terms[-1], best, *bench.difference(chosen, best))
 
 
 def _is_strained(bench: Workbench, chosen: Scored) -> bool:
@@ -97,30 +146,10 @@ def _is_enlarged(bench: Workbench) -> bool:
     return stated is not None and bench.noise.position_m > stated.position_sigma_m
 
 
-def _compared(selector: Selector, selection: Selection, t: Term) -> list[Alternative]:
-    """Other effects in the place of `t`, refitted together with the rest."""
-    bench, chosen = selector.bench, selection.chosen
-    selector.tell(f"looking for what imitates {t.name}")
-    others = [s for s in selector.replacements(chosen, t) if s.terms[-1].name != t.name]
-    return [Alternative(s.terms[-1], s, *bench.difference(chosen, s)) for s in others]
-
-
-def _finding(bench: Workbench, chosen: Scored, t: Term, compared: Sequence[Alternative], left: Adequacy) -> Finding:
-    rest = {other.key for other in chosen.terms if other is not t}
-    rivals: dict[str, Alternative] = {}
-    for a in sorted(compared, key=lambda a: a.behind):
-        same_place = {other.key for other in a.scored.terms[:-1]} == rest
-        if same_place and a.term.name not in rivals and is_close(a, chosen):
-            after = remains(bench, a.scored)
-            if after.is_adequate or not left.is_adequate:
-                rivals[a.term.name] = a
-    return Finding(t, tuple(rivals.values()))
-
-
-def is_close(a: Alternative, chosen: Scored) -> bool:
-    """Whether it predicts or fits as well; badly determined parameters predict badly, true or not."""
+def _is_close(a: Alternative, chosen: Scored) -> bool:
+    """Whether neither predictions nor fit tell it; badly determined parameters predict badly, true or not."""
     worse_fit = (a.scored.fit.residuals.loss - chosen.fit.residuals.loss) / 2
-    return min(a.behind, worse_fit) < max(CLOSE, a.error)
+    return min(a.behind, worse_fit) < max(log_odds(NAMED), a.error)
 
 
 def _is_shared(bench: Workbench, chosen: Scored, t: Term) -> bool:
@@ -131,7 +160,7 @@ def _is_shared(bench: Workbench, chosen: Scored, t: Term) -> bool:
     part = term(t.effect, names, bench.robot)
     scored = bench.scored([part if other is t else other for other in chosen.terms], chosen.fit)
     alone = Alternative(part, scored, *bench.difference(chosen, scored))
-    return is_close(alone, chosen) and remains(bench, scored).is_adequate
+    return _is_close(alone, chosen) and remains(bench, scored).is_adequate
 
 
 def _disbelieved(t: Term) -> str:
@@ -140,19 +169,6 @@ def _disbelieved(t: Term) -> str:
         f"{t.name} would explain the measurements, but {parameters} of its {len(t.parameters)} parameters do so alone, "
         f"and by these other causes act as well: it is not named."
     )
-
-
-def specific(bench: Workbench, chosen: Scored, findings: Sequence[Finding], left: Adequacy) -> tuple[Finding, ...]:
-    """Findings that explain all of the differences between approaches, or all between configurations, alone."""
-    kept = []
-    for finding in findings:
-        history = finding.term.effect.depends_on_history
-        explained = left.within.is_noise if history else left.between.is_noise
-        others = [t for t in chosen.terms if t is not finding.term]
-        gain, error = bench.difference(chosen, bench.scored(others, chosen.fit))
-        if explained and gain > max(OVERWHELMING, SURE * error):
-            kept.append(finding)
-    return tuple(kept)
 
 
 ACTS = 0.03  # prior probability that an effect of the catalogue acts: of some 20, one in every other robot
@@ -186,6 +202,10 @@ class Posterior:
     def of_effect(self, *names: str) -> float:
         """That at least one of these effects acts."""
         return self._of(bool(one.names & set(names)) for one in self.hypotheses)
+
+    def of_one(self, name: str, among: Collection[str]) -> float:
+        """That an effect acts and none of the others among some."""
+        return self._of(one.names & set(among) == {name} for one in self.hypotheses)
 
     @property
     def of_unknown(self) -> float:

@@ -4,6 +4,7 @@ test.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -15,7 +16,7 @@ from ctrplan.base.arrays import Array
 from ctrplan.calibration.least_squares import Fit, fit, fit_at
 from ctrplan.calibration.parameters import ABSOLUTE_STIFFNESS, BaseParameters
 from ctrplan.calibration.residuals import UNSOUND, Noise, residuals, robust_square
-from ctrplan.diagnosis.cross_validation import Linear, cross_validation_loss, null_scores, white
+from ctrplan.diagnosis.cross_validation import Linear, cross_validation_loss
 from ctrplan.effects.effect import CATALOGUE, Effect
 from ctrplan.errors import InputError
 from ctrplan.measurement.measurements import Measurements
@@ -31,6 +32,7 @@ class Candidates:
 
     terms: tuple[Term, ...]
     not_testable: Mapping[str, str]
+    variants: Mapping[str, int]  # of each effect, of which one acts
 
     def beside(self, chosen: Sequence[Term]) -> list[Term]:
         """Variants that are not chosen yet and can act: what they need is chosen or can be chosen with them."""
@@ -52,8 +54,13 @@ def reduced(catalogue: Mapping[str, Effect], without: Sequence[str], *, key: str
     return {name: effect for name, effect in catalogue.items() if name not in without}
 
 
-def candidates(robot: Robot, data: Measurements, catalogue: Mapping[str, Effect] = CATALOGUE) -> Candidates:
-    """Everything in the catalogue, sorted into testable and not."""
+def candidates(
+    robot: Robot,
+    data: Measurements,
+    catalogue: Mapping[str, Effect] = CATALOGUE,
+    more: Mapping[str, int] | None = None,
+) -> Candidates:
+    """Everything in the catalogue, sorted into testable and not; more: effects of whose variants the data have one."""
     terms: list[Term] = []
     reasons: dict[str, str] = {}
     for name, effect in catalogue.items():
@@ -64,12 +71,11 @@ def candidates(robot: Robot, data: Measurements, catalogue: Mapping[str, Effect]
             reasons[name] = "is in the robot file already"
         else:
             terms += [term(effect, names, robot) for names in effect.variants(robot, data) if names]
-    return Candidates(tuple(terms), reasons)
+    return Candidates(tuple(terms), reasons, {**Counter(t.name for t in terms), **(more or {})})
 
 
 CERTAIN = 2.0  # standard errors over groups or blocks by which a gain exceeds zero that is taken for one
 SURE = 3.0  # of the same, where much was asked or something remains
-OVERWHELMING = 30.0  # log-likelihood, of an effect that is told although something remains that may look like it
 MOST_WIDENINGS = 3
 WIDENED_FROM = 1.1  # standard deviations of a prior
 WORTH_ANOTHER = 2.0  # of the loss, to fit a set again from another place
@@ -108,12 +114,6 @@ class Screened:
     term: Term
     linear: Linear  # of the columns of base, fit and variant
     owners: tuple[str, ...]  # (P,) the effect of each column
-    held_out: Array  # (K,) robust squares
-
-    @property
-    def score(self) -> float:
-        """Held-out log-likelihood, up to a constant."""
-        return float(-self.held_out.sum() / 2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,17 +183,9 @@ class Workbench:
         """What is fitted besides `terms`, whatever they are."""
         return [self.base(terms)]
 
-    def null_draws(self, here: Scored) -> Array:
-        """(5 K, D) residuals as they would be if nothing were missing beside a fit."""
-        return white(here.fit.residuals.r.size)
-
     def loss(self, system: Linear) -> Array:
         """(K,) of poses whose fold had not been fitted."""
         return cross_validation_loss(system, self.fold)
-
-    def null_scores(self, systems: Sequence[Linear], noise: Array) -> list[Array]:
-        """(D,) of each system: minus half the loss of draws (5 K, D) after a fit of the same parameters."""
-        return [null_scores(system, self.fold, noise) for system in systems]
 
     def scored(self, terms: Sequence[Term], *near: Fit | None) -> Scored:
         """The base and `terms` fitted together, from the values of a fit in `near` where it has them.
@@ -312,7 +304,7 @@ class Workbench:
     def screened(
         self, here: Scored, others: Sequence[Term], completed: Callable[[Sequence[Term], Term], Sequence[Term]]
     ) -> list[Screened]:
-        """Variants beside a fit by one Gauss-Newton step each, best first: cheap, for choosing what to fit.
+        """Variants beside a fit by one Gauss-Newton step each: cheap, for choosing what to fit.
 
         `completed` adds what a variant needs to the terms that it stands beside.
         """
@@ -321,15 +313,22 @@ class Workbench:
             return self._screened[key]
         panel, screened = self.panel(here, others), list[Screened]()
         for other in others:
-            if not other.effect.is_linear:
+            if not self._is_as_in_panel(other):
                 screened.append(self._tried_out(here, other, completed))
                 continue
             same = [t for t in here.terms if t.name != other.name]
             together = [*self.basis([*same, other]), *same, other]
             columns = panel.of(together).refitted()
-            screened.append(Screened(other, columns, panel.owners(together), self.loss(columns)))
-        self._screened[key] = sorted(screened, key=lambda s: -s.score)
-        return self._screened[key]
+            screened.append(Screened(other, columns, panel.owners(together)))
+        self._screened[key] = screened
+        return screened
+
+    def _is_as_in_panel(self, other: Term) -> bool:
+        """Whether a variant acts in proportion, and the parameters that it lacks do nothing where they are neutral."""
+        own = {q.name for q in other.parameters}
+        return other.effect.is_linear and not any(
+            q.neutral for q in other.effect.parameters(self.robot) if q.name not in own
+        )
 
     def panel(self, here: Scored, others: Sequence[Term]) -> Linearisation:
         """A fit linearised in its own parameters and those of other variants, which vanish there."""
@@ -352,7 +351,7 @@ class Workbench:
         chain = self.chain([*self.basis(terms), *terms])
         start, _ = self._start(chain, [here.fit])
         there = linear(fit_at(chain, self.noise, self.whitening_group, start)).refitted()
-        return Screened(other, there, tuple(t.name for t in chain.terms for _ in t.parameters), self.loss(there))
+        return Screened(other, there, tuple(t.name for t in chain.terms for _ in t.parameters))
 
     def by_group(self, gain: Array) -> Array:
         """(B,) sums over poses that count as one, of values (K,)."""
@@ -361,8 +360,12 @@ class Workbench:
 
     def difference(self, a: Scored, b: Scored) -> tuple[float, float]:
         """How much better `a` predicts than `b` (log-likelihood), and the standard error of that over groups."""
-        by_group = self.by_group((b.held_out - a.held_out) / 2)
-        return float(by_group.sum()), float(np.sqrt(len(by_group)) * by_group.std(ddof=1))
+        return summed(self.by_group((b.held_out - a.held_out) / 2))
+
+
+def summed(gains: Array) -> tuple[float, float]:
+    """The sum over blocks (B,) and its standard error."""
+    return float(gains.sum()), float(np.sqrt(len(gains)) * gains.std(ddof=1))
 
 
 def certainty(gains: Array) -> float:

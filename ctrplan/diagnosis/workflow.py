@@ -20,20 +20,19 @@ from ctrplan.calibration.fit_warnings import excused, outlier_sentences, symptom
 from ctrplan.calibration.residuals import Residuals
 from ctrplan.calibration.robot_content import within_file
 from ctrplan.diagnosis.adequacy import Adequacy, ignored, left_out_probability, noise_floor, remains
-from ctrplan.diagnosis.built_term import LEAST_SHARE_ASIDE, MOST_WORSE, Built, worse_in
+from ctrplan.diagnosis.built_term import MOST_WORSE, Built, worse_in
 from ctrplan.diagnosis.conclusion import HELD_OUT_SHARE, Conclusion, Teller, conclude
 from ctrplan.diagnosis.gap import Gap, Place, contradiction, localise, open_test_set
 from ctrplan.diagnosis.next_experiment import decision, next_experiment
-from ctrplan.diagnosis.partial_diagnosis import PartialDiagnosis, concluded, left_by_names
-from ctrplan.diagnosis.partial_search import PartialSelector, is_built
-from ctrplan.diagnosis.posterior import posterior
+from ctrplan.diagnosis.partial_diagnosis import PartialDiagnosis, left_by_names
+from ctrplan.diagnosis.posterior import compared
 from ctrplan.diagnosis.reading import MisreadError, read_again
 from ctrplan.diagnosis.result import Diagnosis
-from ctrplan.diagnosis.selection import REFITTED, Report, Selection
-from ctrplan.diagnosis.slips import after_slip, found_slip
+from ctrplan.diagnosis.slips import Slip, after_slip, found_slip
+from ctrplan.diagnosis.term_search import is_built
 from ctrplan.diagnosis.usable_poses import checked_split, usable_poses
-from ctrplan.diagnosis.verdict import Judgement, Posterior, specific
-from ctrplan.diagnosis.workbench import Candidates, Scored, Workbench, candidates, reduced
+from ctrplan.diagnosis.verdict import Judgement, Posterior, Verdict, names_of
+from ctrplan.diagnosis.workbench import Candidates, Scored, candidates, reduced
 from ctrplan.effects.drive.homing_shift import HomingShift
 from ctrplan.effects.effect import CATALOGUE, Effect
 from ctrplan.errors import InputError
@@ -58,51 +57,48 @@ class Opened:
     framed_gap: Gap | None = None  # with free frames alone, where something remains
 
 
-def opened(answer: Conclusion, data: Measurements, tell: Report = lambda _: None) -> Opened:
+def opened(answer: Conclusion, data: Measurements) -> Opened:
     """What the poses kept aside say of an answer; a built term that makes any region worse is taken back.
 
-    Names that hold beside it stay: they and the term have passed all that is asked before. What is told by its odds
-    alone, and not by blocks left out, is taken back where tips are nearer without it.
+    Names that hold beside it stay. An effect without which tips are nearer there is taken back.
     """
-    asked = _with_or_without_built(answer, data)
-    if harmful := _harmful(asked, data):
+    outcome = _with_or_without_built(answer, data)
+    if harmful := _harmful(outcome, data):
         names = ", ".join(t.name for t in harmful)
         note = f"Found and taken back: {names}, without which tips of the poses kept aside are nearer."
-        asked = _opened(_without(asked.answer, harmful, tell), data)
-        asked = replace(asked, notes=(*asked.notes, note))
-    return replace(asked, framed_gap=_framed(asked.answer, data)) if asked.answer.partly else asked
+        outcome = _opened(_without(outcome.answer, harmful), data)
+        outcome = replace(outcome, notes=(*outcome.notes, note))
+    return replace(outcome, framed_gap=_framed(outcome.answer, data)) if outcome.answer.partly else outcome
 
 
-def _harmful(asked: Opened, data: Measurements) -> list[Term]:
-    """Effects told by their odds alone, without which poses kept aside are predicted better."""
-    part = asked.answer.partly
-    if part is None or asked.answer.interrupted or asked.judgement.verdict != "partial":
+def _harmful(outcome: Opened, data: Measurements) -> list[Term]:
+    """Effects without which poses kept aside are predicted better."""
+    part = outcome.answer.partly
+    if part is None or outcome.answer.interrupted or outcome.judgement.verdict != "partial":
         return []
-    listed = {finding.term.key for finding in asked.judgement.findings}
-    alone = [e.term for e in (one.evidence for one in part.parts) if e.is_told_by_odds and e.term.key in listed]
-    aside, group = data.subset(asked.answer.split.held_out_set), asked.answer.group[asked.answer.split.held_out_set]
+    listed = {finding.term.key for finding in outcome.judgement.findings}
+    kept = outcome.answer.split.held_out_set
+    aside, group = data.subset(kept), outcome.answer.group[kept]
     results = []
-    for t in alone:
-        rest = part.bench.scored([other for other in asked.answer.chosen.terms if other.key != t.key])
+    for t in (t for t in outcome.answer.chosen.terms if t.key in listed):
+        rest = part.bench.scored([other for other in outcome.answer.chosen.terms if other.key != t.key])
         fit = _beside_a_remainder(part, rest).fit
-        gap = open_test_set(asked.answer.base.fit, fit, aside, group, asked.answer.noise)
-        if MOST_WORSE * gap.after.rms_m < asked.gap.after.rms_m:
+        gap = open_test_set(outcome.answer.base.fit, fit, aside, group, outcome.answer.noise)
+        if MOST_WORSE * gap.after.rms_m < outcome.gap.after.rms_m:
             results.append(t)
     return results
 
 
-def _without(answer: Conclusion, harmful: Sequence[Term], tell: Report) -> Conclusion:
-    """What holds of the answer without some effects. Nothing is sought in their place: it was less probable."""
+def _without(answer: Conclusion, harmful: Sequence[Term]) -> Conclusion:
+    """The answer without some of its effects."""
     assert answer.partly is not None
-    part, gone = answer.partly, {t.key for t in harmful}
-    known = replace(part.known, terms=tuple(t for t in part.known.terms if t.key not in gone))
-    rest = [t for t in answer.chosen.terms if t.key not in gone and not is_built(t)]
-    begun = part.bench.corrected(part.bench.scored(rest, part.chosen.fit))
-    again = concluded(
-        PartialSelector(part.bench, known, tell, begun), Selection(begun), known, part.split, part.block, part.base
-    )
-    path = (*answer.path, *again.path)
-    return replace(answer, chosen=again.chosen, judgement=again.judgement, partly=again, built=None, path=path)
+    gone = {t.key for t in harmful}
+    findings = tuple(f for f in answer.judgement.findings if f.term.key not in gone)
+    rest = [t for t in answer.chosen.terms if t.key not in gone]
+    chosen = answer.partly.bench.corrected(answer.partly.bench.scored(rest, answer.chosen.fit))
+    verdict: Verdict = "partial" if findings else "unexplained"
+    judgement = replace(answer.judgement, verdict=verdict, findings=findings)
+    return replace(answer, chosen=chosen, judgement=judgement, built=None)
 
 
 def _framed(answer: Conclusion, data: Measurements) -> Gap:
@@ -129,8 +125,7 @@ def _only_named(answer: Conclusion, built: Built) -> Conclusion:
 
 def _worse(result: Gap, without: Gap, aside: Measurements) -> str:
     """Where the poses kept aside are further off with a built term than without; empty if nowhere."""
-    rest, left = (max(gap.after.rms_m**2 - gap.floor_m**2, 0.0) for gap in (without, result))
-    if rest - left < LEAST_SHARE_ASIDE * rest:
+    if result.after.rms_m >= without.after.rms_m:
         return "the poses kept aside"
     both = ~(excused(result.failed) | excused(without.failed) | result.outlying | without.outlying)
     errors = []
@@ -157,8 +152,8 @@ def _opened(answer: Conclusion, data: Measurements) -> Opened:
             judgement, notes = replace(judgement, verdict="unexplained"), [*notes, doubt]
     settled = answer.chosen if answer.partly else answer.bench.sized(answer.chosen)
     built = {t.name for t in settled.terms if is_built(t)}
-    told = [symptom.sentence for symptom in symptoms(settled.fit) if symptom.owner not in built]
-    return Opened(judgement, written, gap, place, (*notes, *told), answer)
+    sentences = [symptom.sentence for symptom in symptoms(settled.fit) if symptom.owner not in built]
+    return Opened(judgement, written, gap, place, (*notes, *sentences), answer)
 
 
 def _after_test_set(answer: Conclusion, gap: Gap, place: Place) -> tuple[Judgement, list[str]]:
@@ -175,9 +170,8 @@ def _after_test_set(answer: Conclusion, gap: Gap, place: Place) -> tuple[Judgeme
     p = left_out_probability(gap.chi_square, left, _solved(answer.chosen), estimated=answer.is_rescaled)
     if p > HELD_OUT_REJECTED and not doubt:
         return judgement, []
-    kept = specific(answer.bench, answer.chosen, judgement.findings, judgement.adequacy)
     note = f"The held-out set contradicts it: chi-square per degree of freedom {gap.chi_square.ratio:.2f}."
-    return replace(judgement, verdict="unexplained", findings=kept), [doubt or note]
+    return replace(judgement, verdict="unexplained", findings=()), [doubt or note]
 
 
 def _solved(scored: Scored) -> Residuals:
@@ -219,6 +213,21 @@ def _place(answer: Conclusion, gap: Gap) -> Place:
     return localise(data, fit.residuals.r[kept], group, error[kept], gap.floor_m)
 
 
+@dataclass(frozen=True, eq=False)
+class Concluded:
+    """What was found in measurements as they are, or with another homing from a slip on."""
+
+    data: Measurements
+    slip: Slip | None
+    known: Candidates
+    result: Conclusion
+
+    @property
+    def has_slip(self) -> bool:
+        """Whether zeros that changed then are among what is told: the instant was only a place to look."""
+        return self.result.interrupted or any(HomingShift.name in names for names in names_of(self.result.judgement))
+
+
 AFTER_SLIP = "tighten that collar, home the drive and measure some of the first poses again"
 
 
@@ -255,29 +264,35 @@ def diagnose(
         raise MisreadError(data, reading)
     teller = Teller(progress, interrupted)
     noise, about_noise = noise_floor(robot, data)
-    slip = found_slip(robot, data, noise)
-    if slip:
-        data = after_slip(data, slip)
     usable = usable_poses(robot, data)
     checked_split(data, usable)  # before anything is asked
-    known = candidates(robot, data, allowed)
-    result = conclude(robot, data, usable, noise, known, teller)
-    if slip is None and result.judgement.verdict in ("partial", "unexplained") and result.compared:
-        slip = found_slip(robot, data, noise, result.compared.sets[0].terms)
-        if slip:
-            data = after_slip(data, slip)
-            known = candidates(robot, data, allowed)
-            result = conclude(robot, data, usable, noise, known, teller)
+
+    def conclude_from(data: Measurements, slip: Slip | None = None) -> Concluded:
+        known = candidates(robot, data, allowed, {HomingShift.name: slip.instants} if slip else {})
+        return Concluded(data, slip, known, conclude(robot, data, usable, noise, known, teller))
+
+    def after(slip: Slip | None) -> Concluded | None:
+        concluded = conclude_from(after_slip(data, slip), slip) if slip and HomingShift.name in allowed else None
+        if concluded is None or concluded.has_slip:
+            return concluded
+        needs_none = concluded.result.partly is None  # it was asked as any effect, and acts in no fit that is told
+        return Concluded(data, None, candidates(robot, data, allowed), concluded.result) if needs_none else None
+
+    concluded = after(found_slip(robot, data, noise)) or conclude_from(data)
+    sets = concluded.result.compared.sets if concluded.result.compared else ()
+    if concluded.slip is None and concluded.result.judgement.verdict in ("partial", "unexplained") and sets:
+        concluded = after(found_slip(robot, data, noise, sets[0].terms)) or concluded
+    data, slip, known, result = concluded.data, concluded.slip, concluded.known, concluded.result
 
     def tell(step: str) -> None:
         if progress:
             progress(step, HELD_OUT_SHARE)
 
     tell("asking the held-out set")
-    asked = opened(result, data, tell)
-    result = asked.answer
-    written, judgement = asked.written, asked.judgement
-    poses = _marked(result, asked, data)
+    outcome = opened(result, data)
+    result = outcome.answer
+    written, judgement = outcome.written, outcome.judgement
+    poses = _marked(result, outcome, data)
     stated = replace(result.noise, discrepancy=None)
     sentence, proposed = next_experiment(result.chosen, judgement, result.bench.data, stated, list(known.not_testable))
     if slip:
@@ -287,8 +302,8 @@ def diagnose(
         judgement=judgement,
         base=result.base,
         chosen=written,
-        gap=asked.gap,
-        place=asked.place,
+        gap=outcome.gap,
+        place=outcome.place,
         next_experiment=sentence,
         proposals=proposed,
         path=result.path,
@@ -300,7 +315,7 @@ def diagnose(
             *([about_noise] if about_noise else []),
             *result.notes,
             *judgement.notes,
-            *asked.notes,
+            *outcome.notes,
             *_coverage(usable),
             *outlier_sentences(written.fit, data, poses.outlying),
             *unsolved_sentence(data, poses.unsolved, ~poses.left_out, "calibrated or with the effects"),
@@ -314,9 +329,9 @@ def diagnose(
         time_s=time.monotonic() - began,
         partly=result.partly if judgement.verdict == "partial" else None,
         built=result.built,
-        named_gap=asked.named_gap,
+        named_gap=outcome.named_gap,
         memory=_memory(result),
-        framed_gap=asked.framed_gap,
+        framed_gap=outcome.framed_gap,
         reading=reading,
         posterior=None if result.interrupted else _posterior(result, known),
         slip=slip,
@@ -325,14 +340,8 @@ def diagnose(
 
 def _posterior(answer: Conclusion, known: Candidates) -> Posterior:
     """How probable it is that each effect acts."""
-    if answer.partly is None:
-        return answer.compared.posterior if answer.compared else posterior(answer.bench, answer.chosen, known)
-    bench = answer.partly.bench
-    more = [a.scored for a in answer.judgement.compared] + ([answer.built.named] if answer.built else [])
-    if answer.compared:  # what is most probable beside noise, on the poses that choose here
-        plain = Workbench(bench.robot, bench.data, bench.plain, bench.group, bench.fold)
-        more += [plain.corrected(plain.scored(one.terms, one.fit)) for one in answer.compared.sets[:REFITTED]]
-    return posterior(bench, answer.chosen, known, more)
+    sets = answer.partly.compared if answer.partly else answer.compared
+    return (sets or compared(answer.bench, answer.chosen, known)).posterior
 
 
 def decide(
@@ -351,7 +360,7 @@ def decide(
     finding = next((f for f in diagnosis.judgement.findings if f.alternatives), None)
     if finding is None:
         raise InputError("has nothing to decide: the verdict is not ambiguous", file=data.file, key="decide")
-    taken = decision(diagnosis.chosen, finding, data, diagnosis.noise)
+    taken = decision(diagnosis.chosen, finding, data, diagnosis.noise, diagnosis.posterior)
     decisions = (*diagnosis.decisions, taken)
     if not taken.is_decided:
         return replace(diagnosis, decisions=decisions)
@@ -385,14 +394,14 @@ class _Marked:
     left_out: NDArray[np.bool_]
 
 
-def _marked(conclusion: Conclusion, asked: Opened, data: Measurements) -> _Marked:
-    parts, base, written = conclusion.split, conclusion.base, asked.written
+def _marked(conclusion: Conclusion, outcome: Opened, data: Measurements) -> _Marked:
+    parts, base, written = conclusion.split, conclusion.base, outcome.written
     outlying, (unsolved, left_out) = conclusion.wrong.copy(), np.zeros((2, data.count), bool)
     outlying[parts.selection] = ignored(written) & ~excused(written.failed)
-    outlying[parts.held_out_set] = asked.gap.outlying
-    unsolved[parts.selection], unsolved[parts.held_out_set] = base.failed | written.failed, asked.gap.failed
+    outlying[parts.held_out_set] = outcome.gap.outlying
+    unsolved[parts.selection], unsolved[parts.held_out_set] = base.failed | written.failed, outcome.gap.failed
     left_out[parts.selection] = excused(base.failed) | excused(written.failed)
-    left_out[parts.held_out_set] = excused(asked.gap.failed)
+    left_out[parts.held_out_set] = excused(outcome.gap.failed)
     return _Marked(outlying, unsolved, left_out)
 
 

@@ -155,12 +155,11 @@ def path_figure(diagnosis: Diagnosis) -> go.Figure:
             y=labels,
             orientation="h",
             marker={"color": [AFTER if step.taken else looks.PLATE for step in diagnosis.path]},
-            error_x={"array": [step.error for step in diagnosis.path], "color": looks.MUTED, "thickness": 1},
             showlegend=False,
         )
     )
     figure.update_yaxes(autorange="reversed")
-    figure.update_xaxes(title_text="gain in log-likelihood, blue: taken")
+    figure.update_xaxes(title_text="gain in the logarithm of the probability, blue: taken")
     return _styled(figure, max(220, 24 * len(labels) + 90))
 
 

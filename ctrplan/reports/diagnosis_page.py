@@ -98,13 +98,12 @@ def millimetres(length_m: float) -> str:
 WORDS = ("rms", "noise", "held-out poses", "95 % interval")
 MEANING = (
     "A quarter of the configurations was set aside before anything was fitted; the errors before and after are on "
-    "these poses. Effects were chosen by how well they predict poses left out of the fit, against what the best of all "
-    "candidates reaches by chance on pure noise. Every candidate was fitted together with ordinary calibration "
+    "these poses. Sets of effects were compared by how probable they make all other poses, all parameters integrated "
+    "out, with and without something unknown besides. Every set was fitted together with ordinary calibration "
     "(precurvature magnitudes, stiffness ratios, Poisson's ratios).",
     "All is named only if what remains looks like noise. Where it does not, the data show something that the "
-    "catalogue does not have. A part of the truth is then said of effects that hold beside every other one, whatever "
-    "remains: block after block of poses that were left out, and far above what errors of the same kind reach by "
-    "chance. The best of the wrong names is not offered in its place.",
+    "catalogue does not have. A part of the truth is then said of effects that act with a probability of 0.99, "
+    "whatever else does. The best of the wrong names is not offered in its place.",
 )
 
 

@@ -95,11 +95,11 @@ def test_sentences_and_waypoints() -> None:
 def test_the_command_proposes_and_decides(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     robot = tmp_path / "pair.toml"
     robot.write_text(tomli_w.dumps(ROBOT.content), encoding="utf-8")
-    slid = BASE | {"joint_scale": {"l_2": 0.06}}
+    loose = BASE | {"backlash": {"theta_2_deg": 1.3}}
     old, new = tmp_path / "old.csv", tmp_path / "new.csv"
-    write_csv(old, measured(ROBOT, waypoints(ROBOT, 18), slid, 0))
+    write_csv(old, measured(ROBOT, waypoints(ROBOT, 18), loose, 0))
     out, proposed = tmp_path / "out", tmp_path / "proposed.csv"
-    few = ("joint_scale", "sensor_distortion", "backlash", "tip_load")
+    few = ("joint_scale", "friction", "backlash", "tip_load")
     quick = [f"--without={name}" for name in CATALOGUE if name not in few]
     command = ["diagnose", str(robot), str(old), "-o", str(out), "--quiet", "--propose", str(proposed), *quick]
     assert main(command) == 0
@@ -111,11 +111,11 @@ def test_the_command_proposes_and_decides(tmp_path: Path, capsys: pytest.Capture
     driven, nothing = np.arange(1, len(table), 2), np.zeros((len(table) // 2, 3))
     times = np.arange(len(table), dtype=float)
     asked = Measurements(table[:, 0].astype(int), table[:, 1:3], table[:, 3:], driven, nothing, nothing, times)
-    write_csv(new, measured(ROBOT, asked, slid, 4))
+    write_csv(new, measured(ROBOT, asked, loose, 4))
     assert main([*command, "--decide", str(new)]) == 0
     said, content = capsys.readouterr().out, json.loads((out / "diagnosis.json").read_text("utf-8"))
-    assert "Decided by" in said and "joint_scale, with a probability of" in said and "nothing to propose" in said
+    assert "Decided by" in said and "backlash, with a probability of" in said and "nothing to propose" in said
     assert content["verdict"] == "named" and content["decisions"][0]["decided"]
-    assert any("as new poses decided against it: sensor_distortion" in note for note in content["notes"])
-    assert main([*command, "--decide", str(new), "--without", "sensor_distortion"]) == 2
+    assert any("as new poses decided against it: friction" in note for note in content["notes"])
+    assert main([*command, "--decide", str(new), "--without", "friction"]) == 2
     assert "has nothing to decide" in capsys.readouterr().err

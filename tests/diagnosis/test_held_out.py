@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 import pytest
-from scipy.stats import multivariate_normal
 
 from ctrplan.base.arrays import Array
 from ctrplan.calibration.residuals import PER_POSE, Noise, Residuals
@@ -15,11 +12,6 @@ from ctrplan.diagnosis.cross_validation import (
     Linear,
     cross_validation_loss,
     left_out_residuals,
-    nested_null_scores,
-    null_scores,
-    null_threshold,
-    predictive_loss,
-    predictive_null_scores,
     steps_without,
 )
 
@@ -60,72 +52,6 @@ def test_a_step_leaves_residuals_across_the_columns() -> None:
     fit = problem(3, 1).refitted()
     gradient = np.einsum("kcp,kc->p", fit.J, fit.r) / np.logspace(-3, 3, 3)
     np.testing.assert_allclose(gradient, 0, atol=1e-8)
-
-
-def test_null_scores_are_the_scores_of_pure_noise() -> None:
-    noise = np.random.default_rng(2).standard_normal((POSES * PER_POSE, 3))
-    fit = problem(3, 2)
-    scores = null_scores(fit, FOLD, noise)
-    for draw, score in zip(noise.T, scores, strict=True):
-        alone = problem(3, 2, draw.reshape(POSES, PER_POSE)).refitted()
-        robust = cross_validation_loss(alone, FOLD).sum()
-        assert -score * 2 == pytest.approx(robust, rel=2e-3)  # but for poses beyond the robust limit
-
-
-def test_noise_passes_the_threshold_as_rarely_as_it_says() -> None:
-    base = problem(3, 3)
-    wider = [np.concatenate([base.J, problem(2, k).J], axis=2) for k in range(10, 22)]
-    others = [Linear(base.r, J, base.weight, np.full(5, 1e-12), np.zeros(5), base.given) for J in wider]
-    noise = np.random.default_rng(99).standard_normal((POSES * PER_POSE, 600))
-    for scores in (by_squares, by_densities):
-        threshold = null_threshold(base, others, scores)
-        plain, *wide = scores([base, *others], noise)
-        best = np.max(wide, axis=0) - plain
-        assert np.mean(best > threshold) < 0.04
-
-
-def by_squares(systems: Sequence[Linear], noise: Array) -> list[Array]:
-    return [null_scores(fit, FOLD, noise) for fit in systems]
-
-
-def by_densities(systems: Sequence[Linear], noise: Array) -> list[Array]:
-    return nested_null_scores(systems, FOLD, GROUP, noise)
-
-
-def test_a_block_left_out_has_the_density_that_a_fit_of_the_others_predicts() -> None:
-    fit = problem(4, 11).refitted()
-    loss = predictive_loss(fit, FOLD, GROUP)
-    for group in range(GROUPS):
-        left, mine = np.repeat(group % 6 == FOLD, PER_POSE), np.repeat(group == GROUP, PER_POSE)
-        J, r = fit.J.reshape(-1, 4) / np.logspace(-3, 3, 4), fit.r.ravel()
-        covariance = np.linalg.inv(J[~left].T @ J[~left])
-        predicted = J[mine] @ covariance @ J[~left].T @ r[~left]
-        S = np.eye(int(mine.sum())) + J[mine] @ covariance @ J[mine].T
-        density = multivariate_normal(predicted, S).logpdf(r[mine])
-        expected = -2 * density - mine.sum() * np.log(2 * np.pi)
-        assert loss[group == GROUP].sum() == pytest.approx(expected, rel=1e-6)
-
-
-def test_null_scores_of_densities_are_the_scores_of_pure_noise() -> None:
-    noise = np.random.default_rng(2).standard_normal((POSES * PER_POSE, 3))
-    scores = predictive_null_scores(problem(3, 2), FOLD, GROUP, noise)
-    for draw, score in zip(noise.T, scores, strict=True):
-        alone = problem(3, 2, draw.reshape(POSES, PER_POSE)).refitted()
-        assert -score * 2 == pytest.approx(predictive_loss(alone, FOLD, GROUP).sum(), rel=2e-3)
-
-
-def test_a_block_that_stands_apart_is_no_surprise_where_its_prediction_is_vague() -> None:
-    rng = np.random.default_rng(5)
-    J = 0.05 * rng.standard_normal((POSES, PER_POSE, 2))
-    J[GROUP == 0] *= 40  # most of what is known of the parameters comes from one block
-    squares, densities = [], []
-    for _ in range(50):
-        r = rng.standard_normal((POSES, PER_POSE))
-        fit = Linear(r, J, np.ones(POSES), np.full(2, 0.01), np.zeros(2), np.ones((POSES, 5), bool)).refitted()
-        none = Linear(r, np.zeros_like(J), fit.weight, fit.precision, np.zeros(2), fit.given)
-        squares.append((cross_validation_loss(none, FOLD) - cross_validation_loss(fit, FOLD))[GROUP == 0].sum())
-        densities.append((predictive_loss(none, FOLD, GROUP) - predictive_loss(fit, FOLD, GROUP))[GROUP == 0].sum())
-    assert np.std(densities) < 0.2 * np.std(squares)
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -10,10 +10,11 @@ import pytest
 from measured_data import measured, pair_robot, waypoints
 
 from ctrplan.calibration.fit_warnings import is_strained, strained, symptoms
+from ctrplan.calibration.residuals import robust_square
 from ctrplan.diagnosis import CATALOGUE, diagnose
 from ctrplan.diagnosis.adequacy import noise_floor
 from ctrplan.diagnosis.gap import LARGEST_REST, contradiction, largest_remainder
-from ctrplan.diagnosis.selection import Selector
+from ctrplan.diagnosis.posterior import settled
 from ctrplan.diagnosis.sentences import verdict_sentence
 from ctrplan.diagnosis.verdict import judge
 from ctrplan.diagnosis.workbench import Workbench, candidates
@@ -70,7 +71,9 @@ def test_room_between_tubes_is_seen_by_the_screening(room_mm: float) -> None:
     (alone,) = bench.screened(here, [t for t in known.terms if t.name == "clearance"], known.completed)
     fitted = bench.scored([alone.term], here.fit)
     assert fitted.fit.p[-1] == pytest.approx(room_mm * 1e-3, rel=0.2)
-    assert alone.score - here.score > 0.8 * (fitted.score - here.score) > 0  # 0.7 from where there is no room
+    left = [float(robust_square(np.linalg.norm(alone.linear.r, axis=1)).sum()), fitted.fit.residuals.loss]
+    promised, kept = (here.fit.residuals.loss - one for one in left)
+    assert promised > 0.8 * kept > 0  # less from where there is no room
 
 
 @pytest.mark.parametrize(("play_deg", "verdict"), [(8.0, "named"), (24.0, "unexplained")])
@@ -82,8 +85,9 @@ def test_beside_enlarged_noise_no_effect_is_larger_than_is_plausible(play_deg: f
         "tangent_sigma_deg": float(np.degrees(noise.tangent_rad)) / 2,
     }
     for robot, told in ((ROBOT, "named"), (pair_robot(measurement=half), verdict)):
-        selector = Selector(Workbench(robot, data, noise, data.configuration, data.configuration % 6), few)
-        assert judge(selector, selector.run()).verdict == told
+        bench = Workbench(robot, data, noise, data.configuration, data.configuration % 6)
+        found, chosen, _ = settled(bench, bench.scored([]), few)
+        assert judge(bench, chosen, few, found.posterior, found.sets).verdict == told
 
 
 def test_what_parameters_leave_open_is_no_contradiction_and_is_told() -> None:

@@ -56,7 +56,7 @@ def test_a_small_rotation_of_the_tracker_is_the_same_number_about_the_axes_of_ev
     assert found.r[:, 3:] == pytest.approx(axes_of(data) @ turn, abs=1e-8)
 
 
-@pytest.mark.parametrize("number", range(15))
+@pytest.mark.parametrize("number", range(17))
 def test_the_evidence_is_the_density_with_the_error_in_the_covariance(number: int) -> None:
     data = logged()
     error, fit = of_motion(data, axes_of(data))[number], fit_of(data)
@@ -113,7 +113,7 @@ def test_what_was_not_measured_does_not_count(what: str) -> None:
         position[[1, 4], 0], tangent[[2, 4]], tangent[7, 0] = np.nan, np.nan, np.nan
     data = logged(tangent, position)
     errors, fit = of_motion(data, axes_of(data)), fit_of(data)
-    for number in (1, 7, 12):
+    for number in (1, 8, 14):
         spectrum = errors[number].spectrum(fit)
         pairs = [(9, min(4, len(spectrum.tangent.size) - 1)), (3, 0)]
         found = [float(spectrum.evidences(*pair)) / 2 for pair in pairs]
@@ -138,14 +138,14 @@ def log_density(fit: Linearised, data: Measurements, correlation: Array, positio
 
 
 def dense_correlation(data: Measurements, number: int) -> Array:
-    """(K, K) five that are forgotten, five smooth in time, five smooth in the joints; 9 poses half a second apart."""
+    """(K, K) six that are forgotten, six smooth in time, five smooth in the joints; 9 poses half a second apart."""
     assert data.time_s is not None
     apart = np.abs(data.time_s[:, None] - data.time_s)
-    if number < 5:
-        return np.exp(-apart / np.geomspace(0.5, 2.0, 5)[number])
-    if number < 10:
-        return np.exp(-0.5 * (apart / np.geomspace(2.0, 8.0, 5)[number - 5]) ** 2)
-    return np.exp(-0.5 * square_distances_of(data) / (0.3, 0.6, 1.0, 1.5, 2.5)[number - 10] ** 2)
+    if number < 6:
+        return np.exp(-apart / np.geomspace(0.5, 2.0, 6)[number])
+    if number < 12:
+        return np.exp(-0.5 * (apart / np.geomspace(2.0, 8.0, 6)[number - 6]) ** 2)
+    return np.exp(-0.5 * square_distances_of(data) / (0.3, 0.6, 1.0, 1.5, 2.5)[number - 12] ** 2)
 
 
 def square_distances_of(data: Measurements) -> Array:
@@ -161,7 +161,7 @@ def test_errors_of_different_runs_go_along_with_the_joints_alone() -> None:
     data = replace(logged(), sequence=np.repeat([0, 1], [4, 5]))
     errors = of_motion(data, axes_of(data))
     apart = [_between(error, 4) for error in errors]
-    assert max(apart[:10]) < 1e-12 < min(apart[12:])
+    assert max(apart[:12]) < 1e-12 < min(apart[14:])
 
 
 def _between(error: SmoothError, first: int) -> float:

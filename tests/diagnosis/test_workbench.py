@@ -10,9 +10,10 @@ from measured_data import measured, pair_robot, waypoints
 
 from ctrplan.calibration import least_squares
 from ctrplan.calibration.estimates import distances
+from ctrplan.calibration.residuals import robust_square
 from ctrplan.diagnosis import CATALOGUE
 from ctrplan.diagnosis.adequacy import noise_floor
-from ctrplan.diagnosis.workbench import Workbench
+from ctrplan.diagnosis.workbench import Workbench, candidates
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.pipeline.term import Term, term
 
@@ -68,3 +69,17 @@ def test_errors_are_numbers_where_a_model_has_no_solution(data: Measurements) ->
     error_m = distances(replace(tips, position_m=lost), data)
     assert error_m[3] == pytest.approx(np.linalg.norm(data.position_m[3]))
     np.testing.assert_allclose(error_m[4:], np.linalg.norm(tips.position_m - data.position_m, axis=1)[4:])
+
+
+def test_a_variant_promises_what_it_can_do_itself(data: Measurements) -> None:
+    """A field that leaves tangents unharmed is no field that turns them, whose share of the turn is free."""
+    effect = CATALOGUE["sensor_distortion"]
+    bent = {"x_x_mm": 1.0, "y_xz_mm": -1.5, "z_yy_mm": 1.5, "x_zz_mm": 1.5, "tangent_share": 1.0}
+    turned = measured(ROBOT, waypoints(ROBOT, 14), {"sensor_distortion": bent})
+    bench = bench_of(turned)
+    base = bench.scored([])
+    variants = [term(effect, names, ROBOT) for names in effect.variants(ROBOT, turned)]
+    known = candidates(ROBOT, turned, {"sensor_distortion": effect})
+    for variant, one in zip(variants, bench.screened(base, variants, known.completed), strict=True):
+        promised = float(robust_square(np.linalg.norm(one.linear.r, axis=1)).sum())
+        assert bench.scored([variant], base.fit).fit.residuals.loss == pytest.approx(promised, rel=0.15), variant.key

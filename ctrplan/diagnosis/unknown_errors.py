@@ -1,0 +1,266 @@
+"""What may act besides on some poses that the catalogue lacks: errors of tips, and processes of the stages.
+
+An unknown error of tips belongs to the configuration, or is smooth in the joints or in time. One of a stage is a
+zero-mean Gaussian process of an angle, a travel, a precurvature, a stiffness or the tilt of the plate, seen through the
+chain's derivatives: of its own joint, of all joints, of all joints and the way they were reached, or of time; or the
+sensor or the robot was pushed between two configurations. Either acts alone, or both do; kinds and sizes, alike in
+their logarithm, are integrated out. Processes contain what named effects do (constants, slopes, first waves): an effect
+has to be more probable than something unknown at its stage.
+
+With B (N, m) the process in its leading modes, of the size s over the noise, and J the derivatives by a set's
+parameters with the precision P of their priors, s changes the logarithm of the evidence by
+
+    1/2 sum_i (s^2 u_i^2 / (1 + s^2 v_i) - log(1 + s^2 v_i)),
+
+v_i the eigenvalues of B^T S B, u_i the components of B^T S r along their vectors, S = I - J (J^T J + P)^-1 J^T.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import logsumexp
+
+from ctrplan.base.arrays import Array
+from ctrplan.calibration import residuals
+from ctrplan.calibration.discrepancy import SIZES, Linearised, of_configurations
+from ctrplan.diagnosis import remainder
+from ctrplan.diagnosis.correlated_bench import CorrelatedBench
+from ctrplan.diagnosis.remainder import QUARTERS, SmoothError, square_distances
+from ctrplan.diagnosis.term_dictionary import TermPiece, pieces
+from ctrplan.diagnosis.term_search import wide_linearisation
+from ctrplan.diagnosis.workbench import Scored, Workbench
+from ctrplan.effects.learned.inputs import Target
+from ctrplan.measurement.approach import clock, friction_state, last_directions
+from ctrplan.measurement.measurements import Measurements
+
+IN_WORDS = {
+    "configuration": "belongs to the configuration",
+    "joints": "goes along with the joints",
+    "time": "goes along with the time",
+    "history": "goes along with the way poses were reached",
+}
+LENGTHS = (0.4, 1.0)  # [rad] over which a process changes: three waves a turn, and one
+SENSOR = Target("sensor")
+LEAST_MODE = 0.02  # of the largest: modes of a process that are smaller are left out
+
+
+@dataclass(frozen=True, eq=False)
+class Peak:
+    """A smooth error with its most probable sizes over the noise, and a process of a stage beside it, if any."""
+
+    error: SmoothError
+    position: float
+    tangent: float
+    process: Array | None = None  # (5 K, m) modes, as large as is most probable
+
+    def evidence(self, fit: Linearised) -> float:
+        """Logarithm of the evidence beside an error of this kind, of the sizes that are most probable there."""
+        if self.process is not None:
+            fit = _with_process(fit, self.process)
+        return self.error.spectrum(fit).highest()[0] / 2
+
+    def whitened(self, values: Array) -> Array:
+        """(5 K, ...) numbers of a fit over the roots of noise and smooth error, up to a rotation."""
+        new = np.array(values)
+        for numbered, size in ((self.error.position, self.position), (self.error.tangent, self.tangent)):
+            for numbers, block in numbered if size else ():
+                root = block.vectors / np.sqrt(1 + size**2 * block.values)
+                new[numbers] = np.tensordot(root.T, values[numbers], axes=1)
+        return new
+
+
+def _with_process(fit: Linearised, modes: Array) -> Linearised:
+    """A fit with a process (5 K, m) among its parameters: integrated out, it is in the covariance."""
+    J = np.concatenate([fit.J, modes.reshape(*fit.r.shape, -1)], axis=2)
+    return Linearised(fit.r, J, np.concatenate([fit.precision, np.ones(modes.shape[1])]))
+
+
+def without_error(fit: Linearised) -> float:
+    """Logarithm of the evidence beside noise alone."""
+    r, J, scale = fit.r.ravel(), fit.J.reshape(fit.r.size, -1), 1 / np.sqrt(fit.precision)
+    factor = np.linalg.cholesky((J.T @ J) * np.outer(scale, scale) + np.eye(len(scale)))
+    z = np.linalg.solve(factor, scale * (J.T @ r))
+    return float(z @ z - r @ r) / 2 - float(np.log(np.diag(factor)).sum())
+
+
+class UnknownErrors:
+    """What may act besides on some poses."""
+
+    def __init__(
+        self,
+        bench: Workbench,
+        base: Scored,
+        chosen: Scored,
+        ends: Sequence[Linearised],
+        counts: Array,
+        with_stages: bool = True,
+    ) -> None:
+        """ends: the two sets, linearised; counts (K,): roots of what poses count; with_stages: or tips alone err."""
+        tangent = chosen.fit.chain.predict(chosen.fit.p, derivatives=False).tangent
+        axes = np.cross(tangent[:, None], residuals.compared(tangent, bench.data.tangent)[1])
+        self.smooth = _smooth(bench.data, axes, ends)
+        processes = list(_processes(bench, base, counts)) if with_stages else []
+        self.inputs = [name for name, _ in processes]  # of each process
+        self.processes = [modes for _, modes in processes]
+
+    def evidence(self, fit: Linearised) -> tuple[float, Peak]:
+        """Logarithm of the evidence averaged over kinds and sizes of errors, and the most probable one.
+
+        An error of tips, one of a stage, and both are as probable a priori. Both are sought from either side: the
+        process beside the most probable smooth error, and the smooth error beside the most probable process.
+        """
+        smooth, peak = self._of_tips(fit)
+        if not self.processes:
+            return smooth, peak
+        r, J = fit.r.ravel(), fit.J.reshape(fit.r.size, -1)
+        gains = self._gains(r, J, fit.precision)
+        alone = without_error(fit) + float(_averaged(gains.ravel(), axis=0))
+        beside = self._gains(peak.whitened(r), peak.whitened(J), fit.precision, peak)
+        both = smooth + float(_averaged(beside.ravel(), axis=0))
+        k, s = np.unravel_index(int(gains.argmax()), gains.shape)
+        other, there = self._beside(_told(SIZES[s] * self.processes[k]), fit)
+        other += float(_averaged(gains.ravel(), axis=0)) - float(gains.max())
+        peaks = [(smooth, peak), (both, peak), (other, there)]
+        best = max(peaks, key=lambda one: one[0])[1]
+        return float(logsumexp([smooth, alone, max(both, other)]) - np.log(3)), best
+
+    def _of_tips(self, fit: Linearised) -> tuple[float, Peak]:
+        """Logarithm of the evidence averaged over smooth errors, and the most probable one."""
+        averaged = [_over_sizes(error, fit) for error in self.smooth]
+        values = np.array([value for value, _ in averaged])
+        return float(_averaged(values, axis=0)), averaged[int(values.argmax())][1]
+
+    def _beside(self, modes: Array, fit: Linearised) -> tuple[float, Peak]:
+        """The same beside a process (5 K, m): the kind of error is the most probable one of what its mean leaves."""
+        wide = _with_process(fit, modes)
+        J = wide.J.reshape(fit.r.size, -1)
+        mean = np.linalg.solve(J.T @ J + np.diag(wide.precision), J.T @ fit.r.ravel())[len(fit.precision) :]
+        rest = replace(fit, r=(fit.r.ravel() - modes @ mean).reshape(fit.r.shape))
+        averaged, near = self._of_tips(rest)
+        highest, position, tangent = near.error.spectrum(wide).highest()
+        return highest / 2 + averaged - near.evidence(rest), Peak(near.error, position, tangent, modes)
+
+    def along(self, fit: Linearised) -> dict[str, float]:
+        """How probable it is that an unknown error goes along with each input, if it is one of tips or of a stage."""
+        smooth = [_over_sizes(error, fit)[0] - np.log(len(self.smooth)) for error in self.smooth]
+        of_size = self._gains(fit.r.ravel(), fit.J.reshape(fit.r.size, -1), fit.precision)
+        gains = _averaged(of_size, axis=1) - np.log(len(self.inputs) or 1) if len(of_size) else np.zeros(0)
+        weights = np.array([*smooth, *(without_error(fit) + gains)])
+        names = [*(error.along for error in self.smooth), *self.inputs]
+        shares = np.exp(weights - logsumexp(weights))
+        return {name: float(shares[[one == name for one in names]].sum()) for name in dict.fromkeys(names)}
+
+    def _gains(self, r: Array, J: Array, precision: Array, peak: Peak | None = None) -> Array:
+        """(M, S) logarithm of what each process, of each size, multiplies the evidence by."""
+        scale = 1 / np.sqrt(precision)
+        factor = np.linalg.cholesky((J.T @ J) * np.outer(scale, scale) + np.eye(len(scale)))
+        taken = np.linalg.solve(factor, (J * scale).T)  # (P, N), whose square is J H^-1 J^T
+        left = r - taken.T @ (taken @ r)
+        gains = []
+        for B in self.processes:
+            over = peak.whitened(B) if peak else B
+            by = taken @ over
+            values, vectors = np.linalg.eigh(over.T @ over - by.T @ by)
+            along, v = (vectors.T @ (over.T @ left)) ** 2, np.maximum(values, 0.0)
+            square = SIZES[:, None] ** 2
+            gains.append((square * along / (1 + square * v) - np.log1p(square * v)).sum(axis=1) / 2)
+        return np.array(gains)
+
+
+def _averaged(logarithms: Array, axis: int) -> Array:
+    """Logarithms of means."""
+    means: Array = logsumexp(logarithms, axis=axis) - np.log(logarithms.shape[axis])
+    return means
+
+
+def _told(modes: Array) -> Array:
+    """(5 K, m) the modes of a process that are more than a part of the noise, apart from each other."""
+    values, vectors = np.linalg.eigh(modes.T @ modes)
+    told: Array = modes @ vectors[:, values > LEAST_MODE]
+    return told
+
+
+def _over_sizes(error: SmoothError, fit: Linearised) -> tuple[float, Peak]:
+    """Logarithm of the evidence averaged over sizes, as if those of position and tangent were apart; and its peak."""
+    spectrum = error.spectrum(fit)
+    highest, position, tangent = spectrum.highest()
+    p = int(np.abs(spectrum.position.size - position).argmin())
+    t = int(np.abs(spectrum.tangent.size - tangent).argmin())
+    lines = spectrum.evidences(slice(None), t), np.atleast_1d(spectrum.evidences(p, slice(None)))
+    spread = sum(float(logsumexp((line - highest) / 2)) - np.log(len(line)) for line in lines)
+    return highest / 2 + spread, Peak(error, position, tangent)
+
+
+def _smooth(data: Measurements, axes: Array, ends: Sequence[Linearised]) -> list[SmoothError]:
+    """Errors of tips, of poses at rest with as much in common of a configuration's approaches as either set says.
+
+    axes (K, 2, 3) are those about which rotations are the two numbers of a tangent.
+    """
+    if data.is_stream:
+        return remainder.of_motion(data, axes)
+    shares = sorted({of_configurations(fit, data.configuration).memory for fit in ends})
+    first, *others = (remainder.at_rest(data, share, axes) for share in shares)
+    return first + [error for more in others for error in more if error.along != "time"]
+
+
+def _processes(bench: Workbench, base: Scored, counts: Array) -> Iterator[tuple[str, Array]]:
+    """The input of every process of a stage, and its modes (5 K, m) over the noise, with mean square 1."""
+    data = bench.data
+    targets = {piece.on: None for piece in pieces(bench.robot, data) if piece.on.kind_name != "sensor"} | {SENSOR: None}
+    constants = {on: TermPiece(on, ("constant",)) for on in targets if not on.of_way}
+    plain = CorrelatedBench(bench.robot, data, replace(base.fit.noise, discrepancy=None), bench.group, bench.fold)
+    table = wide_linearisation(plain, base, list(constants.values()))
+    modes = {(name, length): _modes(square / length**2) for name, square in _distances(data) for length in LENGTHS}
+    seen = {on: table.whole.J[:, :, table.places[piece]] * counts[:, None, None] for on, piece in constants.items()}
+    at_sensor = seen.pop(SENSOR)
+    pushed = [at_sensor * later[:, None, None] for later in _since_each_configuration(data)]
+    yield from (("time", _modes_of_one_size(B)) for B in pushed if B.any())
+    rotations = [D for on, D in seen.items() if on.kind_name == "theta"]
+    parts = [(f"{on.kind_name}_{on.tube}", D) for on, D in seen.items()]
+    if len(rotations) > 1:
+        parts.append(("rotations", np.concatenate(rotations, axis=2)))  # a cause that all of them share
+    for own, D in parts:
+        for (name, _), phi in modes.items():
+            if name in ("joints", "history", "time", own):
+                B = D[..., None] * phi[:, None, None]
+                if B.any():
+                    yield ("joints" if name == own else name), _modes_of_one_size(B)
+
+
+def _modes_of_one_size(B: Array) -> Array:
+    """(5 K, m) of modes (K, 5, ...), with mean square 1."""
+    flat = B.reshape(B.shape[0] * B.shape[1], -1)
+    modes: Array = flat / np.sqrt((flat**2).sum() / len(flat))
+    return modes
+
+
+def _since_each_configuration(data: Measurements) -> list[NDArray[np.bool_]]:
+    """(K,) poses from the first of each configuration but the first on, where poses are at rest."""
+    number, first = np.unique(data.configuration, return_index=True)
+    later = [] if data.is_stream else sorted(first.tolist())[1:]
+    return [np.arange(data.count) >= pose for pose in later]
+
+
+def _distances(data: Measurements) -> Iterator[tuple[str, Array]]:
+    """Squares (K, K) of distances of poses in the inputs of a process, in radians or what counts as much."""
+    joints, time = square_distances(data, range(data.count)), clock(data)
+    yield "joints", joints
+    history = np.hstack([friction_state(data), last_directions(data)])
+    yield "history", joints + ((history[:, None] - history) ** 2).sum(axis=2)
+    yield "time", (QUARTERS * (time[:, None] - time) / max(float(np.ptp(time)), 1e-9)) ** 2
+    theta, l = data.theta_commanded[data.rows], data.l_commanded[data.rows]  # noqa: E741
+    for i in range(data.n):
+        yield f"theta_{i + 1}", 4 * np.sin((theta[:, i, None] - theta[:, i]) / 2) ** 2
+        yield f"l_{i + 1}", ((l[:, i, None] - l[:, i]) / remainder.ROOM_M) ** 2
+
+
+def _modes(square: Array) -> Array:
+    """(K, m) of a process that changes over a radian, or what counts as much."""
+    values, vectors = np.linalg.eigh(np.exp(-square / 2))
+    kept = values > LEAST_MODE * values[-1]
+    modes: Array = vectors[:, kept] * np.sqrt(values[kept])
+    return modes

@@ -1,0 +1,144 @@
+"""What acts beside a built term and a smooth error has a probability of its own, and a smooth error has no name."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from measured_data import SIGMA_M, SIGMA_RAD, measured, pair_robot, waypoints
+from scipy.stats import multivariate_normal
+
+from ctrplan.base.arrays import Array
+from ctrplan.calibration.discrepancy import SIZES, Linearised, Spectrum, block_of, shared
+from ctrplan.calibration.residuals import Noise
+from ctrplan.diagnosis import CATALOGUE, partial_diagnosis
+from ctrplan.diagnosis.correlated_bench import CorrelatedBench
+from ctrplan.diagnosis.posterior import Compared, compared
+from ctrplan.diagnosis.term_search import built_term
+from ctrplan.diagnosis.unknown_errors import Peak
+from ctrplan.diagnosis.usable_poses import block_split, blocks
+from ctrplan.diagnosis.verdict import Posterior, normalised, standing_for
+from ctrplan.diagnosis.workbench import candidates
+from ctrplan.effects.learned.inputs import InputRange, Target
+from ctrplan.measurement.measurements import Measurements
+
+ROBOT = pair_robot()
+PLANS = {count: waypoints(ROBOT, count, seed=4) for count in (24, 48)}
+QUICK = {name: CATALOGUE[name] for name in ("sensor_offset", "joint_scale", "tip_load", "base_misalignment")}
+OFFSET = {"sensor_offset": {"offset_x_mm": 2.0, "offset_y_mm": -1.5}}
+FRAME = {"base_misalignment": {"shift_x_mm": 4.0, "rotation_y_deg": -3.0}}
+RIPPLE = built_term(
+    Target("theta", 2), ["sin_3_theta_2_deg", "cos_3_theta_2_deg"], {"theta_2": InputRange(-180.0, 180.0)}, ROBOT.n
+)
+
+
+def rippled(values: dict[str, dict[str, float]], smooth_mm: float, count: int = 24) -> Measurements:
+    """Gears turn tube 2 further three times a turn; and an error that goes along with the joints."""
+    plan = PLANS[count]
+    theta = plan.theta_commanded.copy()
+    theta[:, 1] += np.radians(7.0) * np.sin(3 * theta[:, 1] + 0.5)
+    data = replace(measured(ROBOT, replace(plan, theta_commanded=theta), values), theta_commanded=plan.theta_commanded)
+    return replace(data, position_m=data.position_m + smooth_mm * smooth_field(plan))
+
+
+def smooth_field(plan: Measurements) -> Array:
+    """(K, 3) an error of 1 mm that goes along with the joints."""
+    rng = np.random.default_rng(3)
+    turn = np.diff(plan.theta_commanded, axis=1)[plan.rows]
+    joints = np.hstack([np.sin(turn), np.cos(turn), plan.l_commanded[plan.rows] / 0.06])
+    waves, phases = rng.standard_normal((40, joints.shape[1])), rng.uniform(-np.pi, np.pi, 40)
+    return 1e-3 * np.cos(joints @ waves.T + phases) @ rng.standard_normal((40, 3)) * np.sqrt(2 / 40 / 3)
+
+
+def told_of(data: Measurements, *beside: object) -> Compared:
+    """The most probable sets from a ripple's term on, or from nothing."""
+    block = blocks(data, 0.0)
+    parts = block_split(data, np.ones(data.count, bool), block)
+    chosen = parts.selection
+    bench = CorrelatedBench(ROBOT, data.subset(chosen), Noise(SIGMA_M, SIGMA_RAD), block[chosen], parts.fold)
+    known = partial_diagnosis.testable_beside(candidates(ROBOT, data, QUICK), bench)
+    return compared(bench, bench.corrected(bench.scored(beside)), known, search=True)  # type: ignore[arg-type]
+
+
+def test_what_acts_beside_a_term_and_a_smooth_error_is_named() -> None:
+    told = told_of(rippled(OFFSET, 0.3), RIPPLE).posterior
+    assert told.of_effect("sensor_offset") > 0.99 and told.of_unknown > 0.99
+    assert told.of_effect("joint_scale", "tip_load") < 0.5
+
+
+@pytest.mark.parametrize("smooth_mm", [0.3, 1.5])
+def test_a_smooth_error_beside_a_term_has_no_name(smooth_mm: float) -> None:
+    told = told_of(rippled({}, smooth_mm), RIPPLE).posterior
+    assert not [name for name in QUICK if told.of_effect(name) > 0.5]
+
+
+def test_a_frame_that_is_displaced_is_more_probable_than_a_smooth_error_in_its_place() -> None:
+    """A smooth error of its size may stand for it, with ever less probability the more configurations there are."""
+    few, many = (told_of(rippled(FRAME, 0.3, count), RIPPLE).posterior for count in PLANS)
+    assert 0.5 < few.of_effect("base_misalignment") < many.of_effect("base_misalignment")
+    assert many.of_effect("base_misalignment") > 0.95
+
+
+def test_look_alikes_are_told_together_and_what_anything_stands_for_is_not() -> None:
+    a, b, c = (frozenset({name}) for name in "abc")
+    told = normalised({a: (0.0, -99.0), b: (-0.5, -99.0), c: (-9.0, -99.0), frozenset(): (-99.0, -99.0)})
+    assert standing_for(told, "a") == ["b"] and standing_for(told, "c") is None
+    certain = normalised({a: (0.0, -99.0), frozenset(): (-99.0, -99.0)})
+    assert standing_for(certain, "a") == []
+    many: Posterior = normalised({frozenset({name}): (0.01 * (name == "a"), -99.0) for name in "abcdefgh"})
+    assert standing_for(many, "a") is None
+
+
+def test_a_process_in_the_covariance_is_the_same_as_one_among_the_parameters() -> None:
+    rng = np.random.default_rng(1)
+    r, J, precision, whole = small()
+    modes = rng.standard_normal((r.size, 4))
+    error: Any
+    error = SimpleNamespace(spectrum=lambda fit: Spectrum.at(fit, (block_of(np.arange(6), np.zeros((6, 6))),)))
+    plain = Peak(error, 0.0, 0.0, modes).evidence(whole) - Peak(error, 0.0, 0.0).evidence(whole)
+    flat = J.reshape(-1, J.shape[2])
+    covariance = np.eye(r.size) + flat @ np.diag(1 / precision) @ flat.T
+    densities = [multivariate_normal.logpdf(r.ravel(), cov=C) for C in (covariance + modes @ modes.T, covariance)]
+    assert plain == pytest.approx(densities[0] - densities[1], abs=1e-9)
+
+
+def test_evidence_is_the_density_of_the_measurements() -> None:
+    """Over parameters and error at once, by the covariance of both."""
+    r, J, precision, whole = small()
+    block = (block_of(np.arange(6), shared(6, 0.8)),)
+    some = [0, 2]
+    spectrum = Spectrum.at(whole, block).of(some)
+    dense = [
+        [log_density(r, J[:, :, some], precision[some], a, b) for b in SIZES[::8].tolist()] for a in SIZES[::8].tolist()
+    ]
+    ours = np.stack([spectrum.evidences(slice(None, None, 8), k) for k in range(0, len(SIZES), 8)], axis=1) / 2
+    np.testing.assert_allclose(ours - ours[0, 0], np.array(dense) - dense[0][0], rtol=1e-9, atol=1e-9)
+    value, position, tangent = spectrum.highest()
+    assert value / 2 >= ours.max() and {position, tangent} <= set(SIZES.tolist())
+    assert spectrum.without_error / 2 == pytest.approx(ours[0, 0])
+
+
+def test_some_parameters_of_a_spectrum_are_a_spectrum_of_their_own() -> None:
+    _, J, precision, whole = small()
+    block = (block_of(np.arange(6), shared(6, 0.8)),)
+    alone = Spectrum.at(Linearised(whole.r, J[:, :, [1]], precision[[1]]), block)
+    assert Spectrum.at(whole, block).of([1]).highest() == pytest.approx(alone.highest(), rel=1e-12)
+
+
+def small() -> tuple[Array, Array, Array, Linearised]:
+    rng = np.random.default_rng(5)
+    r, J, precision = rng.standard_normal((6, 5)), rng.standard_normal((6, 5, 3)), np.array([1.0, 0.2, 4.0])
+    return r, J, precision, Linearised(r, J, precision)
+
+
+def log_density(r: Array, J: Array, precision: Array, position: float, tangent: float) -> float:
+    """Of residuals (K, 5) that parameters and an error of one block leave."""
+    correlation, flat = shared(6, 0.8), J.reshape(-1, J.shape[2])
+    covariance = np.eye(r.size) + flat @ np.diag(1 / precision) @ flat.T
+    for k in range(5):
+        rows = np.arange(6) * 5 + k
+        covariance[np.ix_(rows, rows)] += (position if k < 3 else tangent) ** 2 * correlation
+    return float(multivariate_normal.logpdf(r.ravel(), cov=covariance))
