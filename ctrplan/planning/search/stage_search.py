@@ -127,18 +127,27 @@ class StageSearch:
             self._without_reserve()
         elif not self._is_enough():
             self._cheapest_of(roadmap)
+        self._polish()
         if self.best is not None and not self.best.reordered and not self._is_enough():
             self._tidied(self.checker, self.best.corners, self.best.found_by)
-        self._polish()
         self._sample()
         return self._answer()
 
     def _polish(self) -> None:
-        """Improves the best path as it will be driven; certified again, or else half of the way there."""
+        """Improves the best path, put in order, as it will be driven; certified again, or else half of the way there.
+
+        What is between the best path and the improved one is not certified, which takes as long.
+        """
         if self.best is None or self._is_enough():
             return
-        before = self.best
-        checker, corners = before.checker, before.result.after
+        before, ordered_mm = self.best, 0.0
+        ordered = before.reordered
+        if ordered is None:
+            ordered = least_error_order(before.checker, merge_legs(before.corners))
+            if ordered.motion_before.valid:  # by the search, which keeps more room than the certificate
+                ways = (ordered.motion_before, ordered.motion_after)
+                ordered_mm = float(-np.diff([before.checker.cost_mm(way, ends_at_goal=True) for way in ways])[0])
+        checker, corners = before.checker, ordered.after
         if self.is_compensated:
             checker, corners = aimed(checker, corners)
         until = self.clock.now() + POLISH_SHARE * self.budget
@@ -155,12 +164,12 @@ class StageSearch:
                 return
             polished, (there, moved) = back, aimed(before.checker, back)  # from there compensation goes another way
             reached_mm = there.cost_mm(there.along(moved), ends_at_goal=True)
-            cost_mm = before.cost_mm - (begun_mm - reached_mm)
+            cost_mm = before.cost_mm - ordered_mm - (begun_mm - reached_mm)
         if not begun_mm - reached_mm > WORTH_A_CERTIFICATE * begun_mm:
             return
         failed = self._tidied(before.checker, polished, before.found_by, as_driven_mm=cost_mm)
-        if failed and len(polished) == len(before.result.after):
-            self._tidied(before.checker, (polished + before.result.after) / 2, before.found_by)
+        if failed and len(polished) == len(ordered.after):
+            self._tidied(before.checker, (polished + ordered.after) / 2, before.found_by)
 
     def _without_reserve(self) -> None:
         """No path keeps more clearance than the certificate asks for: what keeps no more is looked for."""
