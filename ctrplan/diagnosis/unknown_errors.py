@@ -135,7 +135,7 @@ class UnknownErrors:
         return float(_averaged(values, axis=0)), averaged[int(values.argmax())][1]
 
     def _beside(self, modes: Array, fit: Linearised) -> tuple[float, Peak]:
-        """The same beside a process (5 K, m): the kind of error is the most probable one of what its mean leaves."""
+        """Log evidence and peak beside a process (5 K, m), for the likeliest kind of error in what its mean leaves."""
         wide = _with_process(fit, modes)
         J = wide.J.reshape(fit.r.size, -1)
         mean = np.linalg.solve(J.T @ J + np.diag(wide.precision), J.T @ fit.r.ravel())[len(fit.precision) :]

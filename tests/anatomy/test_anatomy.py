@@ -142,8 +142,8 @@ def test_overlapping_bodies_of_one_mesh_are_solid() -> None:
 
 
 def test_a_side_does_not_depend_on_the_points_asked_for_together() -> None:
-    """Of points along a way, in which few are asked on which side they are, and of each by itself: through bodies that
-    overlap, out of them and back, standing still in between."""
+    """Points along a way, few of which are asked for their side, have the sides that each has by itself: through bodies
+    that overlap, out of them and back, standing still in between."""
     vertices, faces = np.asarray(ICOSPHERE.vertices), np.asarray(ICOSPHERE.faces)
     both = trimesh.Trimesh(np.concatenate([vertices, vertices + [0.02, 0, 0]]), [*faces, *(faces + len(vertices))])
     part = mesh_part(both)

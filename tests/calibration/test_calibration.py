@@ -135,7 +135,7 @@ def test_the_command_writes_a_robot_that_can_be_read(
 
 @pytest.mark.parametrize("count", [19, 24, 60])
 def test_a_tip_that_nothing_has_read_is_inside_the_radius_as_often_as_its_rank_says(count: int) -> None:
-    """Of heavy tails as of Gaussian ones: the 95th percentile of so few distances held 92 %."""
+    """Heavy tails are covered like Gaussian ones; the 95th percentile of so few distances had 92 %."""
     rng = np.random.default_rng(count)
     for freedom in (3.0, 1e6):
         scale = np.sqrt(freedom / rng.chisquare(freedom, (4000, count + 1)))

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from measured_data import SIGMA_M, SIGMA_RAD, measured, pair_robot, waypoints
+from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
 from ctrplan.calibration import least_squares
@@ -14,7 +15,8 @@ from ctrplan.calibration.discrepancy import Linearised
 from ctrplan.calibration.residuals import Noise
 from ctrplan.diagnosis import CATALOGUE, partial_diagnosis
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
-from ctrplan.diagnosis.posterior import compared
+from ctrplan.diagnosis.cross_validation import Linear
+from ctrplan.diagnosis.posterior import _widths, compared
 from ctrplan.diagnosis.unknown_errors import UnknownErrors, without_error
 from ctrplan.diagnosis.verdict import Hypothesis, Posterior, normalised, shown
 from ctrplan.diagnosis.workbench import Workbench, candidates
@@ -250,3 +252,23 @@ def test_an_effect_far_below_its_prior_pays_for_that_once_and_not_for_each_param
         told = compared(bench, bench.scored([]), replace(known, terms=tuple(wide)), search=True).posterior
         odds.append(np.log(told.of_effect("base_misalignment") / told.of_effect("sensor_offset", "tip_load")))
     assert 0 < odds[1] - odds[0] < np.log(4)  # 3 log 4 = 4.2 where widths are as stated
+
+
+@pytest.mark.parametrize(("size", "count", "least"), [(1.0, 1, -0.35), (1.0, 6, -0.1), (0.05, 6, -0.3), (0.0, 3, -0.8)])
+def test_the_evidence_of_an_unknown_width_is_its_integral_over_the_half_cauchy_prior(
+    size: float, count: int, least: float
+) -> None:
+    """By quadrature over the logarithm of the width; what is not there is held for less probable, never for more."""
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        J = 20 * rng.standard_normal((8, 5, count))
+        r = J @ (size * rng.standard_normal(count)) + rng.standard_normal((8, 5))
+        ones = np.ones(count)
+        fit = Linear(r, J, np.ones(8), ones, np.zeros(count), np.ones((8, 5), bool))
+        width = _widths(fit, ("a",) * count, {"a"})["a"]
+        ours = without_error(Linearised(r, J, ones / width.over_stated**2)) - width.cost
+        grid = np.linspace(-12, 8, 2001)  # of the logarithm
+        prior = np.log(2 / np.pi) + grid - np.log1p(np.exp(2 * grid))
+        values = [without_error(Linearised(r, J, ones / np.exp(2 * t))) for t in grid.tolist()] + prior
+        exact = logsumexp(values) + np.log(grid[1] - grid[0])
+        assert least < ours - exact < 0.1

@@ -135,7 +135,7 @@ def small() -> tuple[Array, Array, Array, Linearised]:
 
 
 def log_density(r: Array, J: Array, precision: Array, position: float, tangent: float) -> float:
-    """Of residuals (K, 5) that parameters and an error of one block leave."""
+    """Log density of residuals (K, 5) that parameters and an error of one block leave."""
     correlation, flat = shared(6, 0.8), J.reshape(-1, J.shape[2])
     covariance = np.eye(r.size) + flat @ np.diag(1 / precision) @ flat.T
     for k in range(5):
