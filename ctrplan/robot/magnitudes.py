@@ -75,8 +75,9 @@ def reach_m(robot: Robot) -> float:
 
 
 def implied_young_Pa(tube: Tube) -> float:
-    """Young's modulus [Pa] of a tube's bending stiffness and diameters."""
-    return tube.bending_stiffness_Nm2 / (math.pi / 64 * (tube.outer_diameter_m**4 - tube.inner_diameter_m**4))
+    """Young's modulus [Pa] of a tube's bending stiffness and diameters; infinite for walls of no area in doubles."""
+    second_moment = math.pi / 64 * (tube.outer_diameter_m**4 - tube.inner_diameter_m**4)
+    return tube.bending_stiffness_Nm2 / second_moment if second_moment > 0 else math.inf
 
 
 def straightened_strain(tube: Tube) -> float:
@@ -213,8 +214,8 @@ def bend_readings(tube: Tube, section: TubeSection) -> tuple[list[str], list[str
     curvature, radius_mm = section.curvature_per_m, 1e3 / section.curvature_per_m
     as_curvature = {f"its curvature in 1/{unit}": curvature / UNITS_M[unit] for unit in ("mm", "cm", "in")}
     as_curvature |= {"its radius in mm (radius_mm)": 1e3 / curvature}
-    as_curvature |= {f"its radius in {IN_WORDS[unit]}": 1 / (curvature * UNITS_M[unit]) for unit in ("cm", "in")}
-    as_radius = {f"its radius in {IN_WORDS[unit]}": 1 / (radius_mm * UNITS_M[unit]) for unit in ("cm", "in", "m")}
+    as_curvature |= {f"its radius in {IN_WORDS[unit]}": 1 / curvature / UNITS_M[unit] for unit in ("cm", "in")}
+    as_radius = {f"its radius in {IN_WORDS[unit]}": 1 / radius_mm / UNITS_M[unit] for unit in ("cm", "in", "m")}
     as_radius["its curvature in 1/m (curvature_y_per_m)"] = radius_mm
     usual = [
         [word for word, per_m in words.items() if _is_usual(tube, section, per_m)]

@@ -99,6 +99,21 @@ def test_a_damaged_robot_file_is_read_or_refused_in_one_sentence(
     check_reading(load_robot, Robot, folder / "robot.toml", damaged(ROBOTS[name], changes))
 
 
+NUMBER = re.compile(r"(\s*[\w\"']+\s*=\s*)(\[.*\]|-?[\d.e+-]+)\s*(#.*)?$")
+EXTREMES = ("5e-324", "-5e-324", "1e-200", "1e160", "1.7e308", "-1.7e308")
+
+
+@pytest.mark.parametrize("name", sorted(ROBOTS))
+def test_no_number_of_a_robot_file_is_too_small_or_too_large_for_its_reader(folder: Path, name: str) -> None:
+    """Products of tiny numbers are zero and those of huge ones infinite: a radius of 1 / 0 was a traceback."""
+    lines, file = ROBOTS[name].splitlines(), folder / "robot.toml"
+    for k, parts in ((k, parts) for k, line in enumerate(lines) if (parts := NUMBER.match(line))):
+        for new in EXTREMES:
+            value = f"[{', '.join([new] * len(parts[2].split(',')))}]" if parts[2].startswith("[") else new
+            content = "\n".join([*lines[:k], parts[1] + value, *lines[k + 1 :]])
+            check_reading(load_robot, Robot, file, encoded(content))
+
+
 @cases(200)
 @given(st.sampled_from(sorted(PROBLEMS)), DAMAGE)
 def test_a_damaged_scenario_file_is_read_or_refused_in_one_sentence(
