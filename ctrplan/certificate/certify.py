@@ -22,7 +22,7 @@ from ctrplan.certificate.arrival import (
     with_steps,
 )
 from ctrplan.certificate.certificate import Certificate, CertificateSamples
-from ctrplan.certificate.closest import closest_places
+from ctrplan.certificate.closest import ClosestPlaces, closest_places
 from ctrplan.certificate.friction_states import BEYOND_BOUND_M
 from ctrplan.certificate.problems import frictionless_miss, goal_miss_m, line_error_m
 from ctrplan.certificate.walked_legs import WalkedLegs, walk_legs
@@ -113,7 +113,8 @@ def certify(
     which the cost counts as the search does; and the prediction by simulated histories, from `starts` where a motion
     before this one left the robot in these friction states. `goal_test` says what misses the goal. From where an
     interrupted run begins again is simulated too, unless it is not wanted. Of clearance beyond `spare_m` more than what
-    the scenario asks for it is only known that it is more, which takes less time.
+    the scenario asks for it is only known that it is more, and no place of closest approach is sought: that takes less
+    time.
     """
     walk = walk_legs(scenario, corners, accuracy=accuracy, spare_m=spare_m, timing=timing, progress=progress)
     result = finished(walk, goal_test, starts)
@@ -129,7 +130,7 @@ def finished(
     scenario, begun = walk.scenario, start_states(walk.scenario) if starts is None else starts
     bodies = SimulatedBodies.of(scenario)
     with ThreadPoolExecutor(1) as beside:  # of few histories one ends last
-        places = beside.submit(closest_places, scenario, walk.pieces, walk.samples)
+        places = beside.submit(_places, walk)
         history = _simulated(walk, begun, bodies)
         closest = places.result()
     prediction, samples = history.prediction, history.samples
@@ -172,6 +173,11 @@ def finished(
         spare_m=walk.spare_m,
         walk_again=partial(_walked_again, walk, goal_test),
     )
+
+
+def _places(walk: WalkedLegs) -> ClosestPlaces:
+    """Where walked legs come closest; none where not all of their clearance is known."""
+    return closest_places(walk.scenario, walk.pieces, walk.samples) if np.isinf(walk.spare_m) else ClosestPlaces()
 
 
 def _walked_again(

@@ -33,7 +33,7 @@ POINT_M = 0.25e-3
 
 @dataclass(frozen=True)
 class ClosestPlaces:
-    """None in free space."""
+    """None in free space, and where nobody asked for all clearance that is left."""
 
     nominal: Closest | None = None
     friction: Closest | None = None

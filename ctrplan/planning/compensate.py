@@ -27,6 +27,8 @@ from ctrplan.scenario.prediction import (
     TIP_TOLERANCE_M,
     FrictionStart,
     PathPrediction,
+    ball_centre,
+    end_tips,
     predict_end,
     predict_from,
     start_states,
@@ -152,7 +154,7 @@ def aimed(checker: MotionChecker, corners: Array) -> tuple[MotionChecker, Array]
     if goal.tip_m is None or goal.joints is not None or goal.line_m is not None or len(corners) < 2:
         return checker, corners
     frictionless = robot.mechanics.tips_with_friction(*robot.drive.collars(corners[-1:]), np.zeros((1, robot.n - 1)))
-    offset = predict_end(robot, corners, start_states(scenario))[0].end_middle_m - frictionless.position_m[0]
+    offset = ball_centre(end_tips(robot, corners, start_states(scenario))) - frictionless.position_m[0]
     if not np.isfinite(offset).all():
         return checker, corners
     there = replace(goal, tip_m=goal.tip_m - scenario.base_R @ offset)

@@ -147,9 +147,12 @@ def _typed_array(values: NDArray[np.float32 | np.int32]) -> dict[str, str]:
     return {"dtype": kind, "bdata": base64.b64encode(values.astype(f"<{kind}").tobytes()).decode("ascii")}
 
 
+LEVEL = 4  # of zlib: plotly.js is 4 % larger than by its usual 6, in half the time
+
+
 def packed(text: str) -> str:
     """Compressed, in letters and digits: packed.js makes the text of it again."""
-    return base64.b64encode(zlib.compress(text.encode())).decode("ascii")
+    return base64.b64encode(zlib.compress(text.encode(), LEVEL)).decode("ascii")
 
 
 @cache

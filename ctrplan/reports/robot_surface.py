@@ -197,6 +197,7 @@ FINEST_M = 1.0e-3
 THINNEST_CELLS = 0.9  # a thinner rod could slip between the nodes of the grid
 STRIDE, FAR_CELLS = 4, 8
 SPACING_CELLS = 0.5  # of the spheres that stand for a rod, or thin ones would be beads on a string
+ALIKE_CELLS = SPACING_CELLS / 4  # spheres of neighbouring poses nearer to each other stand for each other
 
 
 def swept_surface(poses: Sequence[RobotPose], nodes: int = NODES) -> Surface:
@@ -253,7 +254,8 @@ def _spheres(rods: Sequence[Rod], cell: float) -> tuple[Array, Array]:
         at = np.linspace(0.0, s_m[-1], int(s_m[-1] / (SPACING_CELLS * cell)) + 2)
         results.append(np.column_stack([np.interp(at, s_m, row) for row in (*rod.centreline_m.T, rod.radius_m)]))
     rows = np.concatenate(results)
-    return rows[:, :3], np.maximum(rows[:, 3], THINNEST_CELLS * cell)
+    _, first = np.unique(np.round(rows / (ALIKE_CELLS * cell)), axis=0, return_index=True)
+    return rows[first, :3], np.maximum(rows[first, 3], THINNEST_CELLS * cell)
 
 
 def _grid(lower: Array, upper: Array, cell: float) -> tuple[Array, tuple[int, int, int]]:

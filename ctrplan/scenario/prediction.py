@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from ctrplan.scenario.scenario import Scenario
 
 STEP_RAD, STEP_M = 0.05, 1e-3  # between configurations at which the simulated tips are looked at
-BLOCK = 20  # configurations after which histories are compared
+BLOCK = 20  # of these steps after which histories are compared
 LOOK_EVERY = 5  # configurations after which a body is looked at
 # Differences of tips, tangents and friction below which histories have become one: a fiftieth of what they are
 # simulated to, so that what grows in passing stays below that.
@@ -170,7 +170,15 @@ def predict_from(robot: Robot, states: Sequence[HistoryState], joints: Array) ->
 
 
 def goal_error(robot: Robot, joints: Array, starts: Sequence[FrictionStart]) -> float:
-    """Largest distance [m] of a simulated tip from the frictionless one after the path (K, m); inf if any failed.
+    """Largest distance [m] of a simulated tip from the frictionless one after the path (K, m); inf if any failed."""
+    theta_b, l_b = robot.drive.collars(joints[-1:])
+    frictionless = robot.mechanics.tips_with_friction(theta_b, l_b, np.zeros((1, robot.n - 1))).position_m
+    error = float(np.linalg.norm(end_tips(robot, joints, starts) - frictionless, axis=1).max())
+    return error if np.isfinite(error) else np.inf
+
+
+def end_tips(robot: Robot, joints: Array, starts: Sequence[FrictionStart]) -> Array:
+    """(S, 3) [m] simulated tips after the path (K, m); NaN where one failed.
 
     Paths that begin alike share that part of their histories; a robot's last few are remembered.
     """
@@ -184,10 +192,7 @@ def goal_error(robot: Robot, joints: Array, starts: Sequence[FrictionStart]) -> 
         while len(known) >= MOST_REMEMBERED:
             known.pop(next(iter(known)))
         known[joints[: k + 1].tobytes()] = _end_after(robot, joints[k], before, starts)
-    theta_b, l_b = robot.drive.collars(joints[-1:])
-    frictionless = robot.mechanics.tips_with_friction(theta_b, l_b, np.zeros((1, robot.n - 1))).position_m
-    error = float(np.linalg.norm(known[joints.tobytes()].tip_m - frictionless, axis=1).max())
-    return error if np.isfinite(error) else np.inf
+    return known[joints.tobytes()].tip_m
 
 
 def step_error(
@@ -261,15 +266,17 @@ def _restored(robot: Robot, states: Sequence[HistoryState], accuracy: Accuracy =
 
 def rows_to_simulate(robot: Robot, joints: Array, leg: NDArray[np.int_]) -> NDArray[np.int_]:
     """Indices of configurations (K, m) no farther apart than the steps, the ends of legs (K,) among them."""
-    theta_b, l_b = robot.drive.collars(joints)
-    moved = np.maximum(
-        np.abs(np.diff(theta_b, axis=0)).max(axis=1) / STEP_RAD, np.abs(np.diff(l_b, axis=0)).max(axis=1) / STEP_M
-    )
-    step = np.floor(np.concatenate([[0.0], np.cumsum(moved)]))
+    step = np.floor(_steps_until(*robot.drive.collars(joints)))
     wanted = np.concatenate([[True], np.diff(step) > 0])
     wanted[:-1] |= np.diff(leg) > 0
     wanted[-1] = True
     return np.flatnonzero(wanted)
+
+
+def _steps_until(theta_b: Array, l_b: Array) -> Array:
+    """(K,) steps that collars (K, n) [rad], (K, n) [m] have moved by since the first row."""
+    turned, slid = (np.abs(np.diff(part, axis=0)).max(axis=1) for part in (theta_b, l_b))
+    return np.append(0.0, np.cumsum(np.maximum(turned / STEP_RAD, slid / STEP_M)))
 
 
 def _follow(
@@ -283,7 +290,8 @@ def _follow(
     theta_b, l_b = robot.drive.collars(joints)
     count, size = len(joints), 6 + robot.n - 1
     poses, snaps, states = np.full((len(histories), count, size), np.nan), 0, list[tuple[int, HistoryState]]()
-    ends = sorted({*range(BLOCK, count, BLOCK), *(row + 1 for row in keep), count})
+    compared = np.flatnonzero(np.diff(_steps_until(theta_b, l_b) // BLOCK)) + 2
+    ends = sorted({*compared.tolist(), *(row + 1 for row in keep), count})
     with ThreadPoolExecutor(cores()) as pool:
         for begin, end in itertools.pairwise([0, *ends]):
             rows, apart = slice(begin, end), list(dict.fromkeys(histories))
