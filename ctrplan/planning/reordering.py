@@ -145,16 +145,16 @@ def least_error_order(checker: MotionChecker, corners: Array) -> Reordered:
     motions = [checker.along(way, remembers=True) for way in others]
     ranked = [k for k in np.argsort([_way_cost(checker, motion) for motion in motions]) if motions[k].valid]
     ways += [others[k] for k in ranked[:MOST_SIMULATED]]
-    if len(ways) == 1:
-        return given
-    errors = np.array([goal_error(robot, way, starts) for way in ways])
     motions = [before, *(checker.along(way, remembers=True) for way in ways[1:])]
     costs = np.array([_way_cost(checker, motion) for motion in motions])
-    open_to = (costs <= costs[0] + 1e-9) & np.isfinite(errors)
-    if not open_to.any():
+    cheap = np.flatnonzero(costs <= costs[0] + 1e-9)  # of no other is the error asked for
+    if len(cheap) == 1:
         return given
-    close = open_to & (errors <= errors[open_to].min() + TIP_TOLERANCE_M)
-    best = int(np.argmin(np.where(close, costs, np.inf)))
+    errors = np.array([goal_error(robot, ways[k], starts) for k in cheap])
+    if not np.isfinite(errors).any():
+        return given
+    close = errors <= errors.min() + TIP_TOLERANCE_M
+    best = int(cheap[np.argmin(np.where(close, costs[cheap], np.inf))])
     return Reordered(corners, ways[best], before, motions[best], _style(checker, ways[best]))
 
 
