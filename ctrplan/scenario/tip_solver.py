@@ -207,18 +207,18 @@ class _Batch:
     def _moved(self, rows: Rows) -> Array:
         """(K, m) a damped step further; along the limits and nesting that it runs into."""
         space, q = self.solver.space, self.q[rows]
-        weights = space.weights_mm / MM_PER_M
-        slope = self._weighted(rows) / weights
+        weights, count = space.weights_mm / MM_PER_M, 3 if self.target.direction is None else 6
+        slope, miss = self._weighted(rows)[:, :count] / weights, self.miss[rows, :count, None]
         for _ in range(PASSES):
-            gram = slope @ np.swapaxes(slope, 1, 2) + self.damping[rows, None, None] * np.eye(6)
-            step = np.einsum("kij,ki->kj", slope, np.linalg.solve(gram, self.miss[rows][:, :, None])[:, :, 0])
+            gram = slope @ np.swapaxes(slope, 1, 2) + self.damping[rows, None, None] * np.eye(count)
+            step = np.einsum("kij,ki->kj", slope, np.linalg.solve(gram, miss)[:, :, 0])
             step *= np.minimum(1.0, LONGEST_STEP_M / np.maximum(_length(step), 1e-12))[:, None]
             moved = q + step / weights
             self._hold(slope, moved)
         return space.projected(moved, fallback=q)
 
     def _hold(self, slope: Array, moved: Array) -> None:
-        """Takes out of `slope` (K, 6, m) the motions that carried `moved` beyond a limit or out of nesting."""
+        """Takes out of `slope` (K, 3 or 6, m) the motions that carried `moved` beyond a limit or out of nesting."""
         space = self.solver.space
         rules, room = space.nesting_rules
         for row, limit in zip(rules, room, strict=True):
