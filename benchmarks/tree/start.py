@@ -1,16 +1,21 @@
 """How soon do commands start, and `ctrplan render` draw? Help, import, a bound and a loaded scenario, by the clock.
 
     python benchmarks/run.py start [--runs 9] [--robot three_tube] [--scenario vessel]
+    python benchmarks/run.py start --plan 1 [--runs 9] [--scenario vessel]
     python benchmarks/run.py start --pictures out/plan.json
 
 Each row is a process of its own, run so many times after one that is not counted. Modules are those of ctrplan that are
-imported at the end. --pictures: processor time of a picture of a plan, by camera, of the first and the mean of the next
-ones. What stands still is drawn once where the camera stands still too, and anew for each picture from inside.
+imported at the end. --plan: processor time, user and system, of a whole `ctrplan plan` with a search of so many
+seconds, with its report and without, in turn. --pictures: processor time of a picture of a plan, by camera, of the
+first and the mean of the next ones. What stands still is drawn once where the camera stands still too, and anew for
+each picture from inside.
 """
 
 import os
+import resource
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -64,8 +69,26 @@ def pictures(plan: str) -> None:
     table(f"{motion.scenario.name}, {WIDTH} x {HEIGHT}", ("camera", "first picture", "each other"), rows)
 
 
+def plans(scenario: str, search_s: float, runs: int) -> None:
+    """Prints seconds of a processor that `ctrplan plan` takes, processes of their own in turn."""
+    kinds: dict[str, list[str]] = {"with report.html and plan.png": [], "--no-report": ["--no-report"]}
+    spent: dict[str, list[float]] = {kind: [] for kind in kinds}
+    with tempfile.TemporaryDirectory() as folder:
+        command = [sys.executable, "-m", "ctrplan", "plan", str(SCENARIOS / f"{scenario}.toml"), "-o", folder]
+        command += ["--time", f"{search_s:g}", "--quiet"]
+        for _ in range(runs):
+            for kind, options in kinds.items():
+                before = resource.getrusage(resource.RUSAGE_CHILDREN)
+                subprocess.run([*command, *options], check=True, stdout=subprocess.DEVNULL)
+                after = resource.getrusage(resource.RUSAGE_CHILDREN)
+                spent[kind].append(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
+    rows = [(kind, f"{min(taken):.2f} s", f"{np.median(taken):.2f} s") for kind, taken in spent.items()]
+    table(f"ctrplan plan, {scenario}, a search of {search_s:g} s: of a processor", ("what", "least", "median"), rows)
+
+
 def main() -> None:
     parser = common.parser(__doc__)
+    parser.add_argument("--plan", type=float, metavar="S")
     parser.add_argument("--pictures")
     parser.add_argument("--runs", type=int, default=9)
     parser.add_argument("--robot", default="three_tube")
@@ -73,6 +96,9 @@ def main() -> None:
     given = parser.parse_args()
     if given.pictures:
         pictures(given.pictures)
+        return
+    if given.plan:
+        plans(given.scenario, given.plan, given.runs)
         return
     file = SCENARIOS / f"{given.scenario}.toml"
     load = f"import ctrplan; ctrplan.load_scenario({str(file)!r})"
