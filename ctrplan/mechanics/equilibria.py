@@ -229,7 +229,7 @@ class Torus:
         EI = np.array([tube.bending_stiffness_Nm2 for tube in tubes])
         GJ = EI / (1 + np.array([tube.poisson_ratio for tube in tubes]))
         parts = stretches(tubes, l_b)
-        self._core = _model.TorusTubes(
+        self._core = _model.TipTorus(
             EI=EI.tolist(),
             GJ=GJ.tolist(),
             behind=(l_b - GJ * [tube.shaft_compliance_rad_per_Nm for tube in tubes]).tolist(),
@@ -238,34 +238,12 @@ class Torus:
             first=[part.first for part in parts],
             u=np.array([part.u for part in parts]).reshape(-1, len(tubes), 2),
             slope=np.array([part.slope for part in parts]).reshape(-1, len(tubes), 2),
+            step=STEP_M,
         )
-
-    def grid(self, times: int = 1) -> Array:
-        """(Q, n - 1) angles at the tips, evenly over the torus, so many times as dense as GRID along each."""
-        if not self.pairs:
-            return np.zeros((1, 0))
-        count = times * GRID[self.pairs]
-        steps = np.arange(count) * 2 * np.pi / count
-        return np.stack(np.meshgrid(*[steps] * self.pairs, indexing="ij"), axis=-1).reshape(-1, self.pairs)
 
     def signs(self) -> NDArray[np.int64]:
         """(Q,) signs of the determinant of R's derivatives on the grid."""
-        return np.asarray(self._core.signs(self.grid(), STEP_M))
-
-    def several(self, alpha: Array) -> NDArray[np.bool_]:
-        """(A,) whether relative collar angles (A, n - 1) have more than one root: then one has a negative sign.
-
-        Newton's method begins where the grid's determinants are not positive, and beside.
-        """
-        folded = (self.signs() <= 0).reshape((GRID[max(self.pairs, 1)],) * self.pairs)
-        for axis in range(self.pairs):
-            folded = folded | np.roll(folded, 1, axis) | np.roll(folded, -1, axis)
-        begin = np.ascontiguousarray(self.grid()[folded.ravel()])
-        if not len(begin):
-            return np.zeros(len(alpha), dtype=bool)
-        reach_rad = NEAR_CELLS * 2 * np.pi / GRID[self.pairs]
-        every = self._core.roots(begin, alpha, [0.0] * len(alpha), reach_rad, SAME_RAD, STEP_M)
-        return np.array([any(row[2] < 0 for row in rows) for rows in every])
+        return np.asarray(self._core.signs(self._count()))
 
     def roots(self, alpha: Array, outermost_rad: float) -> tuple[list[Equilibrium], int]:
         """Equilibria at relative collar angles (n - 1,), the outermost collar at an angle, and their signs' sum."""
@@ -282,8 +260,8 @@ class Torus:
         for times, cells in ((1, NEAR_CELLS), (DENSER, np.inf)):
             reach_rad = cells * 2 * np.pi / GRID[max(self.pairs, 1)]
             turned = np.ascontiguousarray(alpha[left]), [float(outermost_rad[k]) for k in left]
-            found = self._core.roots(self.grid(times), *turned, reach_rad, SAME_RAD, STEP_M)
-            for k, rows in zip(left, found, strict=True):
+            every = self._core.roots(self._count(times), *turned, reach_rad, SAME_RAD)
+            for k, rows in zip(left, every, strict=True):
                 results[k] = rows
             left = [k for k in left if sum(row[2] for row in results[k]) != 1]
             if not left:
@@ -301,8 +279,12 @@ class Torus:
 
     def shapes(self, tip_angles_rad: Array, outermost_rad: Sequence[float]) -> tuple[Array, Array]:
         """Arc lengths (K,) [m], and angles (G, n, K) of every tube there where the tips stand at (G, n - 1)."""
-        s_m, theta = self._core.shapes(np.ascontiguousarray(tip_angles_rad), list(outermost_rad), STEP_M)
+        s_m, theta = self._core.shapes(np.ascontiguousarray(tip_angles_rad), list(outermost_rad))
         return np.asarray(s_m), np.asarray(theta)
+
+    def _count(self, times: int = 1) -> int:
+        """Angles along each pair, so many times GRID."""
+        return times * GRID[max(self.pairs, 1)]
 
 
 class _Looked:
@@ -349,14 +331,10 @@ class _Looked:
         has = {state for state, _ in known}
         off += [(len(self.phi) - state, -by) for state, by in off if state and len(self.phi) - state not in has]
         beside = [(state, factor * by) for factor in BEYOND for state, by in off]
-        several = self.torus.several(alpha + np.array([by for _, by in beside]))
-        beside = [pair for pair, is_folded in zip(beside, several.tolist(), strict=True) if is_folded]
-        if not beside:
-            return
         every = self.torus.all_roots(alpha + np.array([by for _, by in beside]), [float(self.theta[0])] * len(beside))
         guesses = list[tuple[int, Array, Array, float]]()
         for (state, by), (roots, _) in zip(beside, every, strict=True):
-            for root in roots:
+            for root in roots if len(roots) > 1 else ():
                 away = [np.abs(_principal(psi - root.tip_angles_rad)).max() for k, psi in known if k == state]
                 if root.is_stable and min(away, default=np.inf) > NEAR_RAD:
                     known.append((state, root.tip_angles_rad))
@@ -365,14 +343,19 @@ class _Looked:
             return
         states, energy = np.array([state for state, *_ in guesses]), [energy_J for *_, energy_J in guesses]
         angles, back = np.array([shape for _, shape, *_ in guesses]), np.array([by for *_, by, _ in guesses])
-        # At once, and once more while friction grows and the collars turn back: shapes stay much as they are then.
+        # At once; and where that is not solved while friction grows and the collars turn back, from solution to solution.
+        at = np.arange(len(states))
         for way in ((0.0,), LEFT):
-            at = angles
             for left in way:
-                rows = self._solve(states, at, back, left)
-                at = rows.angles_rad
-            for k, state in enumerate(states.tolist()):
-                self._add([state], rows, energy[k], k)
+                if not len(at):
+                    return
+                rows = self._solve(states[at], angles[at], back[at], left)
+                solved = rows.status == Status.CONVERGED
+                at, failed = at[solved], at[~solved]
+                angles[at] = rows.angles_rad[solved]
+            for k, row in zip(at, np.flatnonzero(solved), strict=True):
+                self._add([int(states[k])], rows, energy[k], int(row))
+            at = failed
 
     def branches(self) -> Iterator[Branch]:
         """All of them."""

@@ -77,6 +77,20 @@ def test_numbers_of_stable_and_unstable_ones_differ_by_one_for_a_pair() -> None:
     assert not is_unique(wound, place) and len(wound.equilibria([0.0, np.pi], place).stable) == 2
 
 
+@pytest.mark.parametrize("name", ["bent", "rvim"])
+def test_equilibria_depend_on_nothing_that_is_asked_along_with_them(name: str) -> None:
+    """At many collar angles at once, where each search begins at roots of those before it, too; and alone."""
+    robot = rvim() if name == "rvim" else bent(2.5)
+    alpha = np.random.default_rng(4).uniform(-np.pi, np.pi, (30, robot.n - 1))
+    for _, l in collars(robot, 3, 11):  # noqa: E741 (as in the equations)
+        together = Torus(robot.tubes, l).all_roots(alpha, [0.0] * len(alpha))
+        for (each, degree), at in zip(together, alpha, strict=True):
+            alone, own_degree = Torus(robot.tubes, l).roots(at, 0.0)
+            assert degree == own_degree == 1
+            by_energy = [sorted(row, key=lambda root: root.energy_J) for row in (each, alone)]
+            np.testing.assert_allclose(*[[root.tip_m for root in row] for row in by_energy], atol=1e-7)
+
+
 def test_opposed_tubes_have_two_shapes_that_mirror_each_other() -> None:
     known = bent(2.5).equilibria([0.0, np.pi], np.array([0.0, -90e-3]))
     a, b = known.stable

@@ -6,6 +6,7 @@
 // is an equilibrium at relative angles alpha of the collars. Outermost tube first, as in Python.
 #pragma once
 
+#include <memory>
 #include <vector>
 
 namespace ctr {
@@ -36,21 +37,29 @@ struct TorusRoot {
 
 constexpr int TORUS_MOST_TUBES = 5;
 
-// Signs of the determinants of R's derivatives at psi (Q, n - 1), steps no longer than `step`.
-std::vector<int> torus_signs(const TorusTubes& tubes, const std::vector<double>& psi, double step);
-
-// Newton's method for R = alpha + 2 pi k from each of psi (Q, n - 1), as long as the first step leads less than `reach` away;
-// roots closer together than `apart` are one. A list for each of alpha (A, n - 1), with the outermost collar at outermost (A).
-std::vector<std::vector<TorusRoot>> torus_roots(const TorusTubes& tubes, const std::vector<double>& psi, const std::vector<double>& alpha,
-                                                const std::vector<double>& outermost, double reach, double apart, double step);
-
 // Angles of every tube along the robot, beyond its ends as there.
 struct TorusShapes {
     std::vector<double> s;      // (K,) [m] from behind the plate to the foremost tip
     std::vector<double> theta;  // (G, n, K) [rad]
 };
 
-// Where the tips stand at psi (G, n - 1), with the outermost collar at outermost (G).
-TorusShapes torus_shapes(const TorusTubes& tubes, const std::vector<double>& psi, const std::vector<double>& outermost, double step);
+// The torus of a robot whose collars stand at one place; integrations in steps no longer than `step` [m].
+class TipTorus {
+  public:
+    virtual ~TipTorus() = default;
+    static std::unique_ptr<TipTorus> of(TorusTubes tubes, double step);
+
+    // Signs of the determinants of R's derivatives on a grid of so many angles along each pair, the last pair's fastest.
+    virtual std::vector<int> signs(int count) = 0;
+
+    // Newton's method for R = alpha + 2 pi k from the places of such a grid and from roots for earlier alpha, where the first
+    // step is shorter than `reach`, as long as it stays so near; roots closer together than `apart` are one. A list for each of
+    // alpha (A, n - 1), with the outermost collar at outermost (A).
+    virtual std::vector<std::vector<TorusRoot>> roots(int count, const std::vector<double>& alpha, const std::vector<double>& outermost,
+                                                      double reach, double apart) = 0;
+
+    // Where the tips stand at psi (G, n - 1), with the outermost collar at outermost (G).
+    virtual TorusShapes shapes(const std::vector<double>& psi, const std::vector<double>& outermost) const = 0;
+};
 
 }  // namespace ctr

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <numbers>
 #include <utility>
 
@@ -9,11 +10,14 @@ namespace ctr {
 namespace {
 
 constexpr int NEWTON = 20;               // steps
-constexpr int FIRST_STEP = 3;            // times the steps of the first integration, which only tells where to go
+constexpr int COARSE = 3;                // times the steps of integrations that only tell where to go
+constexpr double NEAR = 0.02;            // a step [rad] after which integrations are fine: coarse ones err by 1e-4
 constexpr double FAR = 0.6;              // the longest of a step [rad]
+constexpr double HALF = 0.5;              // of a contraction, as Kantorovich's theorem asks for
 constexpr double SETTLED = 1e-9;         // of R [rad]
 constexpr int COLLAR_STEPS = 8;          // behind the plate, where conjugate points are looked for
 constexpr int SHAPE_STEPS = 2;           // of the shape, for a step from the tips: its backbone is of second order
+constexpr double FARTHEST = 1e6;          // a step [rad] that says nothing
 constexpr double FLAT = 1e-9;            // angle of an arc below which it is a straight line [rad]
 constexpr double WHOLE = 2 * std::numbers::pi;
 
@@ -55,11 +59,74 @@ struct State {
 };
 
 template <int N>
-class Torus {
+class TorusOf : public TipTorus {
   public:
+    TorusOf(TorusTubes tubes, double step) : tubes_(std::move(tubes)), step_(step) {}
+
+    std::vector<int> signs(int count) override {
+        std::vector<int> signs;
+        for (const Place& place : grid(count)) signs.push_back(place.sign);
+        return signs;
+    }
+
+    std::vector<std::vector<TorusRoot>> roots(int count, const std::vector<double>& alpha, const std::vector<double>& outermost,
+                                              double reach, double apart) override {
+        std::vector<Place> places = grid(count), known;
+        std::vector<std::pair<double, std::size_t>> order;  // what leads there by the shortest step goes first
+        std::vector<std::vector<TorusRoot>> all(outermost.size());
+        for (std::size_t a = 0; a < all.size(); ++a) {
+            const double* here = alpha.data() + a * (N - 1);
+            double by[P];
+            order.clear();
+            known.clear();
+            for (std::size_t k = 0; k < places.size(); ++k)
+                if (const double length = step_to(here, places[k], by); length < reach) order.emplace_back(length, k);
+            std::sort(order.begin(), order.end());
+            for (const auto& [length, k] : order) {
+                Place place = places[k];
+                if (!find(place, here, reach, known)) continue;
+                if (std::any_of(known.begin(), known.end(), [&](const Place& root) { return distance(place, root) <= apart; })) continue;
+                known.push_back(place);
+                all[a].push_back(describe(place, outermost[a]));
+            }
+            places.insert(places.end(), known.begin(), known.end());  // the next one is near, often
+        }
+        return all;
+    }
+
+    TorusShapes shapes(const std::vector<double>& psi, const std::vector<double>& outermost) const override {
+        TorusShapes made;
+        for (std::size_t k = 0; k < outermost.size(); ++k) lay_out(psi.data() + k * (N - 1), outermost[k], made.s, made.theta);
+        return made;
+    }
+
+  private:
     static constexpr int P = N > 1 ? N - 1 : 1;  // pairs, one that stands still beside a single tube
 
-    explicit Torus(const TorusTubes& tubes) : tubes_(tubes) {}
+    // Angles at the tips, and where they lead to, which is the same whatever collars are asked for.
+    struct Place {
+        double psi[P] = {}, R[P], by[P][P], back[P][P];  // back: the inverse of by
+        int sign;                                        // of the determinant; 0 where there is no inverse
+    };
+
+    // All places of so many angles along each pair, evenly over the torus. Kept, but for a denser grid.
+    std::vector<Place> grid(int count) {
+        if (count == kept_count_) return kept_;
+        std::vector<Place> places;
+        std::size_t total = 1;
+        for (int i = 0; i + 1 < N; ++i) total *= count;
+        for (std::size_t k = 0; k < total; ++k) {
+            double psi[P] = {};
+            std::size_t left = k;
+            for (int i = N - 2; i >= 0; --i, left /= count) psi[i] = WHOLE * static_cast<double>(left % count) / count;
+            places.push_back(at(psi, COARSE * step_));
+        }
+        if (kept_count_ == 0) {
+            kept_ = places;
+            kept_count_ = count;
+        }
+        return places;
+    }
 
     static State<N, N + 1> at_tips(const double* psi) {
         State<N, N + 1> state{};
@@ -101,64 +168,110 @@ class Torus {
         }
     }
 
-    // Where angles at the tips lead to, which is the same whatever collars are asked for.
-    struct Start {
-        double R[P], by[P][P];
-    };
-    Start begin(const double* psi, double step) const {
-        Start made;
+    Place at(const double (&psi)[P], double step) const {
+        Place made;
+        std::copy(psi, psi + P, made.psi);
         State<N, N + 1> state = at_tips(psi);
-        shoot(state, FIRST_STEP * step, [](const auto&, double) {});
+        shoot(state, step, [](const auto&, double) {});
         relative(state, made.R, made.by);
+        double det = 1.0;
+        for (int j = 0; j < P && det != 0.0; ++j) {
+            double copy[P][P], column[P] = {};
+            column[j] = 1.0;
+            std::copy(&made.by[0][0], &made.by[0][0] + P * P, &copy[0][0]);
+            det = solve<P>(copy, column);
+            for (int i = 0; i < P; ++i) made.back[i][j] = column[i];
+        }
+        made.sign = det > 0 ? 1 : det < 0 ? -1 : 0;
         return made;
     }
 
-    // Whether Newton's method from psi (N - 1,), where `start` begins, ends at a root, which is in `root` then.
-    bool find(const double* psi, const Start& start, const double* alpha, double reach, double step, TorusRoot& root) const {
-        double at[P] = {}, R[P], off[P] = {}, by[P][P], copy[P][P];
-        std::copy(psi, psi + N - 1, at);
+    static double distance(const Place& a, const Place& b) {
+        double most = 0.0;
+        for (int i = 0; i < P; ++i) most = std::max(most, std::abs(turned(a.psi[i] - b.psi[i])));
+        return most;
+    }
+
+    // Newton's step by derivatives at a place, for what lacks to alpha where R is reached; its largest part.
+    static double step_by(const Place& place, const double (&R)[P], const double* alpha, double (&by)[P]) {
+        double off[P] = {}, longest = 0.0;
+        for (int i = 0; i + 1 < N; ++i) off[i] = turned(alpha[i] - R[i]);
+        for (int i = 0; i < P; ++i) {
+            by[i] = 0.0;
+            for (int j = 0; j < P; ++j) by[i] += place.back[i][j] * off[j];
+            longest = std::max(longest, std::abs(by[i]));
+        }
+        return longest;
+    }
+
+    // From a place towards alpha; infinite where it leads nowhere.
+    static double step_to(const double* alpha, const Place& place, double (&by)[P]) {
+        const double longest = place.sign != 0 ? step_by(place, place.R, alpha, by) : FARTHEST;
+        return longest < FARTHEST ? longest : std::numeric_limits<double>::infinity();
+    }
+
+    // Whether Newton's method ends at a root that is known: the step leads half of the way there at least, and derivatives
+    // differ by less than half, both of which Kantorovich's theorem asks for.
+    static bool leads_to(const Place& root, const Place& place, const double (&by)[P]) {
+        double left = 0.0;
+        for (int i = 0; i < P; ++i) left = std::max(left, std::abs(turned(root.psi[i] - place.psi[i]) - by[i]));
+        if (left > HALF * distance(root, place)) return false;
+        for (int i = 0; i < P; ++i) {
+            double differs = 0.0;
+            for (int j = 0; j < P; ++j) {
+                double value = i == j ? -1.0 : 0.0;
+                for (int k = 0; k < P; ++k) value += root.back[i][k] * place.by[k][j];
+                differs += std::abs(value);
+            }
+            if (differs > HALF) return false;
+        }
+        return true;
+    }
+
+    // Newton's method from a place to a root that is none of those known. It gives up where it leaves the place's
+    // neighbourhood, whose roots are for others to find, and where what lacks, by the same derivatives, does not shrink as a
+    // step of that share has it (Deuflhard's natural monotonicity; the first step's derivatives are those of the grid).
+    bool find(Place& place, const double* alpha, double reach, const std::vector<Place>& known) const {
+        const Place begun = place;
+        double by[P], left[P];
+        bool is_fine = false;
         for (int number = 0; number < NEWTON; ++number) {
-            if (number == 0) {
-                std::copy(start.R, start.R + P, R);
-                std::copy(&start.by[0][0], &start.by[0][0] + P * P, &by[0][0]);
-            } else {
-                State<N, N + 1> state = at_tips(at);
-                shoot(state, step, [](const auto&, double) {});
-                relative(state, R, by);
+            const double longest = step_to(alpha, place, by);
+            double most = 0.0;
+            for (int i = 0; i + 1 < N; ++i) most = std::max(most, std::abs(turned(place.R[i] - alpha[i])));
+            if (is_fine && most < SETTLED) return true;
+            if (!std::isfinite(longest)) return false;
+            if (std::any_of(known.begin(), known.end(), [&](const Place& root) { return leads_to(root, place, by); })) return false;
+            const double share = std::min(1.0, FAR / longest);
+            double next[P], away = 0.0;
+            for (int i = 0; i < P; ++i) {
+                next[i] = place.psi[i] + by[i] * share;
+                away = std::max(away, std::abs(next[i] - begun.psi[i]));
             }
-            double most = 0.0, longest = 0.0;
-            for (int i = 0; i + 1 < N; ++i) {
-                off[i] = turned(R[i] - alpha[i]);
-                most = std::max(most, std::abs(off[i]));
-            }
-            std::copy(&by[0][0], &by[0][0] + P * P, &copy[0][0]);
-            if (number > 0 && most < SETTLED) {
-                const double det = solve<P>(copy, nullptr);
-                root.sign = det > 0 ? 1 : det < 0 ? -1 : 0;
-                root.psi.assign(at, at + N - 1);
-                root.twist.resize(N - 1);
-                for (int i = 0; i + 1 < N; ++i) root.twist[i] = R[i] - at[i];
-                return true;
-            }
-            if (solve<P>(copy, off) == 0.0) return false;
-            for (double x : off) longest = std::max(longest, std::abs(x));
-            if (!(longest < 1e6) || (number == 0 && longest >= reach)) return false;
-            for (int i = 0; i + 1 < N; ++i) at[i] -= off[i] * std::min(1.0, FAR / longest);
+            if (away >= reach) return false;
+            is_fine = longest <= NEAR;
+            const Place then = at(next, is_fine ? step_ : COARSE * step_);
+            if (number > 0 && !is_fine && step_by(place, then.R, alpha, left) > (1 - share / 2) * longest) return false;
+            place = then;
         }
         return false;
     }
 
     // Stability, energy and tip of a root.
-    void describe(TorusRoot& root, double outermost, double step) const {
-        State<N, N + 1> state = at_tips(root.psi.data());
+    TorusRoot describe(const Place& place, double outermost) const {
+        TorusRoot root;
+        root.psi.assign(place.psi, place.psi + N - 1);
+        for (int i = 0; i + 1 < N; ++i) root.twist.push_back(place.R[i] - place.psi[i]);
+        root.sign = place.sign;
         root.is_stable = true;
+        State<N, N + 1> state = at_tips(place.psi);
         const auto look = [&](const State<N, N + 1>& here, double back) {
             double A[N][N];
             for (int i = 0; i < N; ++i)
                 for (int j = 0; j < N; ++j) A[i][j] = here.q[i][j + 1] + back * tubes_.behind[i] * here.v[i][j + 1];
             root.is_stable = root.is_stable && solve<N>(A, nullptr) > 0;
         };
-        shoot(state, step, [&](const auto& here, double) { look(here, 0.0); });
+        shoot(state, step_, [&](const auto& here, double) { look(here, 0.0); });
         for (int k = 1; k <= COLLAR_STEPS; ++k) look(state, static_cast<double>(k) / COLLAR_STEPS);
         State<N, 1> q;
         root.energy = 0.0;
@@ -172,7 +285,7 @@ class Torus {
         std::fill(root.tip, root.tip + 3, 0.0);
         for (const TorusStretch& part : tubes_.stretches) {
             const double length = part.end - part.begin;
-            const int count = std::max(1, static_cast<int>(std::ceil(length / step * SHAPE_STEPS)));
+            const int count = std::max(1, static_cast<int>(std::ceil(length / step_ * SHAPE_STEPS)));
             const double h = length / count;
             for (int k = 0; k < count; ++k) {
                 advance(part, q, k * h, h / 2);
@@ -180,19 +293,11 @@ class Torus {
                 advance(part, q, (k + 0.5) * h, h / 2);
             }
         }
-    }
-
-    int sign(const double* psi, double step) const {
-        double R[P], by[P][P];
-        State<N, N + 1> state = at_tips(psi);
-        shoot(state, step, [](const auto&, double) {});
-        relative(state, R, by);
-        const double det = solve<P>(by, nullptr);
-        return det > 0 ? 1 : det < 0 ? -1 : 0;
+        return root;
     }
 
     // Angles along the tubes [tube][K], beginning behind the plate; the arc lengths depend on the tubes alone.
-    void lay_out(const double* psi, double outermost, double step, std::vector<double>& s, std::vector<double>& theta) const {
+    void lay_out(const double* psi, double outermost, std::vector<double>& s, std::vector<double>& theta) const {
         State<N, N + 1> state = at_tips(psi);
         std::vector<double> along;  // [place][tube] from the tips on
         s.clear();
@@ -202,7 +307,7 @@ class Torus {
         };
         add(tubes_.stretches.empty() ? 0.0 : tubes_.stretches.back().end, 0.0);
         State<N, N + 1> now = state;
-        shoot(now, step, [&](const State<N, N + 1>& here, double at) {
+        shoot(now, step_, [&](const State<N, N + 1>& here, double at) {
             state = here;
             add(at, 0.0);
         });
@@ -217,7 +322,6 @@ class Torus {
             for (std::size_t k = 0; k < count; ++k) theta.push_back(along[(count - 1 - k) * N + i] + turn);
     }
 
-  private:
     double collar(const State<N, N + 1>& state, int i) const { return state.q[i][0] + tubes_.behind[i] * state.v[i][0]; }
 
     // One where nothing twists anything: angles are linear there.
@@ -319,63 +423,22 @@ class Torus {
         return energy;
     }
 
-    const TorusTubes& tubes_;
+    const TorusTubes tubes_;
+    const double step_;
+    int kept_count_ = 0;
+    std::vector<Place> kept_;  // the first grid
 };
-
-// Calls work with the torus of the number of tubes that there are.
-template <class Work>
-auto with_torus(const TorusTubes& tubes, const Work& work) {
-    switch (tubes.count()) {
-        case 1: return work(Torus<1>(tubes));
-        case 2: return work(Torus<2>(tubes));
-        case 3: return work(Torus<3>(tubes));
-        case 4: return work(Torus<4>(tubes));
-        default: return work(Torus<5>(tubes));
-    }
-}
 
 }  // namespace
 
-std::vector<int> torus_signs(const TorusTubes& tubes, const std::vector<double>& psi, double step) {
-    return with_torus(tubes, [&](const auto& torus) {
-        const std::size_t pairs = tubes.EI.size() - 1, count = pairs == 0 ? 1 : psi.size() / pairs;
-        std::vector<int> signs;
-        for (std::size_t k = 0; k < count; ++k) signs.push_back(torus.sign(psi.data() + k * pairs, step));
-        return signs;
-    });
-}
-
-std::vector<std::vector<TorusRoot>> torus_roots(const TorusTubes& tubes, const std::vector<double>& psi, const std::vector<double>& alpha,
-                                                const std::vector<double>& outermost, double reach, double apart, double step) {
-    return with_torus(tubes, [&](const auto& torus) {
-        const std::size_t pairs = tubes.EI.size() - 1, count = pairs == 0 ? 1 : psi.size() / pairs;
-        std::vector<decltype(torus.begin(psi.data(), step))> starts;
-        for (std::size_t k = 0; k < count; ++k) starts.push_back(torus.begin(psi.data() + k * pairs, step));
-        std::vector<std::vector<TorusRoot>> all(outermost.size());
-        for (std::size_t a = 0; a < all.size(); ++a)
-            for (std::size_t k = 0; k < count; ++k) {
-                TorusRoot root;
-                if (!torus.find(psi.data() + k * pairs, starts[k], alpha.data() + a * pairs, reach, step, root)) continue;
-                const bool is_known = std::any_of(all[a].begin(), all[a].end(), [&](const TorusRoot& other) {
-                    double most = 0.0;
-                    for (std::size_t i = 0; i < pairs; ++i) most = std::max(most, std::abs(turned(root.psi[i] - other.psi[i])));
-                    return most <= apart;
-                });
-                if (is_known) continue;
-                torus.describe(root, outermost[a], step);
-                all[a].push_back(std::move(root));
-            }
-        return all;
-    });
-}
-
-TorusShapes torus_shapes(const TorusTubes& tubes, const std::vector<double>& psi, const std::vector<double>& outermost, double step) {
-    return with_torus(tubes, [&](const auto& torus) {
-        const std::size_t pairs = tubes.EI.size() - 1;
-        TorusShapes made;
-        for (std::size_t k = 0; k < outermost.size(); ++k) torus.lay_out(psi.data() + k * pairs, outermost[k], step, made.s, made.theta);
-        return made;
-    });
+std::unique_ptr<TipTorus> TipTorus::of(TorusTubes tubes, double step) {
+    switch (tubes.count()) {
+        case 1: return std::make_unique<TorusOf<1>>(std::move(tubes), step);
+        case 2: return std::make_unique<TorusOf<2>>(std::move(tubes), step);
+        case 3: return std::make_unique<TorusOf<3>>(std::move(tubes), step);
+        case 4: return std::make_unique<TorusOf<4>>(std::move(tubes), step);
+        default: return std::make_unique<TorusOf<5>>(std::move(tubes), step);
+    }
 }
 
 }  // namespace ctr
