@@ -123,8 +123,8 @@ def _named(what: str, names: Sequence[str]) -> str:
 
 def _left_out(others: Sequence[str]) -> tuple[str, ...]:
     """A slice that is damaged at an end of the stack leaves no gap: what was not read is said by name."""
-    said = _named("is read without files that are no DICOM image, or a damaged one", others)
-    return (said,) if said else ()
+    notice = _named("is read without files that are no DICOM image, or a damaged one", others)
+    return (notice,) if notice else ()
 
 
 def _count_notes(order: Sequence[Slice]) -> Iterator[str]:
@@ -203,16 +203,16 @@ def _frames(path: Path, tags: Any) -> list[Slice]:
         raise ImageRefusal(f"holds {path.name}, {_count(tags)} {what} that do not say where each lies (a film?)")
     result = []
     for k, own in enumerate(each):
-        said = pydicom().Dataset()
+        attributes = pydicom().Dataset()
         for groups in ([shared[0]] if shared else [], [own]):  # what a frame says of its own comes last
             for name in GROUPS:
                 if group := groups[0].get(f"{name}Sequence") if groups else None:
-                    said.update(group[0])
-        said.ImageType, said.Rows, said.Columns = ["DERIVED"], tags.Rows, tags.Columns
-        part = _slice(path, said)
+                    attributes.update(group[0])
+        attributes.ImageType, attributes.Rows, attributes.Columns = ["DERIVED"], tags.Rows, tags.Columns
+        part = _slice(path, attributes)
         assert part is not None
-        scaling = float(said.get("RescaleSlope", 1.0)), float(said.get("RescaleIntercept", 0.0))
-        segment = int(said.get("ReferencedSegmentNumber", 0) or 0)
+        scaling = float(attributes.get("RescaleSlope", 1.0)), float(attributes.get("RescaleIntercept", 0.0))
+        segment = int(attributes.get("ReferencedSegmentNumber", 0) or 0)
         result.append(replace(part, tags=tags, frame=k, scaling=scaling, segment=segment))
     return result
 
@@ -322,9 +322,9 @@ def _check_gaps(height: Array, position: Array, normal: Array) -> None:
 
 
 def _gap_notes(order: Sequence[Slice], gap_mm: float) -> Iterator[str]:
-    said = order[0].tags.get("SpacingBetweenSlices")
-    if said is not None and not math.isclose(abs(float(said)), gap_mm, rel_tol=SAME_SPACING):
-        yield f"says slices are {float(said):.3g} mm apart, their places {gap_mm:.3g} mm: the places are taken"
+    stated_mm = order[0].tags.get("SpacingBetweenSlices")
+    if stated_mm is not None and not math.isclose(abs(float(stated_mm)), gap_mm, rel_tol=SAME_SPACING):
+        yield f"says slices are {float(stated_mm):.3g} mm apart, their places {gap_mm:.3g} mm: the places are taken"
 
 
 def _values(part: Slice, kept: dict[Path, tuple[Any, Any]]) -> NDArray[Any]:

@@ -32,7 +32,7 @@ class Fixture:
     shape: PartShape
     margin_m: float = 0.0
     stays_inside: bool = False
-    said: Mapping[str, Any] | None = None  # the table of a scenario file that it was read from, files as paths
+    source_table: Mapping[str, Any] | None = None  # the table of a scenario file that it was read from, files as paths
 
     def clearance(self, parts: Sequence[AnatomyPart], position_m: Array, R: Array) -> tuple[float, Array]:
         """What parts leave it beyond its margin and theirs [m], and where (3,); its base at position (3,), R (3, 3).
@@ -47,7 +47,7 @@ class Fixture:
         least -= radius
         for part in counted:
             if part.role == "avoid" and (within := _within(self.shape, part, position_m, R)) is not None:
-                least, place = min((least, place), within, key=lambda found: found[0])
+                least, place = min((least, place), within, key=lambda candidate: candidate[0])
         return least - self.margin_m, place
 
     def _pieces(self) -> tuple[Array, float]:
@@ -84,9 +84,9 @@ def _halved(pieces: Array) -> Array:
     rows, start = np.arange(len(pieces)), sides.argmax(axis=1)
     end = (start + 1) % count
     middle = (pieces[rows, start] + pieces[rows, end]) / 2
-    one, other = pieces.copy(), pieces.copy()
-    one[rows, start], other[rows, end] = middle, middle
-    return np.concatenate([one, other])
+    first, second = pieces.copy(), pieces.copy()
+    first[rows, start], second[rows, end] = middle, middle
+    return np.concatenate([first, second])
 
 
 def _within(shape: PartShape, part: AnatomyPart, position_m: Array, R: Array) -> tuple[float, Array] | None:

@@ -306,12 +306,12 @@ def check_length(there: int, due: int, slices: int, keys: tuple[str, ...]) -> No
 
 def _numbers(fields: Mapping[str, str], key: str, count: int | None = None) -> Array:
     """Finite numbers of a field. Raises ImageRefusal that names it."""
-    said, result = fields.get(key.lower(), ""), np.array([np.nan])
+    text, result = fields.get(key.lower(), ""), np.array([np.nan])
     with suppress(ValueError):
-        result = np.array(said.split(), dtype=np.float64)
+        result = np.array(text.split(), dtype=np.float64)
     if not len(result) or not np.isfinite(result).all() or count not in (None, len(result)):
         rule = f"must be {count or ''}{' ' if count else ''}numbers with a decimal point, and blanks between them"
-        raise ImageRefusal(f"says {key} = {said[:60]}: {rule}")
+        raise ImageRefusal(f"says {key} = {text[:60]}: {rule}")
     return result
 
 
@@ -319,8 +319,8 @@ OTHER_NAMES = {name.replace(" ", ""): name for name in ("axis mins", "axis maxs"
 OTHER_NAMES["centers"] = "centerings"
 
 
-def _nrrd(said: dict[str, str]) -> Header:
-    fields = {OTHER_NAMES.get(name, name): value for name, value in said.items()}
+def _nrrd(header: dict[str, str]) -> Header:
+    fields = {OTHER_NAMES.get(name, name): value for name, value in header.items()}
     if not {"space directions", "spacings"} & set(fields):
         raise ImageRefusal("does not say the size of its voxels (no space directions, no spacings)")
     if "space origin" not in fields and ("space directions" in fields or "axis mins" not in fields):
@@ -343,8 +343,8 @@ def unit_mm(word: str) -> float | None:
 
 def _unit(fields: dict[str, str], key: str) -> float:
     """Millimetres in the unit that a field names for each axis. Raises ImageRefusal for several and unknown ones."""
-    said = [word.strip() for word in re.findall(r'"([^"]*)"', fields.get(key, ""))] or fields.get(key, "").split()
-    named = {word.lower() for word in said if word not in ("", "???", "none")} or {"mm"}
+    words = [word.strip() for word in re.findall(r'"([^"]*)"', fields.get(key, ""))] or fields.get(key, "").split()
+    named = {word.lower() for word in words if word not in ("", "???", "none")} or {"mm"}
     units = {unit_mm(word) for word in named}
     if None in units or len(units) > 1:
         raise ImageRefusal(f"has places in {', '.join(sorted(named))} ({key}): must be mm, cm, m or um for all axes")
@@ -364,8 +364,8 @@ def _nrrd_corners(fields: dict[str, str]) -> Array | None:
     except ValueError:
         finite = False
     if not finite:
-        said = f"says space directions = {fields['space directions'][:60]}, and an origin"
-        raise ImageRefusal(f"{said}: must be three finite numbers each, as (0.5,0,0)")
+        contents = f"says space directions = {fields['space directions'][:60]}, and an origin"
+        raise ImageRefusal(f"{contents}: must be three finite numbers each, as (0.5,0,0)")
     if axes.shape != (3, 3) or origin.shape != (3,):
         return None
     return np.stack([origin, origin + (np.array(sizes) - 1) @ axes])
@@ -422,14 +422,14 @@ def _meta(fields: dict[str, str]) -> Header:
     corners = np.stack([origin, origin + ((sizes - 1) * spacing) @ axes]) * unit
     if _numbers({"centerofrotation": "0"} | fields, "CenterOfRotation").any() and not np.allclose(axes, np.eye(3)):
         raise ImageRefusal("turns about a point of its own (CenterOfRotation): save it with Offset alone")
-    said = len(letters) == 3 and not set(letters) - set("RLAPIS")
-    frame: Frame | None = "LPS" if said and _runs_from(axes) == letters else None
+    has_letters = len(letters) == 3 and not set(letters) - set("RLAPIS")
+    frame: Frame | None = "LPS" if has_letters and _runs_from(axes) == letters else None
     notes: tuple[str, ...] = ()
     if not np.allclose(np.abs(spacing), np.abs(size), rtol=1e-3):
         notes = (
             "says voxels of one size (ElementSize) and of another distance (ElementSpacing): the distance is taken",
         )
-    if said and frame is None:
+    if has_letters and frame is None:
         rule = (
             f"says sides by letters (AnatomicalOrientation = {letters}) that its axes (TransformMatrix) do not run from"
         )

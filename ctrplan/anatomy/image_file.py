@@ -215,8 +215,8 @@ def _size_note(affine: Array, pixdim: Array) -> tuple[str, ...]:
     size = np.linalg.norm(affine[:, :3], axis=0)
     if (np.abs(size - pixdim[1:4]) <= SAME_SIZE * size).all():
         return ()
-    said, taken = (" x ".join(f"{s:.3g}" for s in sizes) for sizes in (pixdim[1:4], size))
-    return (f"says voxels of {said} mm in pixdim and of {taken} mm in its sform, which is taken",)
+    stated, taken = (" x ".join(f"{s:.3g}" for s in sizes) for sizes in (pixdim[1:4], size))
+    return (f"says voxels of {stated} mm in pixdim and of {taken} mm in its sform, which is taken",)
 
 
 def _quaternion_form(quaternion: tuple[float, ...], pixdim: Array) -> Array:

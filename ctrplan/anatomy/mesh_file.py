@@ -122,11 +122,11 @@ def axes_notes(path: Path, unit: str | None, up: str | None) -> tuple[str, ...]:
     stated = None if is_gltf(path) else stated_unit(path)
     if stated is not None and unit != stated:
         return (f"says that its unit is {stated}" + (", which is taken" if unit is None else f", is read in {unit}"),)
-    said = [
+    defaults = [
         *(["in metres"] if is_gltf(path) and unit is None else []),
         *(["with y up, and was turned so that z is up (key up)"] if is_gltf(path) and up is None else []),
     ]
-    return (f"is glTF, by its specification {' and '.join(said)}",) if said else ()
+    return (f"is glTF, by its specification {' and '.join(defaults)}",) if defaults else ()
 
 
 def stated_frame(path: Path) -> Frame | None:
@@ -214,9 +214,9 @@ def _parsed(path: Path, group: str | None) -> tuple[Array, Indices]:
 
 def _check_rows(text: bytes) -> None:
     """Raises MeshRefusal for text of STL that ends within a triangle, of PLY with other rows than its header states."""
-    begun, ended = (len(re.findall(word, text)) for word in (rb"(?im)^\s*facet\b", rb"(?im)^\s*endfacet\b"))
-    if begun != ended:
-        raise MeshRefusal(f"is damaged or cut short: of {begun} triangles {ended} end")
+    opened, closed = (len(re.findall(word, text)) for word in (rb"(?im)^\s*facet\b", rb"(?im)^\s*endfacet\b"))
+    if opened != closed:
+        raise MeshRefusal(f"is damaged or cut short: of {opened} triangles {closed} end")
     header, mark, body = text.partition(b"end_header")
     due = sum(map(int, re.findall(rb"(?m)^element\s+\S+\s+(\d{1,9})\s*$", header)))
     there = sum(bool(row.strip()) for row in body.splitlines())
@@ -284,8 +284,8 @@ def _check_vertices(content: dict[str, Any], accessor: dict[str, Any], data: byt
         stated = accessor.get(name, there)
         if np.abs(there - stated).max() > SAME * np.abs(bounds).max():
             ends = " to ".join(", ".join(f"{x:.4g}" for x in end) for end in bounds)
-            said = ", ".join(f"{x:.4g}" for x in stated)
-            raise MeshRefusal(f"is damaged: its vertices reach from {ends}, but glTF's {name} states {said}")
+            size = ", ".join(f"{x:.4g}" for x in stated)
+            raise MeshRefusal(f"is damaged: its vertices reach from {ends}, but glTF's {name} states {size}")
 
 
 def _by_trimesh(stream: BinaryIO, kind: str, group: str | None) -> tuple[Array, Indices]:

@@ -118,17 +118,17 @@ def read_obj(path: Path, group: str | None = None) -> tuple[Array, Indices]:
 
 def _joined(lines: Iterator[str]) -> Iterator[tuple[int, str]]:
     """Lines with their numbers from 1; one that ends in a backslash goes on in the next."""
-    begun, first = "", 0
+    logical_line, first = "", 0
     for number, line in enumerate(lines, start=1):
         text = line.removeprefix(BYTE_ORDER_MARK) if number == 1 else line
         first = first or number
         if text.rstrip("\n").endswith("\\"):
-            begun += text.rstrip("\n")[:-1] + " "
+            logical_line += text.rstrip("\n")[:-1] + " "
             continue
-        yield first, begun + text if begun else text
-        begun, first = "", 0
-    if begun:
-        yield first, begun
+        yield first, logical_line + text if logical_line else text
+        logical_line, first = "", 0
+    if logical_line:
+        yield first, logical_line
 
 
 def _obj_vertex(words: Sequence[str]) -> tuple[float, float, float]:

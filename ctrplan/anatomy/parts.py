@@ -44,7 +44,7 @@ class AnatomyPart:
     shape: PartShape
     role: Role = "avoid"
     margin_m: float = 0.0
-    said: Mapping[str, Any] | None = None  # the table of a scenario file that it was read from, files as paths
+    source_table: Mapping[str, Any] | None = None  # the table of a scenario file that it was read from, files as paths
 
     def __post_init__(self) -> None:
         """Checks role and margin; the shape has checked itself."""
@@ -263,8 +263,8 @@ class Phases(PartShape):
     def apart_m(self) -> float:
         """How far the surface of one phase lies from that of the next, at the most."""
         apart = 0.0
-        for one, other in zip(self.shapes[:-1], self.shapes[1:], strict=True):
-            for a, b in ((one, other), (other, one)):
+        for before, after in zip(self.shapes[:-1], self.shapes[1:], strict=True):
+            for a, b in ((before, after), (after, before)):
                 vertices = a.surface().vertices_m
                 apart = max(apart, float(np.abs(b.distance(vertices[:: len(vertices) // SAMPLED + 1])).max()))
         return apart

@@ -27,7 +27,7 @@ ENDS: dict[Frame, tuple[tuple[str, str], ...]] = {
 
 
 def signs(frame: Frame, wanted: Frame) -> Array:
-    """(3,) by which coordinates in frame `found` are multiplied to be in frame `wanted`."""
+    """(3,) by which coordinates in `frame` are multiplied to be in frame `wanted`."""
     return SAME if frame == wanted else TURNED
 
 
@@ -41,8 +41,8 @@ def axis_label(axis: int, frame: Frame | None) -> str:
 
 def scenario_frame(table: TomlTable) -> Frame | None:
     """The frame that the scenario file around a table says; None where it says none."""
-    said = table.document.content.get("frame")
-    return said if said in FRAMES else None
+    frame = table.document.content.get("frame")
+    return frame if frame in FRAMES else None
 
 
 def to_scenario(table: TomlTable, stated: Frame | None, given: Frame | None, *, is_patient: bool) -> Array:

@@ -293,8 +293,8 @@ def image_of(path: Path, read: Callable[[Path], Image]) -> Image:
     images = _KEPT.get()
     if images is None:
         return read(path)
-    told = path.stat()
-    key = (path.resolve(), told.st_size, told.st_mtime_ns)
+    stat = path.stat()
+    key = (path.resolve(), stat.st_size, stat.st_mtime_ns)
     if key not in images:
         images[key] = read(path)
         while len(images) > 1 and sum(image.voxels.nbytes for image in images.values()) > MOST_KEPT_BYTES:

@@ -109,7 +109,7 @@ def _bound_m(corners: Array, tree: Any, thin: Array, triangles: Indices, halving
     rest = float(np.delete(away, wide).max(initial=0.0))
     a, b, c = np.moveaxis(corners[wide], 1, 0)
     ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
-    four = [np.stack(one, axis=1) for one in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))]
+    four = [np.stack(triangle, axis=1) for triangle in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))]
     return max(rest, _bound_m(np.concatenate(four), tree, thin, triangles, halvings - 1))
 
 
@@ -146,14 +146,14 @@ def _back_m(vertices: Array, faces: Indices, points: Array) -> float:
     reach, least = 2e-3, np.full(len(points), np.inf)
     for low, high in zip(bounds[:-1], bounds[1:], strict=True):
         rows = np.ascontiguousarray(faces[(middle >= low) & (middle <= high)])
-        asked = np.flatnonzero((points[:, axis] >= low - reach) & (points[:, axis] <= high + reach))
-        if not len(rows) or not len(asked):
+        near = np.flatnonzero((points[:, axis] >= low - reach) & (points[:, axis] <= high + reach))
+        if not len(rows) or not len(near):
             continue
         used, index = np.unique(rows, return_inverse=True)
         part, tree = np.ascontiguousarray(vertices[used]), igl.AABB()
         tree.init(part, np.ascontiguousarray(index.reshape(-1, 3)))
-        squared = tree.squared_distance(part, index.reshape(-1, 3), np.ascontiguousarray(points[asked]))[0]
-        least[asked] = np.minimum(least[asked], np.sqrt(np.asarray(squared)))
+        squared = tree.squared_distance(part, index.reshape(-1, 3), np.ascontiguousarray(points[near]))[0]
+        least[near] = np.minimum(least[near], np.sqrt(np.asarray(squared)))
     return float(least.max())
 
 

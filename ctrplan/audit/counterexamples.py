@@ -413,8 +413,8 @@ class HistoryHunt:
         case, begin = self.case, 0
         results: list[WorstFigure] = []
         phi = before.phi(case.pairs)
-        told = case.way.commanded(np.interp(places, case.way.place, case.way.time_s), case.middle)
-        theta, l = case.robot.drive.reached(told[:, : case.robot.n], told[:, case.robot.n :])  # noqa: E741
+        commanded = case.way.commanded(np.interp(places, case.way.place, case.way.time_s), case.middle)
+        theta, l = case.robot.drive.reached(commanded[:, : case.robot.n], commanded[:, case.robot.n :])  # noqa: E741
         self._count(np.array([case.way.joints_at(place) for place in places]), mesh)
         case.work += 2 * len(places)
         free = case.robot.mechanics.tips_with_friction(theta, l, np.zeros((len(places), case.pairs)), accuracy=mesh)

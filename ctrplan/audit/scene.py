@@ -68,8 +68,10 @@ def _scenario(verification: Verification, figure: WorstFigure, anatomy: list[dic
     """The robot where the claim breaks, its base where it is then; the goal is to stay there."""
     scenario = verification.plan.scenario
     drive = scenario.robot.drive
-    told = np.concatenate(_told(verification, figure)) - np.concatenate([drive.home_theta_rad, drive.home_l_m])
-    joints = np.linalg.lstsq(np.vstack([drive.matrix_theta, drive.matrix_l]), told, rcond=None)[0]
+    commanded = np.concatenate(_commanded(verification, figure)) - np.concatenate(
+        [drive.home_theta_rad, drive.home_l_m]
+    )
+    joints = np.linalg.lstsq(np.vstack([drive.matrix_theta, drive.matrix_l]), commanded, rcond=None)[0]
     here = drive.named(joints)
     turned = Rotation.from_rotvec(figure.base.turn_rad).as_matrix() @ scenario.base_R
     x, y, z, w = Rotation.from_matrix(turned).as_quat().tolist()
@@ -87,7 +89,7 @@ def _scenario(verification: Verification, figure: WorstFigure, anatomy: list[dic
     }
 
 
-def _told(verification: Verification, figure: WorstFigure) -> tuple[Array, Array]:
+def _commanded(verification: Verification, figure: WorstFigure) -> tuple[Array, Array]:
     """(n,) [rad], (n,) [m] where the drive is told to be, as late as it follows."""
     way = AuditedPlan.of(verification.plan, figure.accuracy).way
     axes = np.array(figure.axes) if figure.axes else np.zeros(way.robots.count)
@@ -134,7 +136,7 @@ def _part(part: AnatomyPart, mesh_file: str) -> tuple[dict[str, Any], dict[str, 
 def _joints(verification: Verification, figure: WorstFigure) -> str:
     """What the tubes are commanded to: before the start, then along the way until the claim breaks."""
     plan, n = verification.plan, verification.plan.scenario.robot.n
-    theta, l = (np.atleast_2d(column) for column in _told(verification, figure))  # noqa: E741 (as in the equations)
+    theta, l = (np.atleast_2d(column) for column in _commanded(verification, figure))  # noqa: E741 (as in the equations)
     if figure.before is not None:
         way = AuditedPlan.of(plan, figure.accuracy).way.until(figure.place)
         before = plan.scenario.robot.drive.commanded(figure.before)

@@ -47,8 +47,8 @@ def recomputed_differences(plan: WrittenPlan, progress: Progress | None = None) 
     legs = list(zip(plan.waypoints[:-1], plan.waypoints[1:], strict=True))
     drive = plan.scenario.robot.drive
     rests = [target["leg"] + 1 for target in plan.certificate["targets"]]
-    said = (plan.content.get("trajectory") or {}).get("duration_s")
-    durations_s = [float(plan.time_s[-1]), *([float(said)] if isinstance(said, (int, float)) else [])]
+    stated_s = (plan.content.get("trajectory") or {}).get("duration_s")
+    durations_s = [float(plan.time_s[-1]), *([float(stated_s)] if isinstance(stated_s, (int, float)) else [])]
     trajectory = remade_trajectory(plan.waypoints, drive, _period(plan), rests, durations_s)
     again = Plan(
         scenario=plan.scenario,
@@ -65,8 +65,8 @@ def recomputed_differences(plan: WrittenPlan, progress: Progress | None = None) 
         follow_the_leader_m=follow_the_leader_m(plan.scenario.robot, trajectory),
     )
     fresh = json.loads(json.dumps(plan_to_json(again)))
-    said = [key for key in KEYS if plan.content.get(key, ...) is not None]
-    results = [d for key in said for d in _differences(key, plan.content.get(key, ...), fresh[key])]
+    keys = [key for key in KEYS if plan.content.get(key, ...) is not None]
+    results = [d for key in keys for d in _differences(key, plan.content.get(key, ...), fresh[key])]
     stated, settled = plan.content.get("settling"), fresh["settling"]
     if stated is not None and settled is not None:
         results += [d for key in SETTLED for d in _differences(f"settling.{key}", stated.get(key, ...), settled[key])]
@@ -89,8 +89,8 @@ def _certificate(plan: WrittenPlan, progress: Progress | None) -> Certificate:
         corners = corners[:1] if len(corners) == 2 and np.array_equal(*corners) else corners
         stage = replace(plan.scenario, start=start, goal=nearest_turn(plan.scenario, start, goal), via=())
         starts = stages[-1].end_states or None if stages else None
-        told = part_of(progress, k, len(targets))
-        stages.append(certify(stage, corners, goal_test=either_arrives, starts=starts, progress=told))
+        report = part_of(progress, k, len(targets))
+        stages.append(certify(stage, corners, goal_test=either_arrives, starts=starts, progress=report))
         start, first = corners[-1], last + 1
     joined = joined_certificates(stages)
     return replace(joined, settling=_settling(plan, joined))
@@ -248,7 +248,7 @@ class Verification:
     @property
     def broken(self) -> tuple[WorstFigure, ...]:
         """Claims that are broken, the worst findings of each."""
-        return tuple(found for found in self.worst if found.is_broken)
+        return tuple(finding for finding in self.worst if finding.is_broken)
 
     @property
     def is_kept(self) -> bool:
@@ -259,7 +259,7 @@ class Verification:
     def counterexample(self) -> WorstFigure | None:
         """The broken claim that says most: a clearance before all else."""
         order = ("clearance", "worst bound", "bound", "stability", "strain", "predicted")
-        return min(self.broken, key=lambda found: order.index(found.claim), default=None)
+        return min(self.broken, key=lambda finding: order.index(finding.claim), default=None)
 
 
 @checked(
@@ -292,12 +292,12 @@ def verify(
     if not isinstance(written, WrittenPlan):
         written = load_plan(written, scenario)
     check_origin(written)
-    told = progress or (lambda *_: None)
+    report = progress or (lambda *_: None)
     with interrupt_event(interrupted) as stop:
         case = AuditedPlan.of(written, accuracy)
-        differences, refusal = _recomputed(written, lambda share: told("recomputing", share))
+        differences, refusal = _recomputed(written, lambda share: report("recomputing", share))
         histories = HistoryHunt(case, seed)
-        _hunt(case, StateHunt(case, seed), histories, _Budget(case, work, time_s, stop, told))
+        _hunt(case, StateHunt(case, seed), histories, _Budget(case, work, time_s, stop, report))
         if not stop.is_set():
             _solve_ends(case)
         worst, beside = (tuple(of[claim] for claim in sorted(of)) for of in (case.worst, case.beside))
@@ -323,7 +323,7 @@ class _Budget:
     work: int
     time_s: float | None
     stop: threading.Event
-    told: StageProgress
+    report: StageProgress
 
     def __post_init__(self) -> None:
         self.began = time.monotonic()
@@ -332,7 +332,7 @@ class _Budget:
         share = self.case.work / self.work
         if self.time_s is not None:
             share = min(share, (time.monotonic() - self.began) / self.time_s)
-        self.told("hunting", min(share, 1.0))
+        self.report("hunting", min(share, 1.0))
         return share >= 1 or self.stop.is_set()
 
 

@@ -30,9 +30,9 @@ def cores() -> int:
     return _limit() or os.cpu_count() or 1
 
 
-def core_threads(asked: int) -> int:
-    """What the compiled core is told where `asked` is asked of us: 0 there means every core."""
-    return int(asked) or _limit()
+def core_threads(requested: int) -> int:
+    """Number of threads for the compiled core, which takes 0 for every core, from a number `requested` of a caller."""
+    return int(requested) or _limit()
 
 
 @contextmanager

@@ -79,10 +79,10 @@ def _table(given: Any) -> str:
 def _headline(given: Any) -> str:
     try:
         own = callable(getattr(type(given), "headline", None))
-        said = given.headline() if own else getattr(given, "sentence", "")
+        sentence = given.headline() if own else getattr(given, "sentence", "")
     except Exception:  # of an object that is half made: a debugger shows it all the same
-        said = ""
-    return f": {said}" if isinstance(said, str) and said else ""
+        sentence = ""
+    return f": {sentence}" if isinstance(sentence, str) and sentence else ""
 
 
 def _rows(given: Any) -> list[tuple[str, str]]:

@@ -79,11 +79,11 @@ def calibrated(
     passes, noticed = [*passes[:-1], within_file(passes[-1])], [symptom.sentence for symptom in symptoms(passes[0])]
     first, result = passes[0], passes[-1]
     robot, terms = result.chain.robot, result.chain.terms
-    trained = held = PoseErrors.of(result.chain, result.p, group[~aside])
+    trained = tested = PoseErrors.of(result.chain, result.p, group[~aside])
     if aside.any():
         chain = ParametricChain(robot, data.subset(aside), terms)
         chain.correction = friction_correction(chain, result.p)
-        held = PoseErrors.of(chain, result.p, group[aside])
+        tested = PoseErrors.of(chain, result.p, group[aside])
     whole = ParametricChain(robot, data, terms)
     nominal = PoseErrors.of(whole, whole.neutral, group)
     least_known = tuple(combinations(first))
@@ -97,15 +97,15 @@ def calibrated(
         fit=result,
         estimates={n: e for f in reversed(passes) for t in f.chain.terms for n, e in estimates(f, t).items()},
         training=trained.errors,
-        held_out=held.errors if aside.any() else None,
+        held_out=tested.errors if aside.any() else None,
         nominal=nominal.errors,
         combinations=least_known,
-        model_error_m=model_error_m(held.distance_m, result.noise.position_m),
+        model_error_m=model_error_m(tested.distance_m, result.noise.position_m),
         notes=(
             *data.warnings,
             *unknown,
             *unsolved_sentence(data, nominal.failed, nominal.counted, "with the file's values"),
-            *_unsolved(data, aside, trained, held),
+            *_unsolved(data, aside, trained, tested),
             *outlier_sentences(result, everything, wrong),
             *noticed,
         ),
@@ -133,11 +133,11 @@ class PoseErrors:
         return cls(distance, summary(distance, group[counted]), prediction.failed, counted)
 
 
-def _unsolved(data: Measurements, aside: NDArray[np.bool_], trained: PoseErrors, held: PoseErrors) -> list[str]:
+def _unsolved(data: Measurements, aside: NDArray[np.bool_], trained: PoseErrors, tested: PoseErrors) -> list[str]:
     failed, counted = np.zeros((2, data.count), bool)
     failed[~aside], counted[~aside] = trained.failed, trained.counted
     if aside.any():
-        failed[aside], counted[aside] = held.failed, held.counted
+        failed[aside], counted[aside] = tested.failed, tested.counted
     return unsolved_sentence(data, failed, counted, "calibrated")
 
 
@@ -234,18 +234,18 @@ def _fitted(chain: ParametricChain, noise: Noise, starts: int, seed: int, first:
     rng = np.random.default_rng(seed)
     begin = chain.start if first is None else first
     drawn = [begin + SPREAD * chain.prior * rng.standard_normal(len(begin)) for _ in range(starts - 1)]
-    best = min((fit(chain, noise, group, start) for start in (begin, *drawn)), key=lambda found: found.loss)
+    best = min((fit(chain, noise, group, start) for start in (begin, *drawn)), key=lambda candidate: candidate.loss)
     chain.correction = friction_correction(chain, best.p)
     return best if chain.correction is None else fit(chain, noise, group, best.p)
 
 
 def _second(first: Fit, terms: Sequence[Term]) -> Fit:
     """The second pass: what the first found is held by priors that leave it no room."""
-    held = tuple(
+    fixed = tuple(
         Term(t.effect, tuple(_test_set(p, v / p.si) for p, v in zip(t.parameters, first.p[s], strict=True)))
         for t, s in zip(first.chain.terms, first.chain.slices(), strict=True)
     )
-    chain = ParametricChain(first.chain.robot, first.chain.data, [*held, *terms])
+    chain = ParametricChain(first.chain.robot, first.chain.data, [*fixed, *terms])
     return _fitted(chain, first.noise, 1, 0)
 
 

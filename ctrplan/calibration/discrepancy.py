@@ -215,9 +215,9 @@ class Spectrum:
                 before = list(at)
                 for k, part in enumerate((self.position, self.tangent)):
                     near = np.arange(max(at[k] - STRIDE, 0), min(at[k] + STRIDE + 1, len(part.size)))
-                    asked = np.arange(len(part.size))[every] if every else near
-                    found = self.evidences(asked, at[1]) if k == 0 else self.evidences(at[0], asked)
-                    at[k], best = int(asked[found.argmax()]), float(found.max())
+                    candidates = np.arange(len(part.size))[every] if every else near
+                    evidence = self.evidences(candidates, at[1]) if k == 0 else self.evidences(at[0], candidates)
+                    at[k], best = int(candidates[evidence.argmax()]), float(evidence.max())
                 if at == before:
                     break
         return best, float(self.position.size[at[0]]), float(self.tangent.size[at[1]])

@@ -119,16 +119,16 @@ MOST_WRONG = 0.1  # of the poses; more are a misfit
 REACH = 2  # poses before and after, companions where a configuration has too few
 
 
-def gross_outliers(fit: Fit, data: Measurements, asked: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """(K,) poses of all data that went wrong, by a fit to some of them; `asked` (K,) are those to be judged."""
-    judged = data.subset(asked)
+def gross_outliers(fit: Fit, data: Measurements, selected: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """(K,) poses of all data that went wrong, by a fit to some of them; `selected` (K,) are those to be judged."""
+    judged = data.subset(selected)
     chain = ParametricChain(fit.chain.robot, judged, fit.chain.terms)
     chain.correction = friction_correction(chain, fit.p)
     prediction = chain.predict(fit.p, derivatives=False)
     norm = residuals(judged, prediction, fit.noise, np.arange(judged.count)).raw_norm
     solved = ~excused(prediction.failed)
     wrong = np.zeros(data.count, bool)
-    wrong[np.flatnonzero(asked)[solved]] = far_from_all(norm[solved], judged.subset(solved))
+    wrong[np.flatnonzero(selected)[solved]] = far_from_all(norm[solved], judged.subset(solved))
     return wrong
 
 
@@ -141,9 +141,9 @@ def far_from_all(norm: Array, data: Measurements) -> NDArray[np.bool_]:
     return wrong
 
 
-def too_many(wrong: NDArray[np.bool_], asked: NDArray[np.bool_]) -> bool:
+def too_many(wrong: NDArray[np.bool_], selected: NDArray[np.bool_]) -> bool:
     """Whether so many of the poses asked about, (K,) each, went wrong that something else must be."""
-    return bool(wrong.sum() > MOST_WRONG * asked.sum())
+    return bool(wrong.sum() > MOST_WRONG * selected.sum())
 
 
 def outlier_sentences(fit: Fit, data: Measurements, wrong: NDArray[np.bool_]) -> list[str]:

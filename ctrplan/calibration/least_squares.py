@@ -58,8 +58,8 @@ class Fit:
     def at_bound(self) -> NDArray[np.bool_]:
         """(P,) parameters that would leave their range."""
         margin = 1e-6 * self.chain.prior
-        held: NDArray[np.bool_] = (self.p <= self.chain.lower + margin) | (self.p >= self.chain.upper - margin)
-        return held
+        at_bound: NDArray[np.bool_] = (self.p <= self.chain.lower + margin) | (self.p >= self.chain.upper - margin)
+        return at_bound
 
 
 def information(parts: Residuals) -> Array:
@@ -123,8 +123,8 @@ def _step(here: Fit, damping: float) -> tuple[Array, float, float]:
     chain, parts = here.chain, here.residuals
     gradient = np.einsum("kcp,kc->p", parts.J * parts.weight[:, None, None], parts.r)
     gradient -= here.precision * (here.p - chain.neutral)
-    held = ((here.p <= chain.lower) & (gradient < 0)) | ((here.p >= chain.upper) & (gradient > 0))
-    free = np.flatnonzero(~held)
+    at_bound = ((here.p <= chain.lower) & (gradient < 0)) | ((here.p >= chain.upper) & (gradient > 0))
+    free = np.flatnonzero(~at_bound)
     step = np.zeros_like(here.p)
     matrix = here.information[np.ix_(free, free)]
     matrix = matrix + damping * np.diag(here.precision[free])

@@ -109,7 +109,7 @@ DIGITS = 7  # of numbers in the file
 
 
 def within_file(result: Fit) -> Fit:
-    """`found`; where it has a Poisson's ratio that no tube has, refitted without, for a robot file can't say that."""
+    """The fit `result`; refitted where a tube's Poisson ratio lies outside the range that a robot file may state."""
     chain = result.chain
     terms = [Term(t.effect, tuple(_possible(p) for p in t.parameters)) for t in chain.terms]
     inside = chain.with_terms(terms)

@@ -50,9 +50,9 @@ def sentence_beforehand(
     if robot.n < FEWEST_TUBES:
         return None
     chosen = corners or ("all" if robot.n <= MOST_TUBES_OF_ALL_CORNERS else "extreme")
-    begun = time.perf_counter()
+    began = time.perf_counter()
     robot.solve(theta_b, l_b, accuracy=accuracy)
-    expected_s = (time.perf_counter() - begun) * states_visited(robot.n, chosen) / AT_ONCE
+    expected_s = (time.perf_counter() - began) * states_visited(robot.n, chosen) / AT_ONCE
     which = f"{2 ** (robot.n - 1)} corners of {robot.n} tubes"
     if chosen == "extreme":
         which = f"the extreme ones of {which}" + ("" if corners else ", all with --corners all")
@@ -229,8 +229,8 @@ def _bounded(robot: Robot, theta_b: Array, l_b: Array, arguments: argparse.Names
     """The bound, with its time said before and a bar meanwhile where it takes long."""
 
     accuracy: Accuracy = arguments.accuracy or "certificate"
-    if said := sentence_beforehand(robot, theta_b, l_b, accuracy, arguments.corners):
-        print(f"ctrplan: {said}", file=sys.stderr)
+    if notice := sentence_beforehand(robot, theta_b, l_b, accuracy, arguments.corners):
+        print(f"ctrplan: {notice}", file=sys.stderr)
     with ProgressBar(patience_s=2.0) as bar:
         return robot.bound(
             theta_b,

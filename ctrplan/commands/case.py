@@ -16,7 +16,7 @@ from ctrplan.errors import InputError
 from ctrplan.patients.request import OPTIONS, STEP_NAMES
 
 if TYPE_CHECKING:
-    from ctrplan.patients.case import Case, StepTold
+    from ctrplan.patients.case import Case, StepReport
 
 DESCRIPTION = (
     "Make a scenario of images, label maps, surfaces and points, propose where the robot stands, plan, "
@@ -71,7 +71,7 @@ def run(arguments: argparse.Namespace) -> int:
                 targets=places["target"],
                 entries=places["entry"],
                 progress=bar.show,
-                told=_tell,
+                on_step=_tell,
                 note=lambda text: print(f"ctrplan: {text.rstrip('.')}.", file=sys.stderr),
                 interrupted=interrupted,
                 phases=arguments.phases,
@@ -100,7 +100,7 @@ def _places(option: str, given: Sequence[Sequence[str]] | None) -> list[Any] | N
     return results
 
 
-def _tell(step: StepTold) -> None:
+def _tell(step: StepReport) -> None:
     number = STEP_NAMES.index(step.name) + 1
     time = f"{step.seconds:5.1f} s" if step.is_made else "       "
     print(f"[{number}/{len(STEP_NAMES)}] {step.name:9} {time}  {step.sentence}", flush=True)

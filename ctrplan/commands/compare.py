@@ -169,7 +169,7 @@ def compared_html(first: WrittenPlan, second: WrittenPlan, names: tuple[str, str
         [course[min(round(t / max(end, 1e-9) * (len(course) - 1)), len(course) - 1)] for t in times.tolist()]
         for course, end in zip(courses, ends, strict=True)
     ]
-    said = {
+    figures = {
         f"now_{letter}": [millimetres(pose.bound_m) for pose in path]
         for letter, path in zip(LETTERS, paths, strict=True)
     }
@@ -177,7 +177,7 @@ def compared_html(first: WrittenPlan, second: WrittenPlan, names: tuple[str, str
     motion = {
         "frames": steps,
         "time_s": times.tolist(),
-        "figures": said,
+        "figures": figures,
         "curves": ["curves"],
         "cursor": 0,
         "step_ms": 100,
@@ -192,7 +192,7 @@ def compared_html(first: WrittenPlan, second: WrittenPlan, names: tuple[str, str
         names=[plan.scenario.name for plan in plans],
         scene=plot(scene, "scene", frames=frames, with_library=True, script=code, kind="plot scene"),
         last=FRAMES - 1,
-        now=[(letter, SERIES[k], said[f"now_{letter}"][0]) for k, letter in enumerate(LETTERS)],
+        now=[(letter, SERIES[k], figures[f"now_{letter}"][0]) for k, letter in enumerate(LETTERS)],
         heads=_heads(first, second, names),
         rows=[row for row in _table(compared(first, second))[1:]],
         curves=plot(_curves(plans), "curves"),

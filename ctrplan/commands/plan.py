@@ -171,7 +171,7 @@ class Levers:
 
 
 def levers(
-    plan: Plan, command: Command, until_s: float, interrupted: threading.Event, told: Callable[[], object]
+    plan: Plan, command: Command, until_s: float, interrupted: threading.Event, report: Callable[[], object]
 ) -> Levers:
     """What would help a plan that may miss its target, each computed, until a time of `time.monotonic`.
 
@@ -197,7 +197,7 @@ def levers(
                 with suppress(ChildEnded):
                     error_m, error_rad, improved = future.result()
                     computed.append(Lever(tries[future], error_rad if is_turned else error_m, improved))
-            told()
+            report()
         return Levers(computed, [what for future, what in tries.items() if future in pending])
 
 
@@ -213,11 +213,11 @@ def _print_levers(arguments: argparse.Namespace, plan: Plan, interrupted: thread
     began = time.monotonic()
     with ProgressBar(quiet=arguments.quiet, patience_s=0.0) as bar:
 
-        def told() -> None:
+        def report() -> None:
             bar.show("what would help", min(1.0, (time.monotonic() - began) / LEVERS_S))
 
-        told()
-        result = levers(plan, command, began + LEVERS_S, interrupted, told)
+        report()
+        result = levers(plan, command, began + LEVERS_S, interrupted, report)
     is_turned = worst.error_m <= worst.tolerance_m
     off, most = (worst.error_rad, worst.direction_tolerance_rad) if is_turned else (worst.error_m, worst.tolerance_m)
     unit, scale = ("deg", math.degrees(1.0)) if is_turned else ("mm", 1e3)

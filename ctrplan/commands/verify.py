@@ -101,7 +101,7 @@ def _report(result: Verification) -> Iterator[str]:
     yield from (f"  {sentence}" for sentence in result.missed)
     for difference in result.differences:
         yield f"  {difference.sentence}"
-    yield from (_line(found) for found in result.worst)
+    yield from (_line(finding) for finding in result.worst)
     yield from (f"{_line(outcome)}, which is not claimed" for outcome in result.beside)
     if result.snaps:
         yield f"  simulated robots snapped {result.snaps} times"

@@ -130,7 +130,7 @@ def remade_trajectory(
     """
     for joinable in (True, False):
         made = time_parameterise(waypoints, drive, period_s, rests=rests, joinable=joinable)
-        if any(math.isclose(made.duration_s, said, rel_tol=RATIO_TOLERANCE, abs_tol=1e-9) for said in durations_s):
+        if any(math.isclose(made.duration_s, stated, rel_tol=RATIO_TOLERANCE, abs_tol=1e-9) for stated in durations_s):
             return made
     return time_parameterise(waypoints, drive, period_s, rests=rests, joinable=True)
 

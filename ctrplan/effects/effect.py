@@ -245,14 +245,14 @@ def direction_of(values: Values, *names: str) -> str:
     return f"({', '.join(f'{x + 0.0:.2g}' for x in unit.round(2))})"
 
 
-MOST_TOLD = 3  # clauses that a sentence holds
+MOST_CLAUSES = 3  # clauses that a sentence holds
 
 
-def told(*parts: Clauses) -> str:
+def joined_clauses(*parts: Clauses) -> str:
     """Clauses as one, those with the largest sizes where there are many."""
     ordered = sorted((clause for part in parts for clause in part if clause[0]), key=lambda clause: -abs(clause[0]))
-    shown = [text for _, text in ordered[:MOST_TOLD]]
-    return ", ".join([*shown, *([f"and {len(ordered) - MOST_TOLD} more"] if len(ordered) > MOST_TOLD else [])])
+    shown = [text for _, text in ordered[:MOST_CLAUSES]]
+    return ", ".join([*shown, *([f"and {len(ordered) - MOST_CLAUSES} more"] if len(ordered) > MOST_CLAUSES else [])])
 
 
 def numbered(stem: str, numbers: Iterable[int], unit: str = "") -> list[str]:

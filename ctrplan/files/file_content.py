@@ -259,7 +259,9 @@ def _cost(cost: Cost) -> dict[str, Any]:
 def _body(body: AnatomyPart | Fixture, folder: Path, complete: bool, key: str) -> dict[str, Any]:
     """What a file says of an anatomy's part or a fixture, its files named from a folder."""
     try:
-        content = dict(body.said) if body.said is not None else {"kind": body.shape.kind, **body.shape.keys()}
+        content = (
+            dict(body.source_table) if body.source_table is not None else {"kind": body.shape.kind, **body.shape.keys()}
+        )
     except InputError as fault:
         if complete:
             raise InputError(fault.rule, key=key) from None

@@ -260,10 +260,10 @@ def load_plan(
         _check_origin(entry, result, file)
         beside = Path(file).parent / "trajectory.csv"
         written = _checked(result, content, file, played_samples(trajectory or beside, result.robot.drive))
-        told = {name: str(fault) for name, fault in changed_files(beside.parent).items()}
+        notices = {name: str(fault) for name, fault in changed_files(beside.parent).items()}
         if trajectory is not None:
-            told.pop(beside.name, None)
-        return replace(written, warnings=tuple(told.values()))
+            notices.pop(beside.name, None)
+        return replace(written, warnings=tuple(notices.values()))
 
 
 def _json_object(file: str) -> dict[str, Any]:
@@ -359,16 +359,16 @@ def _places_of_legs(samples: SamplesEntry, document: Document) -> Array:
 
 def _closest(entry: PlanEntry, scenario: Scenario, document: Document) -> Closest | None:
     """The place. Raises InputError for one that the robot can't be at."""
-    said, robot = entry.certificate.closest, scenario.robot
-    if said is None:
+    closest, robot = entry.certificate.closest, scenario.robot
+    if closest is None:
         return None
     for name, count in (("joints", len(robot.drive.joints)), ("phi", robot.n - 1)):
-        if len(getattr(said, name)) != count:
+        if len(getattr(closest, name)) != count:
             raise document.fault(f"must be {count} values", "certificate", "closest", name)
-    if said.tube > robot.n:
+    if closest.tube > robot.n:
         raise document.fault(f"must be at most {robot.n}, the robot's tubes", "certificate", "closest", "tube")
-    arrays = {name: np.array(getattr(said, name)) for name in ("point_m", "joints", "phi")}
-    return Closest(**{**asdict(said), **arrays})
+    arrays = {name: np.array(getattr(closest, name)) for name in ("point_m", "joints", "phi")}
+    return Closest(**{**asdict(closest), **arrays})
 
 
 def _waypoints(entry: PlanEntry, scenario: Scenario, document: Document) -> Array:

@@ -68,8 +68,8 @@ def open_plan(
                 uncertainty=None if content["uncertainty"] is None else _made(Uncertainty, content["uncertainty"]),
             )
         except (KeyError, TypeError, ValueError, AttributeError) as error:
-            said = f"has no {error.args[0]}" if isinstance(error, KeyError) else f"can't be read as a plan ({error})"
-            raise InputError(said, file=str(place / "plan.json")) from None
+            rule = f"has no {error.args[0]}" if isinstance(error, KeyError) else f"can't be read as a plan ({error})"
+            raise InputError(rule, file=str(place / "plan.json")) from None
 
 
 def _certificate(written: WrittenPlan) -> Certificate:

@@ -325,8 +325,8 @@ def _build(document: Document) -> Robot:
     intervals = build_intervals(entry.uncertainty, robot, document)
     doubts = doubtful_numbers(robot, document)
     in_doubt = summarised(doubts, f"ctrplan check {document.file or 'ROBOT.toml'}")
-    told = [text for text in _clearance_warnings(robot, document) if not _is_doubted(text, doubts)]
-    warnings = (*in_doubt, *_ratio_warnings(entry, document), *told)
+    other = [text for text in _clearance_warnings(robot, document) if not _is_doubted(text, doubts)]
+    warnings = (*in_doubt, *_ratio_warnings(entry, document), *other)
     robot = replace(robot, intervals=intervals, warnings=warnings)
     if not robot.effects:
         return robot
@@ -348,12 +348,12 @@ def _measurement(entry: MeasurementEntry | None) -> SensorNoise | None:
 
 def doubtful_numbers(robot: Robot, document: Document) -> list[str]:
     """A sentence for each number of a robot's file that is most likely in another unit."""
-    told = []
+    sentences = []
     for doubt in robot_doubts(robot):
         key = _key_in_file(doubt.key, document)
         rule = doubt.otherwise if key[-1] in (YOUNG, SHEAR, RADIUS) and doubt.otherwise else doubt.rule
-        told += [str(document.fault(rule, *key))] if rule else []
-    return told
+        sentences += [str(document.fault(rule, *key))] if rule else []
+    return sentences
 
 
 def _key_in_file(key: tuple[str | int, ...], document: Document) -> tuple[str | int, ...]:

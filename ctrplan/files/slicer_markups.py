@@ -168,22 +168,22 @@ def _point(file: str, number: int, label: str) -> str:
 
 
 def _frame(file: str, markup: dict[str, Any], key: str) -> Frame | None:
-    said = markup.get("coordinateSystem")
-    if said is None:
+    stated = markup.get("coordinateSystem")
+    if stated is None:
         return None
     for frame in FRAMES:
-        if said == frame:
+        if stated == frame:
             return frame
-    is_number = str(said) in FCSV_FRAMES
+    is_number = str(stated) in FCSV_FRAMES
     hint = " (of numbers 0 is RAS and 1 is LPS in .fcsv, here none is known)" if is_number else ""
-    raise InputError(f"must be RAS or LPS{hint}", file=file, key=f"{key}.coordinateSystem", value=said)
+    raise InputError(f"must be RAS or LPS{hint}", file=file, key=f"{key}.coordinateSystem", value=stated)
 
 
-def _mm_per_unit(file: str, said: Any, key: str) -> float:
-    unit = said[0] if isinstance(said, list) and said else said  # with its coding scheme beside it
+def _mm_per_unit(file: str, stated: Any, key: str) -> float:
+    unit = stated[0] if isinstance(stated, list) and stated else stated  # with its coding scheme beside it
     if not isinstance(unit, str) or unit not in MM_PER_UNIT:
         rule = f"must be one of {', '.join(MM_PER_UNIT)}"
-        raise InputError(rule, file=file, key=f"{key}.coordinateUnits", value=said)
+        raise InputError(rule, file=file, key=f"{key}.coordinateUnits", value=stated)
     return MM_PER_UNIT[unit]
 
 
@@ -201,7 +201,7 @@ def _near(file: str, position: list[float], key: str) -> list[float]:
 
 
 def _from_fcsv(file: str, text: str) -> PlacedMarkup:
-    said: Frame | None = None
+    frame: Frame | None = None
     columns, rows = FCSV_COLUMNS.split(","), list[list[str]]()
     for line in text.splitlines():
         name, _, value = (part.strip() for part in line.lstrip("# ").partition("="))
@@ -210,9 +210,9 @@ def _from_fcsv(file: str, text: str) -> PlacedMarkup:
         elif name == "CoordinateSystem":
             if value not in FCSV_FRAMES:
                 raise InputError("must be RAS or LPS", file=file, key=name, value=value)
-            if said not in (None, FCSV_FRAMES[value]):
-                raise InputError(f"says another frame than the line before, {said}", file=file, key=name, value=value)
-            said = FCSV_FRAMES[value]
+            if frame not in (None, FCSV_FRAMES[value]):
+                raise InputError(f"says another frame than the line before, {frame}", file=file, key=name, value=value)
+            frame = FCSV_FRAMES[value]
         elif name == "columns":
             columns = [column.strip() for column in value.split(",")]
     if not rows or not {"x", "y", "z"} <= set(columns):
@@ -230,7 +230,7 @@ def _from_fcsv(file: str, text: str) -> PlacedMarkup:
             notes.append(_hidden(file, k, label))
     if not points:
         raise InputError("holds no points that were placed", file=file)
-    return PlacedMarkup(file, np.array(points), tuple(labels), said, is_line=False, notes=tuple(notes))
+    return PlacedMarkup(file, np.array(points), tuple(labels), frame, is_line=False, notes=tuple(notes))
 
 
 def _row(file: str, columns: Sequence[str], cells: Sequence[str], number: int) -> list[float]:

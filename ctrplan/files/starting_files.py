@@ -254,8 +254,8 @@ def _tubes(guessed: dict[str, str], n: int) -> list[str | None]:
 
 
 def _toml_list(columns: Sequence[str | None]) -> str:
-    said = ", ".join(f'"{column or "COLUMN"}"' for column in columns)
-    return f"[{said}]" + ("   # say those called COLUMN" if None in columns else "")
+    names = ", ".join(f'"{column or "COLUMN"}"' for column in columns)
+    return f"[{names}]" + ("   # say those called COLUMN" if None in columns else "")
 
 
 def _unit(columns: Sequence[str | None], units: dict[str, str], usual: str) -> str:

@@ -141,14 +141,14 @@ def use_left(data: Measurements) -> Array:
 STRAIGHT_RAD, STRAIGHT_M = np.radians(0.3), 0.1e-3  # off a straight line that friction does not feel: it needs 30 deg
 
 
-def needed_waypoints(theta: Array, l: Array, asked: NDArray[np.int_]) -> NDArray[np.int_]:  # noqa: E741
+def needed_waypoints(theta: Array, l: Array, rows: NDArray[np.int_]) -> NDArray[np.int_]:  # noqa: E741
     """Numbers, in order, of the waypoints of a run (R, n) without those that lie on lines between others.
 
-    Kept are the first, those `asked` for, and as many others as leave none farther off than 0.3 deg or 0.1 mm.
+    Kept are the first, those of `rows`, and as many others as leave none farther off than 0.3 deg or 0.1 mm.
     """
     joints = np.hstack([theta / STRAIGHT_RAD, l / STRAIGHT_M])
     kept = np.zeros(len(joints), bool)
-    kept[asked] = kept[0] = True
+    kept[rows] = kept[0] = True
     stretches = [*zip(np.flatnonzero(kept)[:-1].tolist(), np.flatnonzero(kept)[1:].tolist(), strict=True)]
     while stretches:
         a, b = stretches.pop()

@@ -343,7 +343,7 @@ class _Looked:
             return
         states, energy = np.array([state for state, *_ in guesses]), [energy_J for *_, energy_J in guesses]
         angles, back = np.array([shape for _, shape, *_ in guesses]), np.array([by for *_, by, _ in guesses])
-        # At once; and where that is not solved while friction grows and the collars turn back, from solution to solution.
+        # At once; where that fails, while friction grows and the collars turn back, from one solution to the next.
         at = np.arange(len(states))
         for way in ((0.0,), LEFT):
             for left in way:

@@ -32,7 +32,7 @@ STEPS: tuple[type[CaseStep], ...] = (ScenarioStep, BasesStep, PlacedStep, PlanSt
 
 
 @dataclass(frozen=True)
-class StepTold:
+class StepReport:
     """What became of a step: made anew in `seconds`, or kept as it is or as people edited it."""
 
     name: str
@@ -47,7 +47,7 @@ class Case:
     """A case's folder after a run. plan is None where the plan that is there was kept."""
 
     folder: Path
-    steps: tuple[StepTold, ...]
+    steps: tuple[StepReport, ...]
     plan: Plan | None
     interrupted: bool = False
 
@@ -57,7 +57,7 @@ class Case:
     from_step=Choice(*STEP_NAMES),
     until=Choice(*STEP_NAMES),
     progress=PROGRESS,
-    told=PROGRESS,
+    on_step=PROGRESS,
     note=PROGRESS,
     interrupted=EVENT,
 )
@@ -71,7 +71,7 @@ def case(
     from_step: str | None = None,
     until: str | None = None,
     progress: StageProgress | None = None,
-    told: Callable[[StepTold], object] | None = None,
+    on_step: Callable[[StepReport], object] | None = None,
     note: Callable[[str], object] | None = None,
     interrupted: threading.Event | None = None,
     **options: Unpack[Options],
@@ -87,7 +87,7 @@ def case(
 
     Every step writes files into `output`. A step whose files and sources are as they were is not done again; files
     that were edited are kept and count for the steps after. `from_step` makes that step and all after it anew, `until`
-    is the last one that is done. `told` hears of each step, `note` warnings and what was recognised. Raises InputError
+    is the last one that is done. `on_step` is called with each step, `note` with warnings. Raises InputError
     for what can't be understood and for an edited file whose sources have changed, NoAnswerError where nothing is
     reached or no plan found.
     """
@@ -106,7 +106,7 @@ def case(
             progress=progress or (lambda _stage, _share: None),
             note=note or (lambda _sentence: None),
         )
-        done = [*_done(work, from_step, until, told or (lambda _step: None))]
+        done = [*_done(work, from_step, until, on_step or (lambda _step: None))]
         return Case(folder, tuple(done), work.plan, stop.is_set())
 
 
@@ -128,8 +128,8 @@ def _numbers(place: ArrayLike) -> tuple[float, float, float]:
 
 
 def _done(
-    work: Work, from_step: str | None, until: str | None, told: Callable[[StepTold], object]
-) -> Iterator[StepTold]:
+    work: Work, from_step: str | None, until: str | None, on_step: Callable[[StepReport], object]
+) -> Iterator[StepReport]:
     """Every step in its turn."""
     forced = False
     work.record.request = work.request
@@ -138,8 +138,8 @@ def _done(
         began = time.monotonic()
         kept = "" if forced else _kept(work, step)
         sentence = kept or _made(work, step)
-        result = StepTold(step.name, sentence, time.monotonic() - began, not kept)
-        told(result)
+        result = StepReport(step.name, sentence, time.monotonic() - began, not kept)
+        on_step(result)
         yield result
         if work.stop.is_set() or step.name == until:
             return

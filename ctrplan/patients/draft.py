@@ -154,11 +154,15 @@ def aimed_at(case_content: CaseContent, places: Sequence[Place] | None, roles: S
     """
     if places is not None:
         names = [place for place in places if isinstance(place, str) and not is_point(place, case_content.markups)]
-        return {name: one for name in names if (one := matching(case_content, TARGET, name)) is not None}
+        return {name: structure for name in names if (structure := matching(case_content, TARGET, name)) is not None}
     if any(says(markup, WORDS[TARGET]) for markup in case_content.markups):
         return {}
-    said = [matching(case_content, TARGET, name) for name in roles]
-    return {one.name: one for one in case_content.structures if one not in said and WORDS[TARGET].search(one.name)}
+    named = [matching(case_content, TARGET, name) for name in roles]
+    return {
+        structure.name: structure
+        for structure in case_content.structures
+        if structure not in named and WORDS[TARGET].search(structure.name)
+    }
 
 
 def middles(
@@ -166,11 +170,11 @@ def middles(
 ) -> tuple[list[PlacedMarkup], list[str]]:
     """The middle of each as a point in the case's frame that is called as the structure is, and a note of where."""
     points, notes = [], []
-    for name, one in aimed.items():
-        middle_mm = np.round(middle_m(shape_of(one)) * MM_PER_M, 3) + 0.0
-        points.append(PlacedMarkup(str(one.file), middle_mm[None], (name,), frame, False))
+    for name, structure in aimed.items():
+        middle_mm = np.round(middle_m(shape_of(structure)) * MM_PER_M, 3) + 0.0
+        points.append(PlacedMarkup(str(structure.file), middle_mm[None], (name,), frame, False))
         place = ", ".join(f"{x:g}" for x in middle_mm)
-        notes.append(f"{one.called} is a target: its middle [{place}] mm in {frame}")
+        notes.append(f"{structure.called} is a target: its middle [{place}] mm in {frame}")
     return points, notes
 
 
@@ -208,7 +212,7 @@ def draft(
         "frame": frame,
         "start": dict(start),
         **({"goal": goals[0]} if len(goals) == 1 else {"target": goals}),
-        "anatomy": [structure_entry(one, role, request, output) for one, role in structures],
+        "anatomy": [structure_entry(structure, role, request, output) for structure, role in structures],
     }
 
 
@@ -325,5 +329,5 @@ def _said_of(structures: Sequence[Structure]) -> Iterator[None]:
         match = PART.match(error.key or "")
         if match is None or not 0 < int(match[1]) <= len(structures):
             raise
-        told = InputError(error.rule, file=structures[int(match[1]) - 1].file)
-        raise (MeshDefectError(told, error.defect) if isinstance(error, MeshDefectError) else told) from error
+        refusal = InputError(error.rule, file=structures[int(match[1]) - 1].file)
+        raise (MeshDefectError(refusal, error.defect) if isinstance(error, MeshDefectError) else refusal) from error

@@ -51,18 +51,18 @@ def places_of(
 ) -> list[Named]:
     """What an option, --target or --entry, says; or else what the files' markups call so. Raises InputError."""
     if places is None:
-        results = [one for markup in markups for one in says(markup, WORDS[option])]
+        results = [point for markup in markups for point in says(markup, WORDS[option])]
         if not results:
             raise InputError(f"is needed: X Y Z in mm, or a file of markups{_there(markups)}", key=option)
     else:
         results = []
-    named = [_in_frame(one, frame, file_frame) for one in results]
+    named = [_in_frame(point, frame, file_frame) for point in results]
     for place in places or ():
         if isinstance(place, str):
-            named += [_in_frame(one, frame, file_frame) for one in _by_name(option, place, markups)]
+            named += [_in_frame(point, frame, file_frame) for point in _by_name(option, place, markups)]
         else:
             named.append(_number(option, place))
-    return [part for one in named for part in _apart(*one)]
+    return [part for group in named for part in _apart(*group)]
 
 
 def _number(option: str, place: Sequence[float]) -> tuple[Array, PlacedMarkup]:
@@ -122,9 +122,9 @@ def _rows(markup: PlacedMarkup, rows: Sequence[int]) -> PlacedMarkup:
 
 
 def _in_frame(markup: PlacedMarkup, frame: Frame, file_frame: str | None) -> tuple[Array, PlacedMarkup]:
-    said = markup.frame or file_frame
+    stated = markup.frame or file_frame
     for known in FRAMES:
-        if said == known:
+        if stated == known:
             return markup.points_mm * signs(known, frame), markup
     rule = "does not say whether its coordinates are in RAS or in LPS: --file-frame says it"
     raise InputError(rule, file=markup.file)
@@ -141,5 +141,7 @@ def _apart(points_mm: Array, markup: PlacedMarkup) -> list[Named]:
 def _there(markups: Sequence[PlacedMarkup]) -> str:
     if not markups:
         return ""
-    texts = [f"{Path(one.file).name} ({', '.join(label or '-' for label in one.labels[:8])})" for one in markups]
+    texts = [
+        f"{Path(markup.file).name} ({', '.join(label or '-' for label in markup.labels[:8])})" for markup in markups
+    ]
     return f"; the files hold points: {'; '.join(texts)}"

@@ -125,8 +125,8 @@ class Request(Inputs, Options, total=False):
 
 def request_of(content: Mapping[str, Any]) -> Request:
     """What is said, in a call or in JSON: None and keys that are none count for nothing."""
-    said = {name: _plain(content[name]) for name in Request.__annotations__ if content.get(name) is not None}
-    return cast(Request, said)
+    given = {name: _plain(content[name]) for name in Request.__annotations__ if content.get(name) is not None}
+    return cast(Request, given)
 
 
 def over(request: Request, earlier: Request) -> Request:

@@ -91,11 +91,11 @@ class ScenarioStep(CaseStep):
 
     def made_from(self, work: Work) -> object:
         request = work.request
-        said = part(request, Inputs, ScenarioOptions)
+        options = part(request, Inputs, ScenarioOptions)
         stamps = [stamp_of(Path(name)) for name in request.get("inputs", ())] + [
             stamp_of(robot_file(request.get("robot")))
         ]
-        return [said, stamps]
+        return [options, stamps]
 
     def make(self, work: Work) -> str:
         request = work.request
@@ -129,7 +129,9 @@ class _CaseTask:
 
     @property
     def sentence(self) -> str:
-        roles = [f"{one.name} ({'inside' if role == 'inside' else 'avoid'})" for one, role in self.structures]
+        roles = [
+            f"{structure.name} ({'inside' if role == 'inside' else 'avoid'})" for structure, role in self.structures
+        ]
         counts = f"{_counted(len(self.targets), 'target')}, {_counted(len(self.entries), 'entry')}"
         return f"{', '.join(roles)}; {counts}, in {self.frame}"
 
@@ -143,16 +145,16 @@ def _task(work: Work) -> _CaseTask:
     aimed = aimed_at(result, request.get("targets"), (*lumens, *avoids, *ignored))
     for sentence in result.notes:
         work.note(sentence)
-    structures, told = chosen(result, lumens, avoids, ignored, tuple(aimed.values()))
+    structures, sentences = chosen(result, lumens, avoids, ignored, tuple(aimed.values()))
     frame = case_frame(request.get("frame"), [*request.get("targets", ()), *request.get("entries", ())])
-    points, more = middles(aimed, frame, lambda one: shape_of(work, one, frame))
-    for sentence in (*told, *more):
+    points, more = middles(aimed, frame, lambda structure: shape_of(work, structure, frame))
+    for sentence in (*sentences, *more):
         work.note(sentence)
     targets = places_of(
         "--target", request.get("targets"), [*result.markups, *points], frame, request.get("file_frame")
     )
     entries = places_of("--entry", request.get("entries"), result.markups, frame, request.get("file_frame"))
-    told_of = [*(one.notes for one in result.markups), *(one.notes for one in (*targets, *entries))]
+    told_of = [*(item.notes for item in result.markups), *(item.notes for item in (*targets, *entries))]
     for sentence in dict.fromkeys(note for notes in told_of for note in notes):
         work.note(sentence)
     return _CaseTask(frame, structures, targets, entries)
@@ -160,7 +162,7 @@ def _task(work: Work) -> _CaseTask:
 
 def _drafted(work: Work, task: _CaseTask) -> tuple[dict[str, Any], Scenario]:
     """The scenario, as the content of its file and read."""
-    request, structures = work.request, [one for one, _ in task.structures]
+    request, structures = work.request, [structure for structure, _ in task.structures]
     robot = load_robot(robot_file(request.get("robot")))
     start = start_values(robot.drive, retracted(robot))
     content = draft(request, work.folder, task.frame, task.structures, task.targets, start)
@@ -175,9 +177,9 @@ def _drafted(work: Work, task: _CaseTask) -> tuple[dict[str, Any], Scenario]:
     return content, scenario
 
 
-def robot_file(said: str | os.PathLike[str] | None) -> Path:
+def robot_file(file: str | os.PathLike[str] | None) -> Path:
     """The robot's file as said, or that of the robot which cases are planned with where none is."""
-    return Path(said) if said else Path(str(files("ctrplan.patients") / "robots" / DEFAULT_ROBOT))
+    return Path(file) if file else Path(str(files("ctrplan.patients") / "robots" / DEFAULT_ROBOT))
 
 
 def _text(robot: Path) -> str:
@@ -222,8 +224,8 @@ class BasesStep(CaseStep):
     files = (BASES,)
 
     def made_from(self, work: Work) -> object:
-        said = part(work.request, BasesOptions) | {"seed": work.request.get("seed")}
-        return [said, work.state(SCENARIO, ROBOT, ENTRIES), raw_files(work.scenario(SCENARIO))]
+        options = part(work.request, BasesOptions) | {"seed": work.request.get("seed")}
+        return [options, work.state(SCENARIO, ROBOT, ENTRIES), raw_files(work.scenario(SCENARIO))]
 
     def make(self, work: Work) -> str:
         result, reasons, tried = list[BasePose](), list[str](), 0
@@ -330,8 +332,8 @@ class PlanStep(CaseStep):
     results = (f"{PLAN}/plan.json", f"{PLAN}/report.html")
 
     def made_from(self, work: Work) -> object:
-        said = part(work.request, PlanOptions)
-        return [said, work.state(PLACED, ROBOT), raw_files(work.scenario(PLACED))]
+        options = part(work.request, PlanOptions)
+        return [options, work.state(PLACED, ROBOT), raw_files(work.scenario(PLACED))]
 
     def make(self, work: Work) -> str:
         from ctrplan.reports.plan_page import FORMATS, plan_outputs, save_plan  # pictures take a second to import
@@ -350,8 +352,8 @@ class PlanStep(CaseStep):
         number = _row(record)
         last = min(rows, number - 1 + request.get("bases", TRIES))
 
-        def report(told: Progress) -> None:
-            work.progress(told.stage, told.fraction)
+        def report(progress: Progress) -> None:
+            work.progress(progress.stage, progress.fraction)
 
         while True:
             try:
@@ -411,7 +413,7 @@ class SlicerStep(CaseStep):
         for warning in written.warnings:
             work.note(warning)
         motion = written_motion(written, STEPS, lambda share: work.progress("solving", share))
-        said = work.request.get("frame") if written.scenario.frame is None else None  # of a scenario that people wrote
-        files = case_files(motion, patient_frame(written.scenario, said))
+        frame = work.request.get("frame") if written.scenario.frame is None else None  # of a scenario that people wrote
+        files = case_files(motion, patient_frame(written.scenario, frame))
         write_results(folder, files)
         return f"{len(files)} files for 3D Slicer, {len(motion.path)} poses"

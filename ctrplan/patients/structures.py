@@ -61,7 +61,7 @@ def of_image(path: Path) -> list[Structure]:
     """Labels or segments; none of an image of grey values. Raises ImageRefusal."""
     image = image_of(path, image_file.read_image)
     if image.segments:
-        return [_segment(path, image, one.name, one.label, one.layer) for one in image.segments]
+        return [_segment(path, image, segment.name, segment.label, segment.layer) for segment in image.segments]
     counts = _labels(image)
     name = stem(path)
     size = {label: f"{count * image.voxel_mm3 / 1e3:.3g} ml" for label, count in counts.items()}
@@ -150,7 +150,7 @@ class CaseContent:
     @property
     def listed(self) -> str:
         """The structures in a sentence."""
-        return ", ".join(one.called for one in self.structures) or "no structures"
+        return ", ".join(structure.called for structure in self.structures) or "no structures"
 
 
 def content_of(
@@ -182,7 +182,7 @@ def content_of(
             structures += within
             grey += [] if within else [path]
             notes += [why_not] if why_not else []
-    moving = [replace(one, phases=later.get(one.file.resolve(), ())) for one in structures]
+    moving = [replace(structure, phases=later.get(structure.file.resolve(), ())) for structure in structures]
     return CaseContent(tuple(moving), tuple(markups), tuple(grey), tuple(notes), series)
 
 
@@ -258,23 +258,27 @@ def chosen(
     values. targets: structures to be reached, which are not avoided.
     """
     roles: dict[Structure, Role | None] = {}
-    told: list[tuple[str, Sequence[str], Role | None]] = [
+    stated: list[tuple[str, Sequence[str], Role | None]] = [
         ("--lumen", lumens, "inside"),
         ("--avoid", avoids, "avoid"),
         ("--ignore", ignored, None),
     ]
-    for option, names, role in told:
+    for option, names, role in stated:
         for name in names:
-            one = named(content, option, name)
-            if roles.setdefault(one, role) != role:
+            structure = named(content, option, name)
+            if roles.setdefault(structure, role) != role:
                 raise InputError("is said to be two things", key=option, value=name)
-    for one in targets:
-        if roles.setdefault(one, None) == "avoid":
-            raise InputError("is said to be two things", key="--target", value=one.name)
-    recognised = {one: role for one in content.structures if one not in roles and (role := by_name(one.name))}
+    for structure in targets:
+        if roles.setdefault(structure, None) == "avoid":
+            raise InputError("is said to be two things", key="--target", value=structure.name)
+    recognised = {
+        structure: role
+        for structure in content.structures
+        if structure not in roles and (role := by_name(structure.name))
+    }
     roles |= recognised
-    taken = [(one, role) for one, role in roles.items() if role]
-    left = [one for one in content.structures if one not in roles]
+    taken = [(structure, role) for structure, role in roles.items() if role]
+    left = [structure for structure in content.structures if structure not in roles]
     if not taken:
         rule = "is needed, or --avoid: which structure the robot moves through and which it avoids can't be known of"
         raise InputError(f"{rule} {content.listed}{_grey(content)}", key="--lumen")
@@ -291,27 +295,28 @@ def by_name(name: str) -> Role | None:
 
 def named(content: CaseContent, option: str, text: str) -> Structure:
     """The structure that an option names. Raises InputError with those that there are."""
-    one = matching(content, option, text)
-    if one is None:
+    structure = matching(content, option, text)
+    if structure is None:
         rule = f"is not there: the files hold {content.listed}{_grey(content)}"
         raise InputError(rule, key=option, value=text)
-    return one
+    return structure
 
 
 def matching(content: CaseContent, option: str, text: str) -> Structure | None:
     """The structure that a text names; None where none is called so. Raises InputError for several."""
-    matches = [one for one in content.structures if text in (one.name, one.file.name)]
-    matches = matches or [one for one in content.structures if text.lower() == one.name.lower()]
+    matches = [structure for structure in content.structures if text in (structure.name, structure.file.name)]
+    matches = matches or [structure for structure in content.structures if text.lower() == structure.name.lower()]
     file, colon, name = text.partition(":")
     if not matches and colon:
         if (image := _grey_file(content, file)) is not None:
             return _range(content, image, option, text, name)
-        within = [one for one in content.structures if file in (one.file.name, str(one.file))]
-        matches = [one for one in within if name in (one.name, _group_of(one, name))]
+        within = [structure for structure in content.structures if file in (structure.file.name, str(structure.file))]
+        matches = [structure for structure in within if name in (structure.name, _group_of(structure, name))]
         if not matches and within and within[0].entry["kind"] == "mesh":
             return Structure(within[0].file, name, "group", {**within[0].entry, "group": name})
-    if len({one.file for one in matches}) > 1:
-        rule = f"is in several files, say which as FILE:{matches[0].name}: {', '.join(one.called for one in matches)}"
+    if len({structure.file for structure in matches}) > 1:
+        where = ", ".join(structure.called for structure in matches)
+        rule = f"is in several files, say which as FILE:{matches[0].name}: {where}"
         raise InputError(rule, key=option, value=text)
     if len(matches) > 1:
         rule = f"names several structures: the files hold {content.listed}{_grey(content)}"
@@ -319,28 +324,28 @@ def matching(content: CaseContent, option: str, text: str) -> Structure | None:
     return matches[0] if matches else None
 
 
-def _group_of(one: Structure, name: str) -> str | None:
+def _group_of(structure: Structure, name: str) -> str | None:
     """A label map of one label is called by its file, its label is still a name."""
-    return name if str(one.entry.get("label")) == name else None
+    return name if str(structure.entry.get("label")) == name else None
 
 
 def _grey_file(content: CaseContent, name: str) -> Path | None:
     return next((path for path in content.grey if name in (path.name, str(path), stem(path))), None)
 
 
-def _range(content: CaseContent, image: Path, option: str, text: str, said: str) -> Structure:
+def _range(content: CaseContent, image: Path, option: str, text: str, ranges: str) -> Structure:
     ends: dict[str, Any] = {}
     place = 0
-    while match := RANGE.match(said, place):
+    while match := RANGE.match(ranges, place):
         ends[match[1]] = float(match[2])
         place = match.end()
-    if not ends or place < len(said):
+    if not ends or place < len(ranges):
         rule = (
             f"{image.name} has grey values: say a range as {image.name}:below=-500 or {image.name}:above=100,below=300"
         )
         raise InputError(rule, key=option, value=text)
     series = {"series": content.series} if image.is_dir() and content.series else {}
-    return Structure(image, said, "grey values", {"kind": "volume", **series, **ends})
+    return Structure(image, ranges, "grey values", {"kind": "volume", **series, **ends})
 
 
 def _grey(content: CaseContent) -> str:
@@ -353,12 +358,12 @@ def _grey(content: CaseContent) -> str:
 def _recognised(roles: dict[Structure, Any]) -> list[str]:
     words = {"inside": "a lumen, to stay inside", "avoid": "an obstacle, to be avoided"}
     return [
-        f"{one.called} is taken for {words[role]}: by its name (--ignore '{one.name}' leaves it out)"
-        for one, role in roles.items()
+        f"{structure.called} is taken for {words[role]}: by its name (--ignore '{structure.name}' leaves it out)"
+        for structure, role in roles.items()
     ]
 
 
 def _left(structures: Sequence[Structure]) -> list[str]:
     if not structures:
         return []
-    return [f"left out, since nobody says what they are: {', '.join(one.called for one in structures)}"]
+    return [f"left out, since nobody says what they are: {', '.join(structure.called for structure in structures)}"]

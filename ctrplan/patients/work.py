@@ -107,8 +107,8 @@ def stamp_of(path: Path) -> list[Any]:
     if path.is_dir():
         return [stamp_of(each) for each in sorted(path.iterdir()) if each.is_file()]
     try:
-        told = path.stat()
-        return [str(path.resolve()), told.st_size, told.st_mtime_ns]
+        stat = path.stat()
+        return [str(path.resolve()), stat.st_size, stat.st_mtime_ns]
     except OSError:
         return [str(path), 0, 0]
 

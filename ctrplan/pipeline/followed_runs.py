@@ -67,8 +67,8 @@ def followed(chain: ParametricChain, p: Array) -> Followed:
     table, restarts = np.full((len(every), 6 + robot.n - 1 + 6 * len(robot.markers)), np.nan), 0
     for run in np.unique(data.sequence[data.rows]).tolist():
         rows = np.flatnonzero(data.sequence == run)
-        asked = np.flatnonzero(np.isin(rows, data.rows))
-        rows = rows[needed_waypoints(collars.theta[rows], l_b[rows], asked)]
+        measured = np.flatnonzero(np.isin(rows, data.rows))
+        rows = rows[needed_waypoints(collars.theta[rows], l_b[rows], measured)]
         table[rows], failed = _run(robot, collars.theta[rows], l_b[rows])
         restarts += failed
     result, ends = table[data.rows], np.cumsum([0, 3, 3, robot.n - 1])

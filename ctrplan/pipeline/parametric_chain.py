@@ -202,14 +202,14 @@ _COLUMNS: WeakKeyDictionary[Measurements, dict[tuple[str, ...], list[_Column]]] 
 
 
 def remembered(
-    data: Measurements, name: tuple[str, ...], here_m: Array, value: float, prior: float, asked: Callable[[], Array]
+    data: Measurements, name: tuple[str, ...], here_m: Array, value: float, prior: float, solve: Callable[[], Array]
 ) -> Array:
-    """(K, 3) derivatives by a parameter with this value, of points at (K, 3) [m]; `asked` finds those of now."""
+    """(K, 3) derivatives by a parameter with this value, of points at (K, 3) [m]; `solve` returns those of now."""
     columns = _COLUMNS.setdefault(data, {}).setdefault(name, [])
     for column in columns:
         if abs(column.value - value) <= NEAR_SHARE * prior and np.abs(column.here_m - here_m).max() <= NEAR_M:
             return column.by
-    by = asked()
+    by = solve()
     columns.insert(0, _Column(here_m, value, by))
     del columns[MOST:]
     return by
@@ -290,8 +290,8 @@ class ParametricChain(TermValues):
             if t.effect.of_the_file:
                 of_file.append((t.effect, values))
             else:
-                held = effects[t.name].values if t.name in effects else {}
-                effects[t.name] = Acting(t.effect, {**held, **values})
+                present = effects[t.name].values if t.name in effects else {}
+                effects[t.name] = Acting(t.effect, {**present, **values})
         return Chain(self._ideal(of_file), tuple(effects.values()))
 
     def _ideal(self, of_file: list[tuple[Effect, dict[str, float]]]) -> Robot:
@@ -313,9 +313,9 @@ class ParametricChain(TermValues):
             if t.effect.of_the_file:
                 tables |= taken_along(tables, self.robot, t.effect.mechanics(values, self._in_file.ideal))
             else:
-                held = {key: value for key, value in tables.get(t.name, {}).items() if key not in FILE_NOTES}
+                present = {key: value for key, value in tables.get(t.name, {}).items() if key not in FILE_NOTES}
                 fitted = {q.name: values[q.name] / q.si for q in t.parameters}
-                tables[t.name] = held | fitted | dict(t.effect.stated(values))
+                tables[t.name] = present | fitted | dict(t.effect.stated(values))
         return with_chain(replace(self.robot, effects=tables), chain)
 
     def robot_at(self, p: Array) -> Robot:
@@ -344,9 +344,9 @@ class ParametricChain(TermValues):
             chain.collars(self.data, last_directions(self.data)),
             self.friction_state(p),
         )
-        asked = StageColumns(self, p) if derivatives else None
+        columns = StageColumns(self, p) if derivatives else None
         changes = chain.changing(self.data)
-        table = self._table(robot, collars, phi, asked.names if asked else [], changes)
+        table = self._table(robot, collars, phi, columns.names if columns else [], changes)
         position, tangent = _followed(table, changes)
         coarse_m = position
         if self.correction is not None:
@@ -354,10 +354,10 @@ class ParametricChain(TermValues):
         poses = Poses(position, frames_along(tangent, self._tip_x(chain, collars, phi, tangent)))
         seen = chain.seen(poses, collars, self.data)
         by = np.zeros((len(position), 6, len(self.parameters) if derivatives else 0))
-        if asked:
-            asked.of_tips(table, collars, by)
+        if columns:
+            columns.of_tips(table, collars, by)
             self._of_markers(p, coarse_m, by)
-            asked.of_what_is_seen(poses, collars, seen, by)
+            columns.of_what_is_seen(poses, collars, seen, by)
         return SensorPrediction(seen.position, seen.frame[:, :, 2], table.sound, table.failed, by[:, :3], by[:, 3:])
 
     def before_sensor(self, p: Array) -> tuple[Array, NDArray[np.bool_]]:

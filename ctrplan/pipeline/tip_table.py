@@ -76,8 +76,8 @@ def distinct(rows: Array) -> tuple[NDArray[np.int_], NDArray[np.int_]]:
 
 def _rubbing(robot: Robot, names: Sequence[str]) -> NDArray[np.bool_]:
     """(n - 1,) pairs whose friction state matters: those with friction, or whose friction is differentiated by."""
-    asked = [f"contact.{i}.friction_coefficient" in names for i in range(1, robot.n)]
-    rubbing: NDArray[np.bool_] = (robot.friction[:, 1] > 0) | np.array(asked, dtype=bool)
+    fitted = [f"contact.{i}.friction_coefficient" in names for i in range(1, robot.n)]
+    rubbing: NDArray[np.bool_] = (robot.friction[:, 1] > 0) | np.array(fitted, dtype=bool)
     return rubbing
 
 
@@ -105,10 +105,12 @@ class _TipRequest:
 
 
 @lru_cache(MOST_REMEMBERED)
-def _solved(asked: _TipRequest) -> TipTable:
-    n = asked.robot.n
-    theta_b, l_b, phi = np.split(np.frombuffer(asked.rows).reshape(-1, 3 * n - 1), [n, 2 * n], axis=1)
-    tips = asked.robot.mechanics.tips_with_friction(theta_b, l_b, phi, parameters=asked.names, accuracy=asked.accuracy)
+def _solved(request: _TipRequest) -> TipTable:
+    n = request.robot.n
+    theta_b, l_b, phi = np.split(np.frombuffer(request.rows).reshape(-1, 3 * n - 1), [n, 2 * n], axis=1)
+    tips = request.robot.mechanics.tips_with_friction(
+        theta_b, l_b, phi, parameters=request.names, accuracy=request.accuracy
+    )
     failed = tips.status == Status.FAILED
     sound = ~failed & (tips.status != Status.UNSTABLE)
     by = np.nan_to_num(tips.position_by), np.nan_to_num(tips.tangent_by)  # NaN where a joint can't be moved by itself

@@ -150,9 +150,9 @@ def _worst_off(scenario: Scenario, drawn: DrawnPoses, stop: Stop, aim: TargetPos
 
 
 def _vector(drawn: DrawnPoses, w: int, part: slice, target: Array, base: BaseBall) -> TipVector:
-    one = slice(w, w + 1)
-    slopes = TipSlopes(drawn.slopes.pose[one], drawn.slopes.pose_by[one])
-    return TipVector(drawn.parameters, drawn.theta[one], drawn.l[one], slopes, part, target, base)
+    row = slice(w, w + 1)
+    slopes = TipSlopes(drawn.slopes.pose[row], drawn.slopes.pose_by[row])
+    return TipVector(drawn.parameters, drawn.theta[row], drawn.l[row], slopes, part, target, base)
 
 
 def _as_angle(chord: WorstCase, play_rad: float) -> WorstCase:

@@ -61,9 +61,9 @@ class Check:
     @property
     def text(self) -> str:
         """All of it, as `ctrplan check` prints it."""
-        told = [*(f"! {flag}" for flag in self.flags), *(f"note: {note}" for note in self.notes)]
+        remarks = [*(f"! {flag}" for flag in self.flags), *(f"note: {note}" for note in self.notes)]
         last = "Nothing is in doubt." if not self.flags else f"{len(self.flags)} in doubt, marked by !."
-        return "\n".join([f"{self.name} ({self.kind})", *self.lines, *told, last])
+        return "\n".join([f"{self.name} ({self.kind})", *self.lines, *remarks, last])
 
     def figures(self) -> dict[str, Figure]:
         """Figures by name: "tubes" of the robot, "bound" of the largest bound."""

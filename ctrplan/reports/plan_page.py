@@ -135,7 +135,7 @@ def _reordered(report: ReorderReport) -> list[tuple[str, ...]]:
             for name, before in report.terms_before_mm.items()
         ),
     )
-    return [(name, said(before), said(after)) for name, said, before, after in figures]
+    return [(name, words(before), words(after)) for name, words, before, after in figures]
 
 
 def margins_figure(plan: Plan) -> dict[str, Any]:
@@ -153,8 +153,8 @@ def _target_tiles(plan: Plan) -> Iterator[tuple[str, str]]:
     if arrival := worst_arrival(plan):
         kind = "caution" if arrival.exceeds else "good"
         distance = Markup(f'<span class="{kind}">{millimetres(arrival.error_m)}</span>')
-        asked = f"from {arrival.target} at the farthest arrival; tolerance {millimetres(arrival.tolerance_m)}"
-        yield distance, term("arrival", asked)
+        meaning = f"from {arrival.target} at the farthest arrival; tolerance {millimetres(arrival.tolerance_m)}"
+        yield distance, term("arrival", meaning)
 
 
 def _figure_tiles(plan: Plan) -> Iterator[tuple[str, str]]:

@@ -237,10 +237,10 @@ def _depths(nodes: Array, counts: tuple[int, int, int], centres: Array, radii: A
 
     places = np.unravel_index(np.arange(len(nodes)), counts, order="F")
     some = np.flatnonzero(np.all([place % STRIDE == 0 for place in places], axis=0))
-    asked = np.empty(tuple((count - 1) // STRIDE + 1 for count in counts))
-    asked[tuple(place[some] // STRIDE for place in places)] = depths(nodes[some])[1]
+    coarse = np.empty(tuple((count - 1) // STRIDE + 1 for count in counts))
+    coarse[tuple(place[some] // STRIDE for place in places)] = depths(nodes[some])[1]
     beside = ((place + STRIDE // 2) // STRIDE for place in places)
-    values: Array = asked[tuple(np.minimum(row, size - 1) for row, size in zip(beside, asked.shape, strict=True))]
+    values: Array = coarse[tuple(np.minimum(row, size - 1) for row, size in zip(beside, coarse.shape, strict=True))]
     close = np.abs(values) < (np.sqrt(3) * (STRIDE - 1) + 1) * cell
     values[close] = depths(nodes[close])[0]
     return values

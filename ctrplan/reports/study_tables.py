@@ -166,7 +166,7 @@ def of_reasons(rows: StudyTable) -> list[list[str]]:
     for status, reason in zip(rows.columns["status"], rows.columns["reason"], strict=True):
         if status != "done":
             sentences.setdefault((status, _NUMBER.sub("#", reason)), []).append(reason)
-    most = Counter({key: len(said) for key, said in sentences.items()}).most_common(MOST_REASONS)
+    most = Counter({key: len(reasons) for key, reasons in sentences.items()}).most_common(MOST_REASONS)
     return [[f"{count:,}", key[0], sentences[key][0]] for key, count in most]
 
 

@@ -150,9 +150,9 @@ def _target_rows(miss: GoalMiss, labels: tuple[str, str, str]) -> Rows:
     return rows
 
 
-def _by_friction(said: Callable[[Chance], str], by_history: Chance | None, any_friction: Chance) -> str:
-    predicted = f"{said(by_history)} with friction as predicted, " if by_history else ""
-    return f"{predicted}{said(any_friction)} in the worst friction state"
+def _by_friction(phrase: Callable[[Chance], str], by_history: Chance | None, any_friction: Chance) -> str:
+    predicted = f"{phrase(by_history)} with friction as predicted, " if by_history else ""
+    return f"{predicted}{phrase(any_friction)} in the worst friction state"
 
 
 def met(chance: Chance) -> str:

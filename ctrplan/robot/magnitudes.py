@@ -152,9 +152,9 @@ def _stiffness_doubts(tube: Tube, i: int) -> Iterator[Doubt]:
         rules = []
         for factors in (of_EI, of_E):
             units = [unit for unit, factor in factors.items() if low <= young * factor <= high]
-            asked = [f"is it in {_or(units)}"] if units else []
-            asked += [f"are the diameters {_or(bore)}"] if bore else []
-            hint = ", or ".join(asked) or "are the diameters right"
+            questions = [f"is it in {_or(units)}"] if units else []
+            questions += [f"are the diameters {_or(bore)}"] if bore else []
+            hint = ", or ".join(questions) or "are the diameters right"
             rules.append(f"Young's modulus would be {young:.2g} Pa: {hint}?")
         thin = YOUNG_PA[1] < young <= WALL * YOUNG_PA[1]
         yield Doubt(("tube", i, "bending_stiffness_Nm2"), "" if thin else rules[0], rules[1])
@@ -176,12 +176,12 @@ def _radii_doubt(robot: Robot) -> list[Doubt]:
     implied = [implied_young_Pa(tube) for tube in robot.tubes]
     stiff = [i for i, young in enumerate(implied) if any(low <= young / 16 <= high for low, high in METALS_PA)]
     if len(stiff) == robot.n:
-        said = f"makes Young's moduli of {', '.join(f'{young:.3g}' for young in implied)} Pa"
+        implied_text = f"makes Young's moduli of {', '.join(f'{young:.3g}' for young in implied)} Pa"
         stiff = [0]
     else:
         stiff = [i for i in stiff if i and 2 * robot.tubes[i].outer_diameter_m < robot.tubes[i - 1].inner_diameter_m]
-        said = f"makes a Young's modulus of {implied[stiff[0]]:.3g} Pa" if stiff else ""
-    rule = f"{said}, sixteen times that of a usual metal: are these radii?"
+        implied_text = f"makes a Young's modulus of {implied[stiff[0]]:.3g} Pa" if stiff else ""
+    rule = f"{implied_text}, sixteen times that of a usual metal: are these radii?"
     return [Doubt(("tube", i, "outer_diameter_mm"), rule) for i in stiff[:1]]
 
 
@@ -295,14 +295,14 @@ def _rate_doubts(robot: Robot) -> Iterator[Doubt]:
         unit, si = UNITS[joint.kind]
         rates = joint.max_velocity / si, joint.max_acceleration / si, joint.max_jerk / si
         other = ("rad", 180 / math.pi) if joint.kind == "rotation" else ("m", 1e3)
-        said = [(f"{other[0]}/s{power}", other[1]) for power in ("", "^2", "^3")]
+        other_units = [(f"{other[0]}/s{power}", other[1]) for power in ("", "^2", "^3")]
         minutes = [(f"{unit}/min{power}", 60.0**-n) for n, power in enumerate(("", "^2", "^3"), start=1)]
         for n, name in enumerate(("velocity", "acceleration", "jerk")):
             key = ("joint", k, f"max_{name}_{unit}_s{'' if n == 0 else n + 1}")
-            readings = {words: rates[n] * factor for words, factor in (said[n], minutes[n])}
+            readings = {words: rates[n] * factor for words, factor in (other_units[n], minutes[n])}
             in_code = rates[n] / other[1]  # of a number that was said in the file's unit to code, which has SI
             if float(f"{in_code:.4g}") == float(f"{in_code:.9g}"):
-                readings[f"{unit}/s{('', '^2', '^3')[n]} given for {said[n][0]}"] = in_code
+                readings[f"{unit}/s{('', '^2', '^3')[n]} given for {other_units[n][0]}"] = in_code
             doubt = _speed_doubt(robot, joint, readings, rates) if n == 0 else _rise_doubt(rates, n, readings)
             if doubt:
                 yield Doubt(key, doubt)

@@ -318,8 +318,11 @@ class Observer:
         off = seen - np.array([member.expected_m for member in members])
         spread = self._spread_m2(members)
         noise2 = sigma2 + unexplained2
-        told = spread + noise2 * np.eye(3)
-        least = np.sum(off * np.linalg.solve(told, off[:, :, None])[:, :, 0], axis=1) + np.linalg.slogdet(told)[1]
+        covariance = spread + noise2 * np.eye(3)
+        least = (
+            np.sum(off * np.linalg.solve(covariance, off[:, :, None])[:, :, 0], axis=1)
+            + np.linalg.slogdet(covariance)[1]
+        )
         for member, of in zip(members, least.tolist(), strict=True):
             member.score = NEWS * member.score - of / 2
             if along is not None and self._noise.tangent_sigma_rad is not None:

@@ -51,7 +51,7 @@ class Member:
         return self.position_m + self.slow.moved_m(self.slopes, self.values)
 
 
-def begun(history: History, values: Array, theta_b: Array, l_b: Array, slow: Slow, score: float) -> Member | None:
+def new_member(history: History, values: Array, theta_b: Array, l_b: Array, slow: Slow, score: float) -> Member | None:
     """A member at collars (n,) [rad], (n,) [m]; None without an equilibrium there."""
     blank, no_slopes = np.zeros(3), np.zeros((3, len(values)))
     return moved(Member(history, blank, blank, blank, slow, score, values, no_slopes, np.zeros(0)), theta_b, l_b)
@@ -254,7 +254,7 @@ class Histories:
         mechanics = self._with(values)
 
         def begun_in(phi: Array) -> Member | None:
-            return begun(self._history(mechanics, phi), values, theta_b, l_b, slow, score)
+            return new_member(self._history(mechanics, phi), values, theta_b, l_b, slow, score)
 
         return [member for member in self.threads.each(begun_in, states) if member is not None]
 

@@ -164,7 +164,7 @@ class Robot:
             "uncertainty": self.intervals,
         }
         numbered = {"tube": self.tubes, "contact": self.contacts}
-        each = {f"{key}.{k}": one for key, rows in numbered.items() for k, one in enumerate(rows, start=1)}
+        each = {f"{key}.{k}": row for key, rows in numbered.items() for k, row in enumerate(rows, start=1)}
         return {key: content_sha256(value) for key, value in (each | rest).items()}
 
     @cached_property
@@ -425,9 +425,9 @@ def _as_in_a_file(robot: Robot) -> None:
     warn_of_doubts(read.warnings, 5)
 
 
-def warn_of_doubts(told: Sequence[str], stacklevel: int = 4) -> None:
+def warn_of_doubts(doubts: Sequence[str], stacklevel: int = 4) -> None:
     """Warns whoever makes an object in code of numbers that may be in another unit: of sentences that ask."""
-    for text in told:
+    for text in doubts:
         if "?" in text:
             warnings.warn(text, stacklevel=stacklevel)
 

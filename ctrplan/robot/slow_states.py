@@ -175,8 +175,8 @@ class SlowModel:
             return slow
         mean, before = np.array([s.mean for s in slow]), np.array([s.covariance for s in slow])
         H = np.concatenate([np.broadcast_to(_UNITS, (len(slow), 3, 3)), slopes], axis=2)
-        told = H @ before
-        gain = np.swapaxes(np.linalg.solve(told @ np.swapaxes(H, 1, 2) + noise_m2 * _UNITS, told), 1, 2)
+        projected = H @ before
+        gain = np.swapaxes(np.linalg.solve(projected @ np.swapaxes(H, 1, 2) + noise_m2 * _UNITS, projected), 1, 2)
         left = np.eye(H.shape[2]) - gain @ H
         covariance = left @ before @ np.swapaxes(left, 1, 2)  # stays symmetric and positive (Joseph)
         covariance += noise_m2 * gain @ np.swapaxes(gain, 1, 2)

@@ -77,9 +77,9 @@ def _hint(low: float, high: float, value: float) -> str:
     if low < 0 < high:
         return ": is it said as plus or minus?"
     factors = {"1000 times too small": 1e3, "1000 times too large": 1e-3, "in %": 1e-2, "in radians": 180 / math.pi}
-    said = [words for words, factor in factors.items() if low * factor <= value <= high * factor]
-    said += ["said as a share of the value"] if low <= 1 <= high else []
-    return f": is it {' or '.join(said)}?" if said and value else ""
+    readings = [words for words, factor in factors.items() if low * factor <= value <= high * factor]
+    readings += ["said as a share of the value"] if low <= 1 <= high else []
+    return f": is it {' or '.join(readings)}?" if readings and value else ""
 
 
 if sys.version_info >= (3, 11):
@@ -271,8 +271,8 @@ def toml_text(content: Mapping[str, Any]) -> str:
     tables = {key: value for key, value in content.items() if isinstance(value, Mapping) or _is_tables(value)}
     lines = [f"{_key(key)} = {_value(value)}\n" for key, value in content.items() if key not in tables]
     for key, value in tables.items():
-        one, many = f"\n[{_key(key)}]\n", f"\n[[{_key(key)}]]\n"
-        blocks = [(one, value)] if isinstance(value, Mapping) else [(many, table) for table in value]
+        single, many = f"\n[{_key(key)}]\n", f"\n[[{_key(key)}]]\n"
+        blocks = [(single, value)] if isinstance(value, Mapping) else [(many, table) for table in value]
         lines += [head + "".join(f"{_key(k)} = {_value(v)}\n" for k, v in table.items()) for head, table in blocks]
     return "".join(lines)
 

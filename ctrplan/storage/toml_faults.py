@@ -88,9 +88,9 @@ def rule_of_options(options: Sequence[str], key: str = "", value: Any = None) ->
     """A rule that lists the options of a value, what they mean where known, and the one most likely meant."""
     meanings = MEANINGS.get(key, {})
     shown = ", ".join(f"{option} ({meanings[option]})" if option in meanings else option for option in options)
-    said = str(value).lower() if isinstance(value, (str, bool)) else ""
-    meant = [option for option in options if said in (word.lower() for word in (option, *MEANT.get(option, ())))]
-    meant = meant or (difflib.get_close_matches(str(value), options, n=1) if said else [])
+    text = str(value).lower() if isinstance(value, (str, bool)) else ""
+    meant = [option for option in options if text in (word.lower() for word in (option, *MEANT.get(option, ())))]
+    meant = meant or (difflib.get_close_matches(str(value), options, n=1) if text else [])
     return f"must be one of {shown}" + (f"; did you mean {meant[0]}?" if meant else "")
 
 
@@ -116,13 +116,13 @@ def _fault(value: Any, kind: inspect.Type, path: Path) -> Fault | None:
 
 def _fault_of_any(value: Any, kind: inspect.UnionType, path: Path) -> Fault | None:
     """The fault of a value that may be of several kinds: that of the first kind it looks like."""
-    for one in kind.types:
-        if _is_of(value, one):
-            return _fault(value, one, path)
-    literals = [one for one in kind.types if isinstance(one, inspect.LiteralType)]
+    for member in kind.types:
+        if _is_of(value, member):
+            return _fault(value, member, path)
+    literals = [member for member in kind.types if isinstance(member, inspect.LiteralType)]
     if literals:
         return _fault(value, literals[0], path)
-    kinds = (_in_words(one) for one in kind.types if not isinstance(one, inspect.NoneType))
+    kinds = (_in_words(member) for member in kind.types if not isinstance(member, inspect.NoneType))
     return path, f"must be {' or '.join(kinds)}"
 
 
@@ -166,7 +166,7 @@ def _fault_within(
             return path, f"must be a list {broken}"
         kinds = [kind.item_type] * len(value)
     pairs = enumerate(zip(value, kinds, strict=True))
-    return next(filter(None, (_fault(item, one, (*path, k)) for k, (item, one) in pairs)), None)
+    return next(filter(None, (_fault(item, member, (*path, k)) for k, (item, member) in pairs)), None)
 
 
 def _beyond(value: float, kind: inspect.FloatType | inspect.IntType, path: Path) -> Fault | None:

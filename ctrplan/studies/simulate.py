@@ -101,7 +101,7 @@ def simulate(
 
     `progress` is told what is being done and its finished share. Raises SolverError where a run has no start.
     """
-    told, stop = progress or (lambda *_: None), interrupted or threading.Event()
+    report, stop = progress or (lambda *_: None), interrupted or threading.Event()
     rows: list[Array] = []
     count, chain = len(path.theta_commanded), Chain.of(robot).on(path.time_s, path.more, of_collars=path.of_collars)
     for run in path.runs:
@@ -117,10 +117,10 @@ def simulate(
                 result.status,
             )
             rows.append(np.column_stack((place, *commanded, theta, l, *tip)))
-            told("simulating", (place[-1] + 1) / count)
+            report("simulating", (place[-1] + 1) / count)
             if stop.is_set() or result.status[-1] == Status.FAILED:
-                return _simulation(robot, path, np.vstack(rows), accuracy, told)
-    return _simulation(robot, path, np.vstack(rows), accuracy, told)
+                return _simulation(robot, path, np.vstack(rows), accuracy, report)
+    return _simulation(robot, path, np.vstack(rows), accuracy, report)
 
 
 def poses_csv(result: Simulation) -> str:
@@ -261,7 +261,7 @@ def _check_collars(robot: Robot, path: JointPath, place: Array, collars: Collars
 
 
 def _simulation(
-    robot: Robot, path: JointPath, table: Array, accuracy: Accuracy, told: Callable[[str, float], None]
+    robot: Robot, path: JointPath, table: Array, accuracy: Accuracy, report: Callable[[str, float], None]
 ) -> Simulation:
     n = robot.n
     failed = np.flatnonzero(table[:, -1] == Status.FAILED)
@@ -272,7 +272,7 @@ def _simulation(
     )
     markers = markers.reshape(len(table), -1, 6) if robot.markers else np.zeros((len(table), 0, 6))
     collars = Collars(theta, l)
-    bounds = robot.bound_many(theta, l, accuracy=accuracy, progress=lambda share: told("bounds", share))
+    bounds = robot.bound_many(theta, l, accuracy=accuracy, progress=lambda share: report("bounds", share))
     every = Chain.of(robot)
     chain, samples = (
         every.on(path.time_s, path.more, of_collars=path.of_collars),

@@ -184,8 +184,8 @@ class _Task:
 
     def solve(self, accuracy: Accuracy) -> Bounds:
         """Bounds of the rows, on the calling thread."""
-        asked = ((robot, *self._collars(robot, rows)) for robot, rows in self.robots())
-        return join([robot.bound_many(*collars, accuracy=accuracy, threads=1) for robot, *collars in asked])
+        groups = ((robot, *self._collars(robot, rows)) for robot, rows in self.robots())
+        return join([robot.bound_many(*collars, accuracy=accuracy, threads=1) for robot, *collars in groups])
 
     def _collars(self, robot: Robot, rows: slice) -> tuple[Array, Array]:
         return robot.collars(self.theta_commanded[rows], self.l_commanded[rows])
@@ -314,12 +314,12 @@ def plan_many(
     Each is done on one thread by `executor`, which has the interface of concurrent.futures, by default by as many
     processes as there are cores. `progress` is told the finished share. Raises InputError for what is no scenario.
     """
-    asked = list(scenarios)
-    for k, scenario in enumerate(asked):
+    queue = list(scenarios)
+    for k, scenario in enumerate(queue):
         require(f"scenarios[{k}]", scenario, SCENARIO)
     with ExitStack() as stack:
         chosen = executor or stack.enter_context(ChildExecutor())
-        futures = [_submitted(chosen, scenario, seed, time_s) for scenario in asked]
+        futures = [_submitted(chosen, scenario, seed, time_s) for scenario in queue]
         stack.callback(lambda: [future.cancel() for future in futures])
         results = []
         for future in futures:

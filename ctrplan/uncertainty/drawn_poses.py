@@ -165,11 +165,11 @@ def _simulated_rows(robot: Robot, path: DrivenPath) -> tuple[Array, NDArray[np.i
     return path.joints[rows], np.searchsorted(rows, path.rows)
 
 
-def _driven(robot: Robot, begun: FrictionStart, theta_b: Array, l_b: Array, rows: NDArray[np.int_]) -> Array:
+def _driven(robot: Robot, first: FrictionStart, theta_b: Array, l_b: Array, rows: NDArray[np.int_]) -> Array:
     """(W, 6) poses at rows of collars (N, n)."""
     # an observed state is of the file's robot: others begin with its friction, even along each contact
-    assert not isinstance(begun, HistoryState)  # of no scenario
-    start = np.clip(begun.phi, -1, 1) if isinstance(begun, ObservedHistory) else begun
+    assert not isinstance(first, HistoryState)  # of no scenario
+    start = np.clip(first.phi, -1, 1) if isinstance(first, ObservedHistory) else first
     try:
         result = History(robot.mechanics, start).follow(theta_b, l_b)
     except SolverError:

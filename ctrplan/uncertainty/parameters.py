@@ -198,8 +198,8 @@ def _changed(robot: Robot, values: Mapping[str, float]) -> Robot:
         if effect.sets_outright:
             ideal = with_values(ideal, effect.mechanics({rest[1]: value}, ideal))
         else:
-            held = effects[rest[0]].values if rest[0] in effects else {}
-            effects[rest[0]] = Acting(effect, {**held, rest[1]: value})
+            present = effects[rest[0]].values if rest[0] in effects else {}
+            effects[rest[0]] = Acting(effect, {**present, rest[1]: value})
     return with_chain(robot, Chain(ideal, tuple(effects.values())))
 
 

@@ -156,7 +156,7 @@ def _drawn(
     each = [_linear(body, draws) for body in bodies]
     body = bodies[narrowest]
     solved = np.array([_solved(body, draws, k) for k in range(min(SOLVED, len(draws.offset)))])
-    path: Array = np.min([found for found in each], axis=0)
+    path: Array = np.min([row for row in each], axis=0)
     return path, each[narrowest][: len(solved)], solved
 
 

@@ -58,8 +58,8 @@ def clamped_collars(parameters: UncertainParameters, robot: Robot, theta: Array,
 
     They are commanded to theta, l (K, n). Play that is wider than stated counts as a displacement to one side.
     """
-    held = _clamped(robot, theta, l) - _play(parameters.robot)
-    return held[:, : robot.n], nested(robot, held[:, robot.n :])
+    reached = _clamped(robot, theta, l) - _play(parameters.robot)
+    return reached[:, : robot.n], nested(robot, reached[:, robot.n :])
 
 
 def tips_at(parameters: UncertainParameters, offset: Array, theta: Array, l: Array) -> Array:  # noqa: E741
@@ -86,12 +86,12 @@ def tip_slopes(parameters: UncertainParameters, theta: Array, l: Array) -> TipSl
     joints_by = _collars_by(parameters, theta, l)
     moved: NDArray[np.bool_] = np.any(joints_by, axis=(0, 2))
     joints = [f"{kind}.{i + 1}" for kind in ("theta_b", "l_b") for i in range(robot.n)]
-    asked = [*names, *itertools.compress(joints, moved.tolist())]
+    columns = [*names, *itertools.compress(joints, moved.tolist())]
     theta_b, l_b = (np.repeat(part, len(states), axis=0) for part in clamped_collars(parameters, robot, theta, l))
     phi = np.tile(states, (len(theta), 1))
-    result = robot.mechanics.tips_with_friction(theta_b, l_b, phi, parameters=tuple(asked))
+    result = robot.mechanics.tips_with_friction(theta_b, l_b, phi, parameters=tuple(columns))
     shape = (len(theta), len(states), 6)
-    core = np.concatenate([result.position_by, result.tangent_by], axis=1).reshape(*shape, len(asked))
+    core = np.concatenate([result.position_by, result.tangent_by], axis=1).reshape(*shape, len(columns))
     numbers = np.broadcast_to(numbers_by, (len(theta), *numbers_by.shape))
     by = _chained(core[..., : len(names)], numbers) + _chained(core[..., len(names) :], joints_by[:, moved])
     return TipSlopes(_pose(result).reshape(shape), _differenced(parameters, theta, l, by))

@@ -219,8 +219,8 @@ def turn_sentence(worst_rad: float, contributors: tuple[TurnContributor, ...]) -
     0.6 off".
     """
     causes = [(c.name, c.share_rad, c.saved_rad) for c in contributors]
-    told = [(n, f"{math.degrees(a):.1f}", f"{math.degrees(b):.1f}", a, b) for n, a, b in causes]
-    return _told(f"{math.degrees(worst_rad):.1f} deg", told, SHOWN_RAD)
+    rows = [(n, f"{math.degrees(a):.1f}", f"{math.degrees(b):.1f}", a, b) for n, a, b in causes]
+    return _told(f"{math.degrees(worst_rad):.1f} deg", rows, SHOWN_RAD)
 
 
 def _ranked(given: Mapping[str, float], saved: Mapping[str, float]) -> list[tuple[str, float, float]]:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ctrplan.base.arrays import Array
-from ctrplan.effects.effect import Effect, Parameter, Values, register, sliding, told, turning, two_digits
+from ctrplan.effects.effect import Effect, Parameter, Values, joined_clauses, register, sliding, turning, two_digits
 from ctrplan.measurement.measurements import LONGEST_LAG_S, Measurements
 from ctrplan.robot.robot import Robot
 
@@ -29,7 +29,7 @@ class DriveLag(Effect):
 
     def in_figures(self, values: Values, robot: Robot) -> str:
         late = {"theta_s": "rotations follow {} s late", "l_s": "translations follow {} s late"}
-        return told([(value, late[name].format(two_digits(value))) for name, value in values.items()])
+        return joined_clauses([(value, late[name].format(two_digits(value))) for name, value in values.items()])
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         return tuple(Parameter(name, 0.15, lower=0.0, upper=LONGEST_LAG_S, start=0.02) for name in ("theta_s", "l_s"))

@@ -4,7 +4,17 @@ from __future__ import annotations
 
 from ctrplan.base.arrays import Array
 from ctrplan.drive.legs import Collars
-from ctrplan.effects.effect import DEGREE, MILLIMETRE, Effect, Parameter, Values, clauses, numbered, register, told
+from ctrplan.effects.effect import (
+    DEGREE,
+    MILLIMETRE,
+    Effect,
+    Parameter,
+    Values,
+    clauses,
+    joined_clauses,
+    numbered,
+    register,
+)
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.robot.robot import Robot
 
@@ -25,7 +35,7 @@ class Backlash(Effect):
 
     def in_figures(self, values: Values, robot: Robot) -> str:
         turned = clauses(values, "theta_I_deg", "the rotation of tube {I} has {value} deg of play")
-        return told(turned, clauses(values, "l_I_mm", "the translation of tube {I} has {value} mm of play"))
+        return joined_clauses(turned, clauses(values, "l_I_mm", "the translation of tube {I} has {value} mm of play"))
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         tubes = range(1, robot.n + 1)

@@ -8,7 +8,17 @@ import numpy as np
 
 from ctrplan.base.arrays import Array
 from ctrplan.drive.legs import Collars
-from ctrplan.effects.effect import DEGREE, Effect, Parameter, Values, register, told, turning, vectors, with_column
+from ctrplan.effects.effect import (
+    DEGREE,
+    Effect,
+    Parameter,
+    Values,
+    joined_clauses,
+    register,
+    turning,
+    vectors,
+    with_column,
+)
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.robot.robot import Robot
 
@@ -27,7 +37,7 @@ class Eccentricity(Effect):
 
     def in_figures(self, values: Values, robot: Robot) -> str:
         text = "the rotation of tube {I} errs by up to {value} deg once a turn"
-        return told(vectors(values, ("sin_I_deg", "cos_I_deg"), text))
+        return joined_clauses(vectors(values, ("sin_I_deg", "cos_I_deg"), text))
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         return tuple(

@@ -13,10 +13,10 @@ from ctrplan.effects.effect import (
     Parameter,
     Values,
     clauses,
+    joined_clauses,
     numbered,
     register,
     sliding,
-    told,
     with_column,
 )
 from ctrplan.measurement.measurements import Measurements
@@ -38,7 +38,7 @@ class HomingOffset(Effect):
     def in_figures(self, values: Values, robot: Robot) -> str:
         turned = clauses(values, "theta_I_deg", "tube {I} stands turned by {value} deg")
         moved = clauses(values, "l_I_mm", "tube {I} stands {value} mm {sign}", signs=("too far ahead", "too far back"))
-        return told(turned, moved)
+        return joined_clauses(turned, moved)
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         tubes = range(1, robot.n + 1)

@@ -14,9 +14,9 @@ from ctrplan.effects.effect import (
     Parameter,
     Values,
     clauses,
+    joined_clauses,
     register,
     sliding,
-    told,
     turning,
 )
 from ctrplan.measurement.measurements import Measurements
@@ -40,7 +40,7 @@ class HomingShift(Effect):
     def in_figures(self, values: Values, robot: Robot) -> str:
         turned = clauses(values, "theta_I_K_deg", "after homing {K} tube {I} stands turned by {value} deg")
         place = "after homing {K} tube {I} stands {value} mm {sign}"
-        return told(turned, clauses(values, "l_I_K_mm", place, signs=("too far ahead", "too far back")))
+        return joined_clauses(turned, clauses(values, "l_I_K_mm", place, signs=("too far ahead", "too far back")))
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         tubes = range(1, robot.n + 1)

@@ -11,10 +11,10 @@ from ctrplan.effects.effect import (
     Parameter,
     Values,
     clauses,
+    joined_clauses,
     numbered,
     register,
     sliding,
-    told,
     turning,
     with_column,
 )
@@ -38,7 +38,7 @@ class JointScale(Effect):
 
     def in_figures(self, values: Values, robot: Robot) -> str:
         turns = clauses(values, "theta_I", "tube {I} turns {value} % {sign}", signs=FAR, factor=100)
-        return told(turns, clauses(values, "l_I", "tube {I} slides {value} % {sign}", signs=FAR, factor=100))
+        return joined_clauses(turns, clauses(values, "l_I", "tube {I} slides {value} % {sign}", signs=FAR, factor=100))
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         tubes = range(1, robot.n + 1)

@@ -48,8 +48,8 @@ class Learned(Effect):
     def inputs(self) -> dict[str, bool]:
         """Inputs of the term, and whether each counts modulo whole turns."""
         results: dict[str, bool] = {}
-        for _, one in self.parts.values():
-            for name, periodic in parts.inputs(one).items():
+        for _, part in self.parts.values():
+            for name, periodic in parts.inputs(part).items():
                 results[name] = results.get(name, True) and periodic
         return results
 
@@ -65,8 +65,8 @@ class Learned(Effect):
         """(K, 3) by axis, in the target's SI unit; the first of them where it has no axes."""
         total = np.zeros((at.count, 3))
         for name, value in values.items():
-            axis, one = self.parts[name]
-            total[:, axis] += value * parts.amounts(one, at, self.ranges)
+            axis, part = self.parts[name]
+            total[:, axis] += value * parts.amounts(part, at, self.ranges)
         return total
 
     def most(self, values: Values) -> float:
@@ -219,7 +219,7 @@ def faults(name: str, table: Mapping[str, Any], notes: tuple[str, ...], n: int) 
         rule = "is no term of this robot: learned_theta_I, l_I, curvature_I, bend_I, stiffness_I, plate or sensor"
         yield "", rule
         return
-    asked: set[str] = set()
+    needed: set[str] = set()
     coefficients = [key for key in table if key not in (*notes, *NOTES)]
     for key in coefficients:
         result = split_name(key, on, n)
@@ -227,7 +227,7 @@ def faults(name: str, table: Mapping[str, Any], notes: tuple[str, ...], n: int) 
             axis = "AXIS_" if on.kind.has_axes else ""
             yield key, f"is no part of a built term, which are named {axis}PART_{on.kind.unit}: docs/effects.md"
         else:
-            asked |= set(parts.inputs(result[1]))
+            needed |= set(parts.inputs(result[1]))
     if len(coefficients) > MOST_PARTS:
         yield "", f"has {len(coefficients)} coefficients, more than {MOST_PARTS}"
     for key in TEXTS:
@@ -237,14 +237,14 @@ def faults(name: str, table: Mapping[str, Any], notes: tuple[str, ...], n: int) 
         _is_number(table.get("largest_mm", 0.0)) and table.get("largest_mm", 0) >= 0
     ):
         yield "largest_mm", "must be a number of at least 0"
-    yield from _range_faults(table.get("range", {}), asked)
+    yield from _range_faults(table.get("range", {}), needed)
 
 
-def _range_faults(ranges: Any, asked: set[str]) -> Iterator[tuple[str, str]]:
+def _range_faults(ranges: Any, needed: set[str]) -> Iterator[tuple[str, str]]:
     if not isinstance(ranges, dict):
         yield "range", "must be a table of ranges, input = [lowest, highest]"
         return
-    for name in sorted(asked):
+    for name in sorted(needed):
         ends = ranges.get(name)
         if not (isinstance(ends, list) and len(ends) == 2 and all(map(_is_number, ends)) and ends[0] <= ends[1]):
             yield "range", f"must have {name} = [lowest, highest], which a part depends on"

@@ -78,7 +78,7 @@ Part = tuple[Factor, ...]
 
 def part(name: str, n: int) -> Part | None:
     """The part of a name without axis and unit, for a robot of n tubes; None where there is none of that name."""
-    results = [_factor(one, n) for one in name.split(TIMES)]
+    results = [_factor(factor, n) for factor in name.split(TIMES)]
     return None if None in results else tuple(f for f in results if f is not None)
 
 
@@ -193,8 +193,8 @@ def formula(parts: Parts, on: Target, ranges: Ranges, values: Mapping[str, float
     for k, axis in enumerate(AXES):
         mine = [(name, part) for name, (a, part) in parts.items() if a == k and name in values]
         if mine:
-            said = [_summand(values[name] / on.kind.si, part, on.kind.unit, ranges) for name, part in mine]
-            text = " ".join(said)
+            summands = [_summand(values[name] / on.kind.si, part, on.kind.unit, ranges) for name, part in mine]
+            text = " ".join(summands)
             text = text.removeprefix("+ ") if text.startswith("+") else "-" + text.removeprefix("- ")
             lines.append(f"{axis}: {text}" if on.kind.has_axes else text)
     return f"{on.words} changes by {'; '.join(lines)}"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from ctrplan.effects.effect import MILLIMETRE, Effect, Parameter, Values, clauses, register, told
+from ctrplan.effects.effect import MILLIMETRE, Effect, Parameter, Values, clauses, joined_clauses, register
 from ctrplan.robot.robot import Robot
 
 STARTS_MM = (0.0, 0.15, 0.4)  # tubes that touch all along bend as one, with room they don't: no small step tells
@@ -25,7 +25,7 @@ class Clearance(Effect):
 
     def in_figures(self, values: Values, robot: Robot) -> str:
         text = "tubes {I} and {next} have {value} mm {sign} radial clearance"
-        return told(clauses(values, "delta_I_mm", text, signs=("more", "less")))
+        return joined_clauses(clauses(values, "delta_I_mm", text, signs=("more", "less")))
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         return tuple(

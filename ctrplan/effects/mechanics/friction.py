@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from ctrplan.effects.effect import Effect, Parameter, Values, clauses, numbered, register, told, two_digits
+from ctrplan.effects.effect import Effect, Parameter, Values, clauses, joined_clauses, numbered, register, two_digits
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.robot.robot import Robot
 
@@ -27,7 +27,7 @@ class Friction(Effect):
         usual = {parameter.name: two_digits(parameter.neutral) for parameter in self.parameters(robot)}
         text = "the friction coefficient of tubes {I} and {next} is {value}, not "
         each = [clauses({name: value}, "mu_I", text + usual[name]) for name, value in values.items()]
-        return told(*each)
+        return joined_clauses(*each)
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         neutral = robot.friction[:, 1].tolist()

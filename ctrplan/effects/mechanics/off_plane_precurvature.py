@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from ctrplan.effects.effect import Effect, Parameter, Values, clauses, register, told
+from ctrplan.effects.effect import Effect, Parameter, Values, clauses, joined_clauses, register
 from ctrplan.robot.robot import Robot
 
 
@@ -24,7 +24,7 @@ class OffPlanePrecurvature(Effect):
 
     def in_figures(self, values: Values, robot: Robot) -> str:
         text = "section {K} of tube {I} is curved out of its plane by {value} 1/m"
-        return told(clauses(values, "delta_I_K_per_m", text))
+        return joined_clauses(clauses(values, "delta_I_K_per_m", text))
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         return tuple(

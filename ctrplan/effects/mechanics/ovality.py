@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from ctrplan.effects.effect import Effect, Parameter, Values, register, told, vectors
+from ctrplan.effects.effect import Effect, Parameter, Values, joined_clauses, register, vectors
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.robot.robot import Robot
 
@@ -24,7 +24,7 @@ class Ovality(Effect):
 
     def in_figures(self, values: Values, robot: Robot) -> str:
         text = "tube {I} is {value} % stiffer about one axis and as much softer about the other"
-        return told(vectors(values, ("sin_I", "cos_I"), text, factor=100))
+        return joined_clauses(vectors(values, ("sin_I", "cos_I"), text, factor=100))
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         return tuple(

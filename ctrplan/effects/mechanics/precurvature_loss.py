@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from ctrplan.base.arrays import Array
-from ctrplan.effects.effect import Effect, Parameter, Values, clauses, register, told
+from ctrplan.effects.effect import Effect, Parameter, Values, clauses, joined_clauses, register
 from ctrplan.measurement.approach import use_left
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.robot.robot import Robot
@@ -33,7 +33,7 @@ class PrecurvatureLoss(Effect):
 
     def in_figures(self, values: Values, robot: Robot) -> str:
         text = "tube {I} was {value} % {sign} curved at the first pose than at the last"
-        return told(clauses(values, "loss_I_percent", text, signs=("more", "less")))
+        return joined_clauses(clauses(values, "loss_I_percent", text, signs=("more", "less")))
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         curved = (i for i, tube in enumerate(robot.tubes, 1) if any(s.curvature_per_m > 0 for s in tube.sections))

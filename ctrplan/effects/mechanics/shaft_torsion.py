@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from itertools import pairwise
 
-from ctrplan.effects.effect import DEGREE, Effect, Parameter, Values, clauses, register, told
+from ctrplan.effects.effect import DEGREE, Effect, Parameter, Values, clauses, joined_clauses, register
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.mechanics.tube import SHAFT_ROOM_M
 from ctrplan.robot.robot import Robot
@@ -28,7 +28,7 @@ class ShaftTorsion(Effect):
 
     def in_figures(self, values: Values, robot: Robot) -> str:
         text = "the shaft of tube {I} twists by {value} deg per N mm"
-        return told(clauses(values, "compliance_I_rad_per_Nm", text, factor=1e-3 / DEGREE))
+        return joined_clauses(clauses(values, "compliance_I_rad_per_Nm", text, factor=1e-3 / DEGREE))
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         return tuple(Parameter(f"compliance_{i + 1}_rad_per_Nm", 3.0, lower=0.0, upper=1e3) for i in range(robot.n))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from ctrplan.effects.effect import Effect, Parameter, Values, clauses, register, told
+from ctrplan.effects.effect import Effect, Parameter, Values, clauses, joined_clauses, register
 from ctrplan.robot.robot import Robot
 
 
@@ -22,7 +22,7 @@ class VaryingPrecurvature(Effect):
 
     def in_figures(self, values: Values, robot: Robot) -> str:
         text = "section {K} of tube {I} is {value} % {sign} curved at its end than in its middle"
-        return told(clauses(values, "gradient_I_K", text, signs=("more", "less"), factor=100))
+        return joined_clauses(clauses(values, "gradient_I_K", text, signs=("more", "less"), factor=100))
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         return tuple(

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ctrplan.base.arrays import Array
-from ctrplan.effects.effect import DEGREE, MILLIMETRE, Effect, Parameter, Values, register, told, vectors
+from ctrplan.effects.effect import DEGREE, MILLIMETRE, Effect, Parameter, Values, joined_clauses, register, vectors
 from ctrplan.measurement.measurements import Measurements, Poses, moved_rigidly
 from ctrplan.robot.robot import Robot
 
@@ -32,7 +32,7 @@ class FrameShift(Effect):
         moved = vectors(
             values, [f"shift_{axis}_I_mm" for axis in axes], "frame {I} of the tracker is shifted by {value} mm"
         )
-        return told(turned, moved)
+        return joined_clauses(turned, moved)
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         frames = range(2, MOST_FRAMES + 1)

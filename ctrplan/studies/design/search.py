@@ -91,10 +91,10 @@ def descend(
     objective = judged(objectives)
     descents = [Descent(looked) for looked in best]
     for _ in range(steps):
-        asked = [(descent, made) for descent in descents if (made := descent.proposal(space))]
-        if not asked:
+        proposals = [(descent, made) for descent in descents if (made := descent.proposal(space))]
+        if not proposals:
             break
-        for (descent, _), looked in zip(asked, look([made for _, made in asked]), strict=True):
+        for (descent, _), looked in zip(proposals, look([made for _, made in proposals]), strict=True):
             descent.judge(looked, objective)
     return [descent.at for descent in descents]
 
@@ -117,8 +117,8 @@ def downhill(space: DesignSpace, looked: EvaluatedDesign) -> Array:
         slope = looked.numbers[f"slope.{name_of(parameter)}"] / widths[name_of(parameter)]
         by_share[k] = slope * (parameter.high - parameter.low)
     shares = np.array(looked.design.shares)
-    held = ((shares <= 0) & (by_share > 0)) | ((shares >= 1) & (by_share < 0))
-    down = np.where(held, 0.0, -by_share)
+    at_end = ((shares <= 0) & (by_share > 0)) | ((shares >= 1) & (by_share < 0))
+    down = np.where(at_end, 0.0, -by_share)
     largest = np.abs(down).max(initial=0.0)
     result: Array = down / largest if largest > 0 else down
     return result
@@ -204,10 +204,10 @@ def confirm(
         job = replace(definition.job, task={"kind": "plan"}, keep=KEPT["all"])
         name = {"name": f"{definition.name}, plans", "version": job.version}
         store.write_definition({**name, "parts": [{"file": "..", "content": {}}]})
-        asked = [(k, one, goal) for k, one in enumerate(best, start=1) for goal in definition.goals(one)]
-        tasks = [_task(definition, k, *of) for k, of in enumerate(asked)]
+        cases = [(k, design, goal) for k, design in enumerate(best, start=1) for goal in definition.goals(design)]
+        tasks = [_task(definition, k, *of) for k, of in enumerate(cases)]
         _do(tasks, pickle.dumps(job), store, engine, report)
-        blocked = [of for task, of in zip(tasks, asked, strict=True) if _is_blocked(task, store)]
+        blocked = [of for task, of in zip(tasks, cases, strict=True) if _is_blocked(task, store)]
         tips = [(number, looked, {**goal, JOINTS: None}) for number, looked, goal in blocked]
         tasks += [_task(definition, len(tasks) + k, *of) for k, of in enumerate(tips)]
         _do(tasks, pickle.dumps(job), store, engine, report)
@@ -297,11 +297,11 @@ def _trials(definition: DesignDefinition, looking: SearchState) -> None:
     less = [LESS_IS_BETTER[name] for name in entry.objectives]
     sampler = Sampler(definition.space.names, less, entry.sampler, entry.seed, looking.store.folder)
     for first in range(0, entry.trials, entry.together):
-        asked = sampler.ask(min(entry.together, entry.trials - first))
+        trials = sampler.ask(min(entry.together, entry.trials - first))
         front = [archive.values(looked) for looked in archive.front] if entry.prune else []
-        looked = looking.look([definition.space.design(shares) for _, shares in asked], SEARCH, front)
-        for (trial, _), one in zip(asked, looked, strict=True):
-            sampler.tell(trial, list(archive.values(one).values()) if one.is_done else None)
+        looked = looking.look([definition.space.design(shares) for _, shares in trials], SEARCH, front)
+        for (trial, _), design in zip(trials, looked, strict=True):
+            sampler.tell(trial, list(archive.values(design).values()) if design.is_done else None)
 
 
 class SearchState:
@@ -313,7 +313,7 @@ class SearchState:
         """Nothing is done yet."""
         self.definition, self.store, self.archive, self.report = definition, store, archive, report
         self.keys: dict[str, int] = {}  # of all tasks, in their order
-        self.did, self.begun = 0, time.monotonic()
+        self.did, self.began = 0, time.monotonic()
         entry = definition.entry
         self.count = entry.trials + entry.local.designs * entry.local.steps
 
@@ -363,7 +363,7 @@ class SearchState:
 
     def _left_s(self) -> float | None:
         left = self.count - len(self.archive.all)
-        return (time.monotonic() - self.begun) / self.did * left if self.did else None
+        return (time.monotonic() - self.began) / self.did * left if self.did else None
 
     def _is_missing(self, task: Task) -> bool:
         key = bytes.fromhex(task.key)

@@ -190,7 +190,7 @@ class StockChoice:
     def __init__(self, stock: Sequence[StockEntry], made: MadeEntry, tubes: int) -> None:
         """Raises InputError where no `tubes` of the list fit into each other."""
         self.made, self.tubes = made, tubes
-        self.stock = sorted(stock, key=lambda one: (-one.outer_diameter_mm, -one.inner_diameter_mm, one.name))
+        self.stock = sorted(stock, key=lambda tube: (-tube.outer_diameter_mm, -tube.inner_diameter_mm, tube.name))
         self._deepest: dict[str, int] = {}
         if not self._fitting(None, tubes):
             raise InputError(f"has no {tubes} tubes that fit into each other", key="stock")
@@ -211,12 +211,12 @@ class StockChoice:
 
     def _fitting(self, outer: StockEntry | None, count: int) -> list[StockEntry]:
         """Entries of the stock that go into `outer` and leave room for count - 1 more."""
-        return [one for one in self.stock if (outer is None or self.fits(outer, one)) and self._depth(one) >= count]
+        return [tube for tube in self.stock if (outer is None or self.fits(outer, tube)) and self._depth(tube) >= count]
 
     def _depth(self, outer: StockEntry) -> int:
         """How many tubes there can be from this one inwards."""
         if outer.name not in self._deepest:
-            inner = [self._depth(one) for one in self.stock if self.fits(outer, one)]
+            inner = [self._depth(tube) for tube in self.stock if self.fits(outer, tube)]
             self._deepest[outer.name] = 1 + max(inner, default=0)
         return self._deepest[outer.name]
 
@@ -265,7 +265,7 @@ class Design:
     @property
     def key(self) -> tuple[Any, ...]:
         """Equal where designs are."""
-        return (*(one.name for one in self.stock), *self.values)
+        return (*(tube.name for tube in self.stock), *self.values)
 
 
 class DesignSpace:
@@ -299,7 +299,7 @@ class DesignSpace:
 
     def inputs(self, design: Design) -> dict[str, Any]:
         """Columns of the table."""
-        tubes = {f"tube {i}": one.name for i, one in enumerate(design.stock, start=1)}
+        tubes = {f"tube {i}": tube.name for i, tube in enumerate(design.stock, start=1)}
         return {**tubes, **dict(zip(map(name_of, self.parameters), design.values, strict=True))}
 
     def overrides(self, design: Design) -> list[str]:
@@ -320,7 +320,7 @@ class DesignSpace:
     def strain(self, design: Design) -> float:
         """The largest by which a precurvature of the design is set, of those that are parameters."""
         largest = 0.0
-        outer = {i: one.outer_diameter_mm for i, one in enumerate(design.stock, start=1)}
+        outer = {i: tube.outer_diameter_mm for i, tube in enumerate(design.stock, start=1)}
         for key, value in self._keys(design, {}).items():
             steps = key.split(".")
             if steps[:2] == ["robot", "tube"] and steps[-1].startswith("curvature_") and int(steps[2]) in outer:
@@ -328,11 +328,11 @@ class DesignSpace:
         return largest
 
     def _widths(self, design: Design) -> Iterator[Side]:
-        for i, one in enumerate(design.stock, start=1):
-            for key in DIAMETERS if one.diameter_tolerance_mm else ():
-                yield Side(f"tube {i} {key[:5]} diameter", one.diameter_tolerance_mm, "mm", True)
-            if one.stiffness_tolerance_percent:
-                yield Side(f"tube {i} stiffness", one.stiffness_tolerance_percent, "%", True)
+        for i, tube in enumerate(design.stock, start=1):
+            for key in DIAMETERS if tube.diameter_tolerance_mm else ():
+                yield Side(f"tube {i} {key[:5]} diameter", tube.diameter_tolerance_mm, "mm", True)
+            if tube.stiffness_tolerance_percent:
+                yield Side(f"tube {i} stiffness", tube.stiffness_tolerance_percent, "%", True)
         for parameter, value in zip(self.parameters, design.values, strict=True):
             width = parameter.tolerance or abs(value) * parameter.tolerance_percent / 100
             step = STEP_SHARE * (parameter.high - parameter.low)
@@ -341,9 +341,9 @@ class DesignSpace:
     def _keys(self, design: Design, off: Off) -> dict[str, float]:
         """Values of all keys that depend on the design."""
         results: dict[str, float] = {}
-        for i, one in enumerate(design.stock, start=1):
+        for i, tube in enumerate(design.stock, start=1):
             own = {key: off.get(f"tube {i} {key[:5]} diameter", 0.0) for key in DIAMETERS}
-            results |= tube_keys(one, i, {**own, "stiffness": off.get(f"tube {i} stiffness", 0.0)})
+            results |= tube_keys(tube, i, {**own, "stiffness": off.get(f"tube {i} stiffness", 0.0)})
         for parameter, value in zip(self.parameters, design.values, strict=True):
             made = value + off.get(name_of(parameter), 0.0)
             results[parameter.key] = made

@@ -65,12 +65,12 @@ def do_tasks(content: bytes, tasks: Sequence[Task]) -> list[TaskRow]:
     check_version(job.version)
     kind = _kind(content)
     prepare(content)
-    rows, where, begun = [], worker_name(), (time.process_time(), time.monotonic())
+    rows, where, last = [], worker_name(), (time.process_time(), time.monotonic())
     with one_core():
         for task, result in kind.rows(tasks, job):
             ended = (time.process_time(), time.monotonic())
-            rows.append(_row(job, task, result, where, (ended[0] - begun[0], ended[1] - begun[1])))
-            begun = ended
+            rows.append(_row(job, task, result, where, (ended[0] - last[0], ended[1] - last[1])))
+            last = ended
     return rows
 
 
@@ -139,10 +139,10 @@ def _status(error: Exception) -> Status:
 def _sentence(error: Exception, job: Job) -> str:
     """What went wrong, about the files as they are called where the study was begun."""
     if isinstance(error, CtrplanError):
-        return job.sources.said(str(error))
+        return job.sources.with_original_paths(str(error))
     if isinstance(error, MemoryError):
         return "there is not enough memory for this."
-    return job.sources.said(f"{type(error).__name__}: {' '.join(str(error).split())}")
+    return job.sources.with_original_paths(f"{type(error).__name__}: {' '.join(str(error).split())}")
 
 
 def _plain(value: Any) -> Any:

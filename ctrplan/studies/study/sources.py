@@ -78,7 +78,7 @@ class Sources:
         """A folder of this process with the files in it, until the process ends."""
         return _unpacked(_Keyed(self))
 
-    def said(self, sentence: str) -> str:
+    def with_original_paths(self, sentence: str) -> str:
         """A sentence about files in that folder as one about the originals."""
         return sentence.replace(f"{self.here}{os.sep}", f"{self.folder}{os.sep}")
 

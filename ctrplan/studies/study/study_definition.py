@@ -148,7 +148,7 @@ def _check(study: StudyDefinition) -> None:
             loaded.check()
             study.kind.check(task, loaded)
         except InputError as error:
-            raise InputError(study.sources.said(str(error)).rstrip(".")) from None
+            raise InputError(study.sources.with_original_paths(str(error)).rstrip(".")) from None
 
 
 def _check_configuration(study: StudyDefinition, vary: VaryEntry) -> None:

@@ -278,13 +278,13 @@ def sensitivity(study: StudyDefinition, table: StudyTable, column: str) -> Sensi
 
 
 def _analysed(study: StudyDefinition, method: str, x: Array, y: Array) -> tuple[Array, Array, Array]:
-    asked = problem(distributed(study.entry))
+    definition = problem(distributed(study.entry))
     if method == "sobol":
         from SALib.analyze import sobol
 
-        result = sobol.analyze(asked, y, calc_second_order=False, conf_level=LEVEL, seed=0)
+        result = sobol.analyze(definition, y, calc_second_order=False, conf_level=LEVEL, seed=0)
         return np.asarray(result["S1"]), np.asarray(result["ST"]), np.asarray(result["ST_conf"])
     from SALib.analyze import morris
 
-    result = morris.analyze(asked, x, y, num_levels=LEVELS, conf_level=LEVEL, seed=0)
+    result = morris.analyze(definition, x, y, num_levels=LEVELS, conf_level=LEVEL, seed=0)
     return np.asarray(result["sigma"]), np.asarray(result["mu_star"]), np.asarray(result["mu_star_conf"])
