@@ -111,9 +111,9 @@ class Chain:
                 robot = with_values(robot, named)
         return robot
 
-    def sensor(self, poses: Poses, data: Measurements) -> Poses:
-        """What is measured of the K poses of the tip."""
-        for given in self.of_stage("sensor"):
+    def sensor(self, poses: Poses, data: Measurements, first: int = 0) -> Poses:
+        """What is measured of the K poses of the tip, as the sensor's effects before `first` have left them."""
+        for given in self.of_stage("sensor")[first:]:
             poses = given.effect.sensor(given.values, poses, data)
         return poses
 

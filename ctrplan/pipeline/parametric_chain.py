@@ -102,16 +102,29 @@ class StageColumns:
             return
         at, data = self.of.at, self.of.data
         turning, sensing = self.of.of_effects_with("plate_turn"), self.of.stages()["sensor"]
-        turned = chain.turned(poses, collars)
+        self._sensor_columns(chain.turned(poses, collars), by)
         for j in range(by.shape[2]):
             if j in turning:
                 by[:, :, j] = self._difference(lambda p: _stacked(at(p).seen(poses, collars, data)), j)
-            elif j in sensing:
-                by[:, :, j] = self._difference(lambda p: _stacked(at(p).sensor(turned, data)), j)
-            else:
+            elif j not in sensing:
                 size = max(float(np.abs(by[:, :, j]).max()), 1e-12)
                 moved = _moved(poses, MOVE / size * by[:, :, j])
                 by[:, :, j] = (_stacked(chain.seen(moved, collars, data)) - _stacked(seen)) * size / MOVE
+
+    def _sensor_columns(self, poses: Poses, by: Array) -> None:
+        """Columns of the sensor's own parameters. Effects before that of a parameter act once for all its values."""
+        data, before = self.of.data, dict[str, tuple[int, Poses]]()
+        for k, acting in enumerate(self.chain.of_stage("sensor")):
+            before[acting.effect.name] = k, poses
+            poses = acting.effect.sensor(acting.values, poses, data)
+        names = [t.name for t in self.of.terms for _ in t.parameters]
+        for j in self.of.stages()["sensor"]:
+            first, given = before[names[j]]
+
+            def read(p: Array, first: int = first, given: Poses = given) -> Array:
+                return _stacked(self.of.at(p).sensor(given, data, first))
+
+            by[:, :, j] = self._difference(read, j)
 
     def _by_number(self) -> tuple[list[str], Array]:
         """Names of the robot's numbers (N,) that the parameters change, and their derivatives (N, P)."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -42,7 +42,8 @@ class Situation:
     poses: Poses | None = None
     data: Measurements | None = None
     tubes: Sequence[Tube] | None = None
-    known: dict[str, Array | None] = field(default_factory=dict)  # inputs that were asked for before
+    known: dict[str, Array | None] = field(default_factory=dict)  # inputs that were computed before
+    shapes: dict[Hashable, Array] = field(default_factory=dict)  # shapes of inputs over their ranges, as well
 
     @property
     def count(self) -> int:
@@ -62,12 +63,12 @@ def unit(name: str) -> str:
 
 def exists(name: str, n: int) -> bool:
     """Whether a robot of n tubes can have an input; a column of the data has any other name."""
-    o_f__t_u_b_e = OF_TUBE.fullmatch(name)
-    if not o_f__t_u_b_e:
+    match = OF_TUBE.fullmatch(name)
+    if not match:
         return bool(re.fullmatch(r"[A-Za-z]\w*", name))
-    first = 2 if o_f__t_u_b_e[1] == "turn" else 1
-    last = n - 1 if o_f__t_u_b_e[1] in ("overlap", "load", "speed") else n
-    return first <= int(o_f__t_u_b_e[2]) <= last
+    first = 2 if match[1] == "turn" else 1
+    last = n - 1 if match[1] in ("overlap", "load", "speed") else n
+    return first <= int(match[2]) <= last
 
 
 def values(name: str, at: Situation) -> Array | None:
@@ -78,9 +79,9 @@ def values(name: str, at: Situation) -> Array | None:
 
 
 def _values(name: str, at: Situation) -> Array | None:
-    o_f__t_u_b_e = OF_TUBE.fullmatch(name)
-    if o_f__t_u_b_e:
-        return _OF_TUBE[o_f__t_u_b_e[1]](at, int(o_f__t_u_b_e[2]) - 1)
+    match = OF_TUBE.fullmatch(name)
+    if match:
+        return _OF_TUBE[match[1]](at, int(match[2]) - 1)
     if name in TIP:
         if at.poses is None:
             return None

@@ -43,6 +43,7 @@ class Learned(Effect):
             if result is None:
                 raise ValueError(name)
             self.parts[name] = result
+        self._shapes = {part: k for k, part in enumerate(dict.fromkeys(part for _, part in self.parts.values()))}
 
     @property
     def inputs(self) -> dict[str, bool]:
@@ -63,10 +64,13 @@ class Learned(Effect):
 
     def amount(self, values: Values, at: Situation) -> Array:
         """(K, 3) by axis, in the target's SI unit; the first of them where it has no axes."""
-        total = np.zeros((at.count, 3))
+        if self not in at.shapes:
+            at.shapes[self] = np.column_stack([parts.amounts(part, at, self.ranges) for part in self._shapes])
+        coefficients = np.zeros((len(self._shapes), 3))
         for name, value in values.items():
             axis, part = self.parts[name]
-            total[:, axis] += value * parts.amounts(part, at, self.ranges)
+            coefficients[self._shapes[part], axis] += value
+        total: Array = at.shapes[self] @ coefficients
         return total
 
     def most(self, values: Values) -> float:
@@ -150,10 +154,18 @@ class LearnedPlate(Learned):
 class LearnedSensor(Learned):
     """A built term of what the sensor reads."""
 
+    _situation: Situation | None = None  # of the last poses: a fit asks for many values at the same ones
+
     def sensor(self, values: Values, poses: Poses, data: Measurements) -> Poses:
-        joints = data.theta_commanded[data.rows], data.l_commanded[data.rows]
-        at = Situation(*joints, poses=poses, data=data)
+        at = self._situation
+        if at is None or at.poses is not poses or at.data is not data:
+            joints = data.theta_commanded[data.rows], data.l_commanded[data.rows]
+            at = self._situation = Situation(*joints, poses=poses, data=data)
         return Poses(poses.position + self.amount(values, at), poses.frame)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """All but the last poses, which no other process asks about."""
+        return {name: value for name, value in vars(self).items() if name != "_situation"}
 
 
 def learned(on: Target, names: Sequence[str], ranges: Ranges, n: int, largest_mm: float = 0.0) -> Learned:

@@ -51,8 +51,11 @@ class Factor:
         return self.form == "wave"
 
     def __call__(self, at: Situation, ranges: Ranges) -> Array:
-        """(K,) of the poses."""
-        return _SHAPES[self.form](self, at, ranges)
+        """(K,) of the poses; computed once for a situation and a range of the input."""
+        key = self, ranges.get(self.input)
+        if key not in at.shapes:
+            at.shapes[key] = _SHAPES[self.form](self, at, ranges)
+        return at.shapes[key]
 
     def in_words(self, ranges: Ranges) -> str:
         """The factor as a formula."""
