@@ -62,7 +62,7 @@ def in_every_friction_state(scenario: Scenario, pieces: Sequence[Piece], spare_m
     limited = Needed(limits.clearance_m, limits.stability, limits.max_strain)
     needed = replace(limited, clearance_m=enough)
     looks = [_PieceView(scenario, piece, needed, limits.clearance_m, distance) for piece in pieces]
-    known = closer_looks()
+    known = closer_looks(spare_m)
     for look in looks:
         look.recall(known)
     with ThreadPoolExecutor(cores()) as pool:

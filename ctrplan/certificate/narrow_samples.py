@@ -62,8 +62,7 @@ _LOOKS: ContextVar[CloserLooks | None] = ContextVar("closer looks", default=None
 def remembered_looks() -> Iterator[None]:
     """Within, in this context, pieces that were looked at closely for one path are not looked at again for another.
 
-    For all paths of one plan: of the same robot, anatomy and margins. A path that is walked to judge a certificate
-    knows nothing of the paths before.
+    For all paths of one plan: of the same robot, anatomy and margins.
     """
     token = _LOOKS.set(CloserLooks())
     try:
@@ -72,9 +71,13 @@ def remembered_looks() -> Iterator[None]:
         _LOOKS.reset(token)
 
 
-def closer_looks() -> CloserLooks:
-    """What is remembered in this context; nothing, and not for long, where no path shares it."""
-    return _LOOKS.get() or CloserLooks()
+def closer_looks(spare_m: float) -> CloserLooks:
+    """What is remembered in this context; nothing where no path shares it, or where all clearance is asked for.
+
+    How closely a sample was looked at depends on what other paths asked of it. A certificate that is written says what
+    anybody computes who certifies the path alone.
+    """
+    return (_LOOKS.get() if np.isfinite(spare_m) else None) or CloserLooks()
 
 
 def key_of(piece: Piece) -> Hashable:
@@ -97,7 +100,7 @@ def closely_solved(scenario: Scenario, pieces: Sequence[Piece], spare_m: float) 
     rows = sorted((float(c), p, k) for p, piece in enumerate(pieces) for k, c in enumerate(piece.clearance_m))
     narrow = [row for row in rows if pieces[row[1]].accuracy == "search"]
     ceiling = limits.clearance_m + spare_m  # of the least clearance that is asked for
-    known = closer_looks()
+    known = closer_looks(spare_m)
 
     def solve(run: Run) -> Closely:
         piece, samples = pieces[run[0]], run[1]
