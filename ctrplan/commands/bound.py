@@ -173,6 +173,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Runs the command; returns its exit code. Raises CtrplanError when there is no bound to print."""
     import numpy as np
 
+    from ctrplan.base.arrays import are_radians
     from ctrplan.files.robot_file import load_robot
     from ctrplan.mechanics.shapes import Status
     from ctrplan.motion.play import play_shift
@@ -188,7 +189,8 @@ def run(arguments: argparse.Namespace) -> int:
     theta_b, l_b = robot.collars(*commanded)
     if sentence := nesting_violation(robot, theta_b, l_b):
         raise InputError(sentence, key="--l-mm", value=arguments.l_mm, unit="mm")
-    warn([*robot.warnings, *range_notes(robot, *commanded)])
+    turns = "--theta-deg: are whole parts of a turn in radians: are these in radians?"
+    warn([*robot.warnings, *range_notes(robot, *commanded), *([turns] if are_radians(arguments.theta_deg) else [])])
     result = _bounded(robot, theta_b, l_b, arguments)
     play_mm = play_shift(robot, theta_b, l_b) * 1e3
     if arguments.json:

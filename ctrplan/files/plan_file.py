@@ -253,7 +253,7 @@ def load_plan(
         entry = Document(content, file).to(PlanEntry)
         if isinstance(scenario, Scenario):
             result = scenario
-        elif scenario is None and not overrides and (within := scenario_within(Path(file).parent)) is not None:
+        elif scenario is None and (within := scenario_within(Path(file).parent, overrides)) is not None:
             result = within
         else:
             result = load_scenario(scenario or _scenario_file(entry, file), overrides, allow_outside=allow_outside)

@@ -14,7 +14,7 @@ import os
 import tempfile
 import zipfile
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -94,8 +94,8 @@ def _zipped(packed: Mapping[str, bytes]) -> bytes:
     return stream.getvalue()
 
 
-def scenario_within(folder: Path) -> Scenario | None:
-    """The scenario that a plan's folder holds; None where it holds none. Raises InputError.
+def scenario_within(folder: Path, overrides: Sequence[str] = ()) -> Scenario | None:
+    """The scenario that a plan's folder holds, with `overrides`; None where it holds none. Raises InputError.
 
     Whether it is the plan's, the hashes in plan.json say.
     """
@@ -104,7 +104,7 @@ def scenario_within(folder: Path) -> Scenario | None:
     place = unpacked(folder / INPUTS)
     if not (place / MANIFEST).is_file():
         raise InputError("is damaged: it has no manifest", file=str(folder / INPUTS))
-    return load_scenario(place / SCENARIO)
+    return load_scenario(place / SCENARIO, overrides)
 
 
 def unpacked(path: Path) -> Path:

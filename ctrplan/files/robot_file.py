@@ -351,15 +351,21 @@ def doubtful_numbers(robot: Robot, document: Document) -> list[str]:
     sentences = []
     for doubt in robot_doubts(robot):
         key = _key_in_file(doubt.key, document)
+        if key is None:
+            continue
         rule = doubt.otherwise if key[-1] in (YOUNG, SHEAR, RADIUS) and doubt.otherwise else doubt.rule
         sentences += [str(document.fault(rule, *key))] if rule else []
     return sentences
 
 
-def _key_in_file(key: tuple[str | int, ...], document: Document) -> tuple[str | int, ...]:
-    """The key of a doubt as the file has it, which may say a stiffness or a bend in another way."""
+def _key_in_file(key: tuple[str | int, ...], document: Document) -> tuple[str | int, ...] | None:
+    """The key of a doubt as the file has it, which may say a stiffness or a bend in another way; None where it leaves
+    the table to ctrplan, as it may [home].
+    """
     table: Any = document.content
     for step in key if isinstance(key[-1], int) else key[:-1]:
+        if isinstance(step, str) and step not in table:
+            return None
         table = table[step]
     for plain, others in ((BENDING, (YOUNG,)), (POISSON, (SHEAR, TORSIONAL))):
         if key[-1] == plain and plain not in table:

@@ -34,7 +34,15 @@ from ctrplan.scenario.scenario import (
     StartTurns,
     rotation_matrix,
 )
-from ctrplan.scenario.sizes import SizeDoubt, base_doubt, joint_doubts, part_doubts, place_doubt, tolerance_doubts
+from ctrplan.scenario.sizes import (
+    SizeDoubt,
+    base_doubt,
+    joint_doubts,
+    part_doubts,
+    place_doubt,
+    tolerance_doubts,
+    turn_doubts,
+)
 from ctrplan.storage.toml_document import (
     Angle,
     Document,
@@ -332,9 +340,11 @@ def _size_doubts(
             steps = [int(step) - 1 if step.isdecimal() else step for step in f"{goal.table}.{goal.tip_key}".split(".")]
             yield doubt, document.fault(doubt.rule, *steps)
             break
-    for k, doubt in part_doubts(robot, anatomy, tips):
+    for k, doubt in part_doubts(robot, anatomy, tips, base_m):
         yield doubt, document.fault(doubt.rule, "anatomy", k, doubt.key)
     content = document.content
+    for doubt in turn_doubts(_table(content, ("base",))):
+        yield doubt, document.fault(doubt.rule, "base", doubt.key)
     targets: list[tuple[Step, ...]] = [("target", k) for k in range(len(content.get("target", ())))]
     for place in [("start",), ("goal", "joints"), *((*target, "joints") for target in targets)]:
         for name, doubt in joint_doubts(robot, _table(content, place)):

@@ -9,7 +9,7 @@ import math
 import os
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +28,8 @@ NITINOL_GPA, NITINOL_RATIO, FRICTION = 65.0, 0.3, 0.2
 COLLAR_MM = 17.0
 DRAWN = 400  # configurations among which the goal of a first scenario is chosen
 TOLERANCE_MM = 2.0  # of a first goal, which nearly every robot can keep
+INWARD = (1e-3, 1e-2, 0.1)  # of the way to the goal, that a start may be on to keep all limits
+WRITTEN_M = 1e-5  # what a start keeps of every limit, so that six digits of it keep them
 
 
 @dataclass(frozen=True)
@@ -146,7 +148,6 @@ def scenario_text(robot: Robot, file: str, mesh: str | None = None, unit: str | 
     file: of the robot, as the scenario is to name it. Raises InputError where nothing is reached.
     """
     space, drive = JointSpace.of_robot(robot), robot.drive
-    start = retracted(robot)
     drawn = space.sample(np.random.default_rng(0), DRAWN)
     bounds = robot.mechanics.bound_many(*drive.collars(drawn))
     sound = np.isfinite(bounds.position_m) & (bounds.status == Status.CONVERGED) & (bounds.stability > 0.5)
@@ -154,6 +155,9 @@ def scenario_text(robot: Robot, file: str, mesh: str | None = None, unit: str | 
         raise InputError("no configuration with one stable equilibrium was found to go to", file=robot.path)
     goal = int(np.argmin(np.where(sound, bounds.position_m, np.inf)))
     tip = np.round(bounds.tip_m[goal] * MM_PER_M, 1).tolist()
+    back, inward = retracted(robot), replace(space, nesting_h=space.nesting_h - WRITTEN_M)
+    ways = (back + share * (drawn[goal] - back) * ~drive.is_rotation for share in (0.0, *INWARD))
+    start = next((q for q in ways if inward.allowed(q)), back)
     joints = zip(drive.joints, start.tolist(), strict=True)
     lines = [
         "# Written by `ctrplan init scenario`: plan it with `ctrplan plan`, then change it to your task.",

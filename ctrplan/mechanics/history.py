@@ -77,6 +77,11 @@ class HistoryStep:
         return tuple(pair.phi for pair in self.friction)
 
     @property
+    def tip_m(self) -> Array:
+        """(3,) of the tip, in the robot's frame."""
+        return self.shape.tip_m
+
+    @property
     def deviation_m(self) -> float:
         """Distance [m] of the tip from that of the frictionless solution."""
         return float(np.linalg.norm(self.shape.tip_m - self.frictionless.tip_m))

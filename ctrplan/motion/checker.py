@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from ctrplan.anatomy.parts import exact_clearance_of_many
 from ctrplan.base.arguments import Choice, Flag, Made, Number, Texts, checked
-from ctrplan.base.arrays import MM_PER_M, Array, numbers
+from ctrplan.base.arrays import MM_PER_M, Array, numbers, vector
 from ctrplan.base.long_work import ASKED_NS, ROOM_NS, SHAPE_NS, SearchWatch, WorkMeter, cores, counted_aside
 from ctrplan.errors import InputError
 from ctrplan.mechanics.core import THREADS
@@ -95,11 +95,9 @@ class MotionChecker:
         reserve_m: float = SEARCH_ROOM_M,
     ) -> None:
         """`reserve_m` is kept beyond the margins, so that paths pass the certificate."""
-        self.scenario = scenario
-        self.style = style
-        self.space = JointSpace.of(scenario)
-        self.mechanics = scenario.robot.mechanics
-        self.field = robot_field(scenario)
+        self.scenario, self.style = scenario, style
+        self.space, self.m = JointSpace.of(scenario), len(scenario.robot.drive.joints)
+        self.mechanics, self.field = scenario.robot.mechanics, robot_field(scenario)
         self.density = PathDensity(rotation_rad=0.26, translation_m=8e-3, motion_m=15e-3)
         self.reserve_m = reserve_m
         self.limits = search_limits(scenario, reserve_m)
@@ -148,10 +146,10 @@ class MotionChecker:
 
     @checked(threads=THREADS)
     def _rows(self, ask: Callable[..., Motion], threads: int, *arrays: ArrayLike) -> tuple[Motion, ...]:
-        rows, m = [numbers(array, "joint values") for array in arrays], len(self.space.drive.joints)
+        rows = [numbers(array, "joint values") for array in arrays]
         for array in rows:
-            if array.shape != (len(rows[0]), m):
-                raise InputError(f"must have shape (K, {m}), K alike, not {array.shape}", key="joint values")
+            if array.shape != (len(rows[0]), self.m):
+                raise InputError(f"must have shape (K, {self.m}), K alike, not {array.shape}", key="joint values")
 
         def answer(*row: Array) -> Motion:
             return ask(*row) if all(np.isfinite(q).all() for q in row) else invalid("joint values must be finite")
@@ -159,8 +157,10 @@ class MotionChecker:
         with ThreadPoolExecutor(threads or cores()) as pool:
             return tuple(pool.map(answer, *rows))
 
-    def motion(self, a: Array, b: Array) -> Motion:
-        """The motion from joint values a to b, (m,) each, in the checker's style."""
+    def motion(self, a: ArrayLike, b: ArrayLike) -> Motion:
+        """The motion from joint values a to b, (m,) each, in the checker's style. Raises InputError."""
+        if not (isinstance(a, np.ndarray) and isinstance(b, np.ndarray) and a.shape == b.shape == (self.m,)):
+            a, b = vector("joint values", a, self.m), vector("joint values", b, self.m)
         self.meter.add(ASKED_NS)
         key = a.tobytes() + b.tobytes()
         result = self._known.get(key)

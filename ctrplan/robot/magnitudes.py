@@ -38,6 +38,8 @@ NOISE_M = 2e-6, 0.02  # standard deviation of a tracker
 TANGENT_NOISE = 0.02, 30.0, 0.1, 10.0  # deg, standard deviation of a measured direction
 FINE_TURN = 0.005, 5.0, 0.01, 2.0  # deg within which a drive follows
 FINE_WAY_M = 5e-7, 1e-3, 1e-6, 5e-4  # m within which a drive follows
+FINEST_ERROR_M = 1e-5  # of a model, less than any tracker tells
+SOFTER = 300.0  # times by which a neighbour's Young's modulus is greater: metal beside a soft polymer
 MOST_FRICTION = 1.0  # of dry metal on metal
 WRITTEN = 9  # digits behind the point that a change of units leaves as they were
 WRITTEN_M = 1e-6  # to which diameters and clearances are written
@@ -91,6 +93,7 @@ def robot_doubts(robot: Robot) -> Iterator[Doubt]:
         yield from _tube_doubts(tube, i)
     radii = _radii_doubt(robot)
     yield from radii
+    yield from _softness_doubts(robot)
     for i in range(len(robot.contacts)):
         yield from _contact_doubts(robot, i, not radii)
     yield from _drive_doubts(robot)
@@ -109,6 +112,9 @@ def robot_doubts(robot: Robot) -> Iterator[Doubt]:
         ):
             rule = f"is less than the thinnest tube is wide{_unit_question(units[:1])}"
             yield Doubt(("marker", k, f"from_{marker.end}_mm"), rule)
+    if 0 < robot.model_error_m < FINEST_ERROR_M and (units := _likely_units(robot.model_error_m, "mm", 1e-4, 0.02)):
+        rule = f"is finer than any robot's shape is known{_unit_question(units[:1])}"
+        yield Doubt(("model_error_mm",), rule)
     if robot.model_error_m > 0.1 * reach_m(robot):
         rule = f"is more than a tenth of the robot's {reach_m(robot) * 1e3:.3g} mm"
         yield Doubt(("model_error_mm",), rule + _unit_question(_likely_units(robot.model_error_m, "mm", 0, 0.01)))
@@ -185,6 +191,15 @@ def _radii_doubt(robot: Robot) -> list[Doubt]:
     return [Doubt(("tube", i, "outer_diameter_mm"), rule) for i in stiff[:1]]
 
 
+def _softness_doubts(robot: Robot) -> Iterator[Doubt]:
+    """Tubes that are softer than the stiffest one beyond what materials of one robot differ by."""
+    young = [implied_young_Pa(tube) for tube in robot.tubes]
+    for i, own in enumerate(young):
+        if YOUNG_PA[0] <= own and SOFTER * own < (most := max(young)) <= YOUNG_PA[1]:
+            rule = f"Young's modulus would be {own:.2g} Pa, {most / own:.2g} times less than another tube's"
+            yield Doubt(("tube", i, "bending_stiffness_Nm2"), f"{rule}: is it right?", f"{rule}: is it in TPa?")
+
+
 def _contact_doubts(robot: Robot, i: int, are_diameters: bool) -> Iterator[Doubt]:
     """Doubts about the pair i (from 0): its stated clearance by the gap of the diameters, and its friction."""
     stated, gap = robot.contacts[i].clearance_m, diametral_gap_m(robot.tubes, i)
@@ -195,6 +210,10 @@ def _contact_doubts(robot: Robot, i: int, are_diameters: bool) -> Iterator[Doubt
         yield Doubt(key, f"is twice {left}: {hint}")
     elif stated is not None and (units := _likely_units(stated, "mm", 0.9 * gap, 1.1 * gap)):
         yield Doubt(key, f"is not {left}{_unit_question(units[:1])}")
+    outer, inner = robot.tubes[i], robot.tubes[i + 1]
+    if stated is None and are_diameters and 2 * inner.outer_diameter_m < outer.inner_diameter_m:
+        rule = f"leaves {gap * 1e3:.3g} mm on every side, room for a tube twice as wide: are its diameters radii?"
+        yield Doubt(("tube", i + 1, "outer_diameter_mm"), rule)
     if (most := robot.contacts[i].friction_coefficient[1]) > MOST_FRICTION:
         rule = f"rubs more than dry metal on metal, {MOST_FRICTION:g} at most"
         yield Doubt(("contact", i, "friction_coefficient"), f"{rule}: is it in %?" if most <= 100 else rule)

@@ -96,14 +96,32 @@ class JointSpace:
         return rows
 
     def violation(self, q: Array) -> str:
-        """Sentence about the first row of q (K, m) that breaks a limit or the nesting."""
-        row = int(np.argmin(self.allowed_rows(q)))
-        outside = (q[row] < self.drive.lower - 1e-9) | (q[row] > self.drive.upper + 1e-9)
+        """Sentence about joint values (m,), or about the first row of (K, m), that break a limit or the nesting."""
+        rows = np.atleast_2d(q)
+        row = int(np.argmin(self.allowed_rows(rows)))
+        where, values = f"row {row}: " if len(rows) > 1 else "", rows[row]
+        if not np.isfinite(values).all():
+            return f"{where}joint values must be finite"
+        outside = (values < self.drive.lower - 1e-9) | (values > self.drive.upper + 1e-9)
         if not outside.any():
-            return f"row {row}: the tubes' bases or tips are not nested"
+            return f"{where}the tubes are not nested: {self._unnested(values)}"
         joint = self.drive.joints[int(np.argmax(outside))]
-        value, low, high = (x / joint.si_per_unit for x in (q[row][outside][0], joint.lower, joint.upper))
-        return f"row {row}: {joint.name} = {value:g} {joint.unit}: must be within {low:g} and {high:g} {joint.unit}"
+        value, low, high = (x / joint.si_per_unit for x in (values[outside][0], joint.lower, joint.upper))
+        return f"{where}{joint.name} = {value:g} {joint.unit}: must be within {low:g} and {high:g} {joint.unit}"
+
+    def _unnested(self, values: Array) -> str:
+        """Which tubes do not nest at joint values (m,), by the worst rule of `reach_inequalities`."""
+        l_b = self.drive.collars(values[None])[1][0]
+        n, over_m = len(l_b), self.nesting_G @ l_b - self.nesting_h
+        rule = int(np.argmax(over_m))
+        by = f"{max(over_m[rule], 0.0) * MM_PER_M:.3g} mm"
+        if rule == 0:
+            return f"tube 1 begins {by} in front of the plate"
+        if rule < n:
+            return f"the base of tube {rule + 1} is {by} too near to that of tube {rule}, or in front of it"
+        if rule < 2 * n - 1:
+            return f"the tip of tube {rule - n + 1} is {by} ahead of that of tube {rule - n + 2}, which is in it"
+        return "tube 1 is drawn back to the plate, so that nothing of it is in front"
 
     def projected(self, q: Array, fallback: Array) -> Array:
         """q (K, m) moved into limits and nesting, by turns; rows of `fallback` where that did not succeed."""

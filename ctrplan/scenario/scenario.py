@@ -276,6 +276,10 @@ class Scenario:
         if not self.content:
             import ctrplan  # files are of a package above, and stand in the public names
 
+            for name, kind in (("anatomy", ctrplan.Anatomy), ("via", Goal)):
+                object.__setattr__(self, name, rows_of(name, getattr(self, name), kind))
+            if not isinstance(self.goal, Goal):
+                raise InputError("must be a ctrplan.Goal", key="goal", value=self.goal)
             read = ctrplan.as_read(self)
             for name in ("content", "warnings", "goal", "via"):
                 object.__setattr__(self, name, getattr(read, name))

@@ -23,6 +23,7 @@ LUMEN = 0.2, 5.0  # of a lumen whose size gives no reason to doubt it, wherever 
 USUAL_PART = 0.02, 5.0  # of a part that is meant to be next to it
 WITHIN_M = 1e-5, 1e-4, 0.02  # least tolerance, margin or deviation; and those that are usual
 WITHIN = 0.2  # share of the robot's length that is the most of them
+FINE_M = 1e-4  # to which a base is placed at best
 TURNED_DEG = 0.02, 0.1, 20.0  # least deviation or tolerance of a direction; and those that are usual
 
 
@@ -81,6 +82,10 @@ def joint_doubts(robot: Robot, values: Mapping[str, object]) -> Iterator[tuple[s
 def base_doubt(robot: Robot, tips_m: Sequence[Array], base_m: Array) -> SizeDoubt | None:
     """What speaks against the unit [mm] of a base's position (3,) [m] whose goals (3,) [m] are all beyond reach."""
     length = reach_m(robot)
+    offset = float(np.linalg.norm(base_m))
+    if 0 < offset < FINE_M and PLAUSIBLE[0] * length <= offset * UNITS_M["m"] / UNITS_M["mm"] <= LUMEN[1] * length:
+        rule = f"moves the base by {offset / UNITS_M['mm']:.2g} mm, finer than a base is placed: is it in metres?"
+        return SizeDoubt("m", rule, False, "position_mm")
     away = [float(np.linalg.norm(tip - base_m)) for tip in tips_m]
     if not away or min(away) <= length * PLAUSIBLE[1] or not base_m.any():
         return None
@@ -91,7 +96,19 @@ def base_doubt(robot: Robot, tips_m: Sequence[Array], base_m: Array) -> SizeDoub
     return None
 
 
-def part_doubts(robot: Robot, parts: Sequence[AnatomyPart], tips_m: Sequence[Array]) -> Iterator[tuple[int, SizeDoubt]]:
+def turn_doubts(base: Mapping[str, object]) -> Iterator[SizeDoubt]:
+    """What speaks against how the table [base] of a scenario's file says that the base is turned."""
+    roll, quaternion = base.get("roll_deg"), base.get("quaternion_wxyz")
+    if isinstance(roll, (int, float)) and are_radians([roll]):
+        yield SizeDoubt("rad", "is a whole part of a turn in radians: is it in radians?", False, "roll_deg")
+    if isinstance(quaternion, (list, tuple)) and [*quaternion] == [0, 0, 0, 1]:
+        rule = "turns the base by 180 deg: is it the identity of those who write x, y, z, w? Here w comes first"
+        yield SizeDoubt("", rule, False, "quaternion_wxyz")
+
+
+def part_doubts(
+    robot: Robot, parts: Sequence[AnatomyPart], tips_m: Sequence[Array], base_m: Array
+) -> Iterator[tuple[int, SizeDoubt]]:
     """Parts, by number from 0, that are out of all proportion to the robot, or lumens that hold none of the goals."""
     length, thinnest = reach_m(robot), robot.tubes[-1].outer_diameter_m
     lumens = [part for part in parts if part.role == "inside"]
@@ -105,11 +122,18 @@ def part_doubts(robot: Robot, parts: Sequence[AnatomyPart], tips_m: Sequence[Arr
         ):
             rule = 'holds every goal, which nothing may enter: is it a lumen (role = "inside"), or the target itself?'
             yield k, SizeDoubt("", rule, False, "role")
-        if part.shape.kind not in ("mesh", "surface"):
-            continue
-        size = float(np.ptp(np.array(part.shape.box()), axis=0).max())
+        low, high = part.shape.box()
+        size, far = float((high - low).max()), float(np.linalg.norm(np.clip(base_m, low, high) - base_m))
         said = f"is {size * 1e3:.3g} mm across, the robot {length * 1e3:.3g} mm long"
         small, large = size < thinnest / 2, size > LARGEST_PART * length
+        if far > LARGEST_PART * length:
+            rule = f"lies {far:.3g} m from the base, the robot is {length * 1e3:.3g} mm long: is it in another unit?"
+            yield k, SizeDoubt("", rule, False, next(iter(part.shape.keys())))
+            continue
+        if part.shape.kind not in ("mesh", "surface"):
+            if small and USUAL_PART[0] <= size * 1e3 / length <= USUAL_PART[1]:
+                yield k, SizeDoubt("m", f"{said}: is it in metres?", False, [*part.shape.keys()][-1])
+            continue
         likely = [
             words
             for words, factor in _factors()

@@ -56,6 +56,8 @@ def test_no_shipped_scenario_is_in_doubt(file: Path) -> None:
         ("joint.1.min_deg=-1.5708;joint.1.max_deg=1.5708", "are its limits in radians"),
         ("joint.4.moves={l=[0,0,1000]}", r"moves a tube by 86.4 m within its limits, .*: are these m per m\?"),
         ("model_error_mm=0", ""),
+        ("model_error_mm=0.0005", r"model_error_mm = 0.0005 mm: is finer than .*: is it in metres\?"),
+        ("tube.3.bending_stiffness_Nm2=5e-5", r"Young's modulus would be .* Pa, 1?[0-9.e+]+ times less than another"),
         (
             "tube.1.outer_diameter_mm=1.32;tube.1.inner_diameter_mm=1.195;tube.2.outer_diameter_mm=1.155;"
             "tube.2.inner_diameter_mm=0.975;tube.3.outer_diameter_mm=0.91;tube.3.inner_diameter_mm=0.8",
@@ -220,10 +222,66 @@ def test_a_lumen_that_holds_no_goal_is_named_with_the_factor_that_would(
     assert "anatomy.1.unit = 'mm': is " in told and f"none of the goals is in it: is it {name}?" in told
 
 
+def sphere(center_mm: list[float], radius_mm: float) -> dict[str, Any]:
+    return {"anatomy": [{"kind": "sphere", "center_mm": center_mm, "radius_mm": radius_mm, "margin_mm": 1.0}]}
+
+
 def test_an_obstacle_out_of_all_proportion_is_warned_about(tmp_path: Path) -> None:
     part = {"kind": "mesh", "file": tunnel(tmp_path, 30, 1e-3), "unit": "mm", "margin_mm": 0.0}
     (warning,) = scenario(tmp_path, anatomy=[part]).warnings
     assert "anatomy.1.unit = 'mm': is 0.4 mm across, the robot 270 mm long: is it 1000 times too small" in warning
+
+
+@pytest.mark.parametrize(
+    ("keys", "phrase"),
+    [
+        (sphere([19, 2, 108], 0.006), r"anatomy.1.radius_mm = 0.006 mm: is 0.012 mm across.*: is it in metres\?"),
+        (sphere([30000, -40000, 14000], 5), r"anatomy.1.center_mm = .*: lies 51.* m from the base"),
+        (sphere([30, -40, 14], 5), ""),
+        ({"base": {"position_mm": [0.01, 0, -0.02]}}, "base.position_mm = .*: moves the base by 0.022 mm"),
+        ({"base": {"quaternion_wxyz": [0, 0, 0, 1]}}, "base.quaternion_wxyz = .*: turns the base by 180 deg"),
+        ({"base": {"direction": [0, 0, 1], "roll_deg": 1.5708}}, r"base.roll_deg = 1.5708 deg: .* is it in radians\?"),
+        ({"base": {"direction": [0, 0, 1], "roll_deg": 1.5, "position_mm": [0, 0, -20]}}, ""),
+    ],
+)
+def test_places_of_obstacles_and_of_the_base(keys: dict[str, Any], phrase: str, tmp_path: Path) -> None:
+    """Each was certified without a word."""
+    warned = scenario(tmp_path, **keys).warnings
+    assert len(warned) == bool(phrase) and all(re.search(phrase, text) for text in warned)
+
+
+def test_obstacles_in_millimetres_in_code() -> None:
+    given = scenario(Path())
+    far = ctrplan.Anatomy(ctrplan.Capsule([30, -40, 115], [30, 8, 115], 4), margin_m=1e-3)
+    with pytest.warns(UserWarning, match="lies 1.* m from the base"):
+        made = given.with_(anatomy=(far,))
+    assert any("from the base" in text for text in made.warnings)
+
+
+def test_radii_of_an_inner_tube_alone() -> None:
+    """By its own modulus nothing is wrong with it; but a tube twice as wide fits where it is."""
+    tube = "youngs_modulus_GPa=60,poisson_ratio=0.3,section=[{length_mm=200,radius_mm=90}]"
+    half = f"tube.2={{outer_diameter_mm=1.05,inner_diameter_mm=0.925,{tube}}}"
+    wide = ["tube.1.outer_diameter_mm=2.5", "tube.1.inner_diameter_mm=2.2"]
+    (warning,) = load_robot(ROBOTS / "table_1_pair.toml", [*wide, half]).warnings
+    assert re.search(
+        r"tube.2.outer_diameter_mm = 1.05 mm: leaves .* mm on every side.*: are its diameters radii", warning
+    )
+
+
+def test_a_collar_in_metres_where_the_file_has_no_home(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """It was a traceback: the bases that follow from the collar are a doubt about a table that is not there."""
+    tubes = [
+        "[[tube]]\nouter_diameter_mm = 2.5\ninner_diameter_mm = 2.2\nyoungs_modulus_GPa = 60\npoisson_ratio = 0.3\n"
+        "[[tube.section]]\nlength_mm = 120\nradius_mm = 250\n",
+        "[[tube]]\nouter_diameter_mm = 2.1\ninner_diameter_mm = 1.85\nyoungs_modulus_GPa = 60\npoisson_ratio = 0.3\n"
+        "collar_length_mm = 0.02\n[[tube.section]]\nlength_mm = 200\nradius_mm = 90\n",
+    ]
+    (tmp_path / "r.toml").write_text("".join(tubes) + "[[contact]]\nfriction_coefficient = 0.2\n")
+    assert main(["bound", str(tmp_path / "r.toml"), "--theta-deg", "0", "1.5708", "--l-mm", "0", "-30"]) == 0
+    said = capsys.readouterr().err
+    assert "collar_length_mm = 0.02 mm: is shorter than the tube is wide: is it in metres?" in said
+    assert "--theta-deg" in said and "are these in radians?" in said
 
 
 def test_points_for_the_tip_in_python_and_on_the_command_line(capsys: pytest.CaptureFixture[str]) -> None:

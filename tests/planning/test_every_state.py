@@ -94,8 +94,9 @@ def test_batches_hold_every_sample_once_and_begin_where_states_are_solved() -> N
 
 
 def test_pieces_of_a_path_before_are_not_solved_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Figures are those of looks from scratch, and where all clearance is asked for nothing is taken from before: what a
-    plan states of a sample was once that of a path which had asked for less, and `verify` found another number.
+    """Figures are those of looks from scratch, and where all clearance is asked for nothing is taken from before.
+
+    What a plan states of a sample was once that of a path which had asked for less, and `verify` found another number.
     """
     scenario, pieces = _pieces([0.0, 0.3, 0.1])
     solve, solved = SampleStates.solve, list[int]()
