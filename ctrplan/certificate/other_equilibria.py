@@ -56,8 +56,9 @@ def other_start(scenario: Scenario, joints: Array) -> str:
     """
     robot = scenario.robot
     is_loaded = scenario.start_friction not in ("released", "oscillated")
-    known = _KNOWN.setdefault(robot, {})
+    known = _KNOWN.setdefault(robot.unguided, {})
     key = joints.tobytes() + bytes([is_loaded]) + scenario.start_turns.encode()
+    key += b"" if robot.guide is None else robot.guide.tip_m[0].tobytes()
     if key not in known:
         known[key] = _other_start(robot, joints, is_loaded, scenario.start_turns)
     return known[key]
@@ -71,11 +72,12 @@ def _other_start(robot: Robot, joints: Array, is_loaded: bool, turns: StartTurns
     if not np.isfinite(bound.position_m):
         return ""
     approaches = [*_approaches(robot.n - 1)] if is_loaded and robot.friction.any() else []
-    if turns == "absolute" and (turned := _turned_from_home(robot, joints, bound)):
+    is_counted = turns == "absolute" or robot.guide is not None
+    if robot.guide is None and turns == "absolute" and (turned := _turned_from_home(robot, joints, bound)):
         return turned
-    if turns != "followed":
+    if turns != "followed" or robot.guide is not None:
         try:
-            if elsewhere := _elsewhere(robot, joints, bound, is_loaded, is_counted=turns == "absolute"):
+            if elsewhere := _elsewhere(robot, joints, bound, is_loaded, is_counted):
                 return elsewhere
         except InputError:  # of a kind whose equilibria are not enumerated
             approaches += _windings(robot, joints) if turns == "unknown" else []
@@ -84,9 +86,13 @@ def _other_start(robot: Robot, joints: Array, is_loaded: bool, turns: StartTurns
 
     def beyond(turns: Array) -> float:
         from_side = theta_b - np.concatenate([[0.0], np.cumsum(turns)])
-        history = robot.history()
+        history, way = robot.history(), np.array([from_side, theta_b])
         try:
-            path = history.follow(np.array([from_side, theta_b]), np.array([l_b, l_b]))
+            if robot.guide is not None:  # it comes from where its own branch leads to without a snap
+                out = history.follow(np.array([theta_b, from_side]), np.array([l_b, l_b]))
+                if np.nansum(out.snaps) or out.status[-1] >= Status.FAILED:
+                    return 0.0
+            path = history.follow(way, np.array([l_b, l_b]))
             let_go = history.tip_beside(np.zeros(robot.n - 1))
         except SolverError:  # there is no equilibrium to come from
             return 0.0
@@ -306,6 +312,7 @@ class _Led:
         """Where it was solved."""
         places = Torus(robot.tubes, robot.drive.collars(joints)[1])
         phi = np.vstack([np.zeros(robot.n - 1), corner_signs(robot.n - 1)])[state]
+        robot = robot.unguided
         s_m, _ = places.shapes(np.zeros((1, robot.n - 1)), [0.0])
         return cls(robot, joints, phi, s_m, branch.angles_rad[state], branch.tip_m[state])
 
@@ -439,8 +446,16 @@ def _from_turns(robot: Robot, piece: Piece, sample: int) -> float:
 
 
 def _walked_tips(robot: Robot, begin: Array, piece: Piece, sample: int) -> Array | None:
-    """(C, 3) tips of the corners, walked from base rotations `begin`; None where the robot snaps on the way."""
+    """(C, 3) tips of the corners, walked from base rotations `begin`; None where the robot snaps on the way.
+
+    A robot on a branch of its own begins where that leads to; None where it ends before.
+    """
     theta_b, l_b = np.array([begin, piece.theta_b[sample]]), np.array([piece.l_b[sample]] * 2)
+    if robot.guide is not None:
+        turned = robot.guide.near(theta_b[1], l_b[1]).along(robot.unguided.mechanics, theta_b[:1], l_b[:1])
+        if not np.array_equal(turned.theta_b[-1], begin):
+            return None
+        robot = robot.guided(turned)
     result = robot.mechanics.check_path(theta_b, l_b, density=COARSE, accuracy=piece.accuracy)
     arrived = result.fraction[-1] == 1 and result.status[-1] < Status.UNSTABLE
     return result.corner_tip_m[-1] if arrived else None

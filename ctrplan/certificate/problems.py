@@ -106,6 +106,10 @@ def problems_of_walk(scenario: Scenario, space: JointSpace, corners: Array, piec
     results = []
     if not space.allowed(corners):
         results.append("A waypoint breaks a joint limit or the nesting of the tubes.")
+    if (guide := scenario.robot.guide) is not None:
+        allowed_m = SAME_SHAPE_M if pieces[0].accuracy == "search" else mesh_allowance_m(scenario.robot, "search")
+        if not np.linalg.norm(pieces[0].samples.tip_m[0] - guide.tip_m[0]) <= allowed_m:
+            results.append("At the start: the stable shape that the robot stands in is not solved again.")
     for before, piece in zip([None, *pieces[:-1]], pieces, strict=True):
         where = f"leg {piece.leg + 1}"
         if piece.samples.fraction[-1] < 1 and len(pieces) > 1 or breach(piece.samples, PathLimits()):

@@ -19,6 +19,7 @@ from ctrplan.mechanics.tube import RANGES, SECTION_RANGES, Tube
 from ctrplan.mechanics.walk import Field, PathDensity, PathLimits, PathSamples
 
 if TYPE_CHECKING:
+    from ctrplan.mechanics.guide import Guide
     from ctrplan.mechanics.tube import Loads
 
 Table = TypeVar("Table", Bounds, PathSamples, Tips)
@@ -104,6 +105,13 @@ def core_pair(clearance_m: float, friction: float, outer: Tube, inner: Tube) -> 
 def core_loads(loads: Loads) -> _model.Loads:
     """Loads as the core reads them."""
     return _model.Loads(tip_force=loads.tip_force_N, tip_moment=loads.tip_moment_Nm, gravity=loads.gravity_m_s2)
+
+
+def core_guide(guide: Guide | None) -> tuple[Array, ...] | None:
+    """The shapes of a branch as the core reads them; None of the one that a robot without precurvature leads to."""
+    if guide is None:
+        return None
+    return tuple(map(np.ascontiguousarray, (guide.s_m, guide.theta_b, guide.l_b, guide.angles_rad)))
 
 
 def core_grid(field: Field | None) -> _model.Grid | None:

@@ -129,7 +129,7 @@ def equilibria(robot: Tubes, theta_b: ArrayLike, l_b: ArrayLike) -> Equilibria:
     Raises InputError for robots whose tubes carry loads, are oval or soften, and for more than five tubes.
     """
     theta, l = joint_row(theta_b, len(robot.tubes)), joint_row(l_b, len(robot.tubes))  # noqa: E741 (as in the equations)
-    _refuse(robot)
+    refuse_other_kinds(robot)
     each, degree = Torus(robot.tubes, l).roots(np.diff(theta), float(theta[0]))
     in_order = tuple(sorted(each, key=lambda equilibrium: equilibrium.energy_J))
     return Equilibria(in_order, degree, partial(branches, robot, theta, l))
@@ -174,7 +174,7 @@ def branches(robot: Tubes, theta_b: ArrayLike, l_b: ArrayLike, *, accuracy: Accu
     InputError as `equilibria` does.
     """
     theta, l = joint_row(theta_b, len(robot.tubes)), joint_row(l_b, len(robot.tubes))  # noqa: E741
-    _refuse(robot)
+    refuse_other_kinds(robot)
     looked = _Looked(robot, theta, l, accuracy)
     looked.begin()
     looked.begin_beside()
@@ -202,13 +202,14 @@ def is_unique(robot: Tubes, l_b: ArrayLike) -> bool:
     False where robots are of a kind that `equilibria` refuses.
     """
     try:
-        _refuse(robot)
+        refuse_other_kinds(robot)
     except InputError:
         return False
     return bool(np.all(Torus(robot.tubes, joint_row(l_b, len(robot.tubes))).signs() > 0))
 
 
-def _refuse(robot: Tubes) -> None:
+def refuse_other_kinds(robot: Tubes) -> None:
+    """Raises InputError for robots of which equilibria are not enumerated."""
     rule = ""
     if robot.loads != Loads():
         rule = "has loads, with which equilibria without clearance are not enumerated"

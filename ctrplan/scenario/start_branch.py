@@ -1,0 +1,100 @@
+"""On which branch of equilibria a robot stands at its start, and along a path from there.
+
+A homed drive counts whole turns: `turns = "absolute"` in [start]. Rotations straight from home, at the translations of
+the start, then say which of several stable shapes the robot has there. They count as long as no shape snaps on the way,
+neither without friction nor in its sign corners. Along a path the shape is followed (`ctrplan.mechanics.guide`).
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+from typing import TYPE_CHECKING
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from ctrplan.base.arrays import Array
+from ctrplan.errors import InputError, SolverError
+from ctrplan.mechanics.equilibria import SAME_SHAPE_M, is_unique, refuse_other_kinds
+from ctrplan.mechanics.guide import Guide
+from ctrplan.mechanics.shapes import Status
+from ctrplan.mechanics.walk import PathDensity, PathLimits
+
+if TYPE_CHECKING:
+    from ctrplan.robot.robot import Robot
+    from ctrplan.scenario.scenario import Scenario
+
+WINDING = PathDensity(rotation_rad=0.1, motion_m=2e-3, near_m=2e-3)  # a corner that leaps is seen by where it ends
+_STARTS: WeakKeyDictionary[Robot, dict[bytes, Guide | None]] = WeakKeyDictionary()
+
+
+def standing(scenario: Scenario, path: Array | None = None) -> Scenario:
+    """The scenario with its robot on the branch where it stands at the start, and along waypoints (K, m) from there.
+
+    The scenario itself where that is the one that is solved at the joints by themselves, or where it is not known:
+    then the start is refused (`ctrplan.certificate.other_equilibria`).
+    """
+    robot, way = scenario.robot, scenario.start[None] if path is None else path
+    theta_b, l_b = robot.drive.collars(_dense(robot, way))
+    begin = start_guide(scenario) if robot.guide is None else robot.guide.near(theta_b[0], l_b[0])
+    if begin is None:
+        return scenario
+    guide = begin.along(robot.unguided.mechanics, theta_b[1:], l_b[1:])
+    return replace(scenario, robot=robot.guided(guide))
+
+
+def start_guide(scenario: Scenario) -> Guide | None:
+    """The shape at the start where turns count and it is wound up there; None where it is not, or where that is
+    unknown.
+    """
+    robot, joints = scenario.robot.unguided, scenario.start
+    if scenario.start_turns != "absolute" or robot.n == 1:
+        return None
+    known = _STARTS.setdefault(robot, {})
+    key = joints.tobytes() + np.float64(scenario.margins.stability).tobytes()
+    if key not in known:
+        known[key] = _wound(robot, joints, scenario.margins.stability)
+    return known[key]
+
+
+def _wound(robot: Robot, joints: Array, least_stability: float) -> Guide | None:
+    home = np.where(robot.drive.is_rotation, 0.0, joints)
+    theta_b, l_b = robot.drive.collars(_dense(robot, np.array([home, joints])))
+    here = theta_b[-1], l_b[-1]
+    if np.allclose(np.diff(theta_b[[0, -1]], axis=1)[1], np.diff(theta_b[[0, -1]], axis=1)[0]) or is_unique(robot, here[1]):
+        return None
+    history = robot.history()
+    try:
+        refuse_other_kinds(robot)
+        wound = history.follow(theta_b, l_b)
+    except (InputError, SolverError):
+        return None
+    if np.nansum(wound.snaps) or wound.status[-1] != Status.CONVERGED:
+        return None
+    guide = Guide.of(robot.mechanics, *here, history.shape())
+    own = robot.solve(*here).tip_m
+    if guide is None or np.linalg.norm(guide.tip_m[0] - own) <= SAME_SHAPE_M:
+        return None
+    limits = PathLimits(stability=least_stability)
+    walk = robot.mechanics.check_path(theta_b, l_b, density=WINDING, limits=limits)
+    place = walk.segment[-1] + walk.fraction[-1]
+    if place < len(theta_b) - 1 or walk.status[-1] >= Status.UNSTABLE or walk.stability[-1] < least_stability:
+        return None
+    bound = robot.guided(guide).bound(*here)
+    solved = np.array([shape.tip_m for shape in (bound.frictionless, *bound.corners)])
+    walked = np.vstack([walk.tip_m[-1], walk.corner_tip_m[-1]])
+    apart = max(np.linalg.norm(solved - walked, axis=1).max(), np.linalg.norm(walked[0] - guide.tip_m[0]))
+    return guide if apart <= SAME_SHAPE_M else None
+
+
+def _dense(robot: Robot, path: Array) -> Array:
+    """Rows of a path (K, m) between which the drive's collars may be taken to move straight."""
+    if not robot.drive.terms:
+        return path
+    most = np.where(robot.drive.is_rotation, 0.05, 2e-3)
+    rows = [path[:1]]
+    for a, b in itertools.pairwise(path):
+        count = max(1, int(np.ceil(np.max(np.abs(b - a) / most))))
+        rows.append(a + np.linspace(0, 1, count + 1)[1:, None] * (b - a))
+    return np.concatenate(rows)
