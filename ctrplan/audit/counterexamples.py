@@ -246,7 +246,8 @@ class HistoryHunt:
         is_lost = self.friction == "observed" and case.plan.scenario.start_state is None  # no file holds that state
         self.queue = [] if is_lost else [Before(none, start) for start in start_states(case.plan.scenario)]
         self.starts = len(self.queue)
-        self.wound = [] if self.friction == "observed" else self._wound()
+        is_counted = case.plan.scenario.start_turns == "absolute"
+        self.wound = [] if self.friction == "observed" or is_counted else self._wound()
         self.usual: Array | None = None  # (3,) the tip at the start without turns before
         self.late: list[Before] = []  # whole turns that lead back to the same equilibrium, without friction
         self.number = 0

@@ -67,7 +67,10 @@ class Guide:
         here, parts = self.at(-1), [self]
         for theta, l in zip(theta_b, l_b, strict=True):  # noqa: E741 (as in the equations)
             begin, share, step = here, 0.0, 1.0
-            most = max(np.abs(theta - begin.theta_b[0]).max() / STEP_RAD, np.abs(l - begin.l_b[0]).max() / STEP_M, 1.0)
+            most = max(np.abs(theta - begin.theta_b[0]).max() / STEP_RAD, np.abs(l - begin.l_b[0]).max() / STEP_M)
+            if most == 0:
+                continue
+            most = max(most, 1.0)
             while share < 1:
                 longer = min(step, 1 / most, 1 - share)
                 now = share + longer if share + longer < 1 - 1e-9 else 1.0

@@ -29,6 +29,7 @@ from ctrplan.planning.reordering import assemble, least_error_order
 from ctrplan.plans.plan import Plan
 from ctrplan.scenario.joint_space import JointSpace
 from ctrplan.scenario.scenario import Goal
+from ctrplan.scenario.start_branch import led_on, standing
 from ctrplan.scenario.tip_solver import angle_to
 
 if TYPE_CHECKING:
@@ -70,12 +71,13 @@ def _certified(
 ) -> Certificate:
     """The certificate of ways from target to target; `timing` is that of a single one."""
     stages, start, starts = list[Certificate](), scenario.start, None
+    scenario = standing(scenario)
     for k, (goal, way) in enumerate(zip(scenario.targets, ways, strict=True)):
         stage = replace(scenario, start=start, goal=nearest_turn(scenario, start, goal), via=())
         told = part_of(progress, k, len(ways))
         given = timing if len(ways) == 1 else None
         stages.append(certified_legs(stage, way, goal_test=either_arrives, starts=starts, timing=given, progress=told))
-        start, starts = way[-1], stages[-1].end_states or None
+        start, starts, scenario = way[-1], stages[-1].end_states or None, led_on(scenario, way)
     return joined_certificates(stages)
 
 

@@ -41,6 +41,7 @@ from ctrplan.plans.uncertainty import stated_uncertainty
 from ctrplan.robot.friction_calibration import friction_law
 from ctrplan.scenario.prediction import FrictionStart
 from ctrplan.scenario.scenario import CostTerm
+from ctrplan.scenario.start_branch import led_on, standing
 from ctrplan.scenario.tip_solver import GoalState
 
 if TYPE_CHECKING:
@@ -87,7 +88,7 @@ def plan(
     """
     if start_state is not None:
         scenario = scenario.observed(start_state)
-    scenario = replace(scenario, terms=(*scenario.terms, *rows_of("terms", terms, CostTerm)))
+    scenario = standing(replace(scenario, terms=(*scenario.terms, *rows_of("terms", terms, CostTerm))))
     began, laps, report = time.monotonic(), Laps(), progress or (lambda _: None)
     budget = float(scenario.planner.time_s if time_s is None else time_s)
     refuse_many_tubes(scenario.robot)
@@ -118,6 +119,7 @@ def plan(
         notes += ("Along the line, joints move simultaneously.",)
     if any(path.style == "simultaneous" and not path.on_line for path in paths):
         notes += ("No path of rotations before translations was found in time; joints move simultaneously.",)
+    scenario = standing(scenario, np.concatenate(finish.ways))
     finished = assemble(
         scenario,
         paths,
@@ -228,7 +230,7 @@ def _stages(
             stages.append(run(search))
             spent += clock.now()
             ended_by = clock.name if clock.ran_out else ended_by
-        start = stages[-1][1].corners[-1]
+        start, scenario = stages[-1][1].corners[-1], led_on(scenario, stages[-1][1].corners)
     return stages, ended_by, spent
 
 

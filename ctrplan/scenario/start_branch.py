@@ -40,8 +40,16 @@ def standing(scenario: Scenario, path: Array | None = None) -> Scenario:
     begin = start_guide(scenario) if robot.guide is None else robot.guide.near(theta_b[0], l_b[0])
     if begin is None:
         return scenario
-    guide = begin.along(robot.unguided.mechanics, theta_b[1:], l_b[1:])
+    guide = begin.along(robot.unguided.mechanics, theta_b, l_b)
     return replace(scenario, robot=robot.guided(guide))
+
+
+def led_on(scenario: Scenario, path: Array) -> Scenario:
+    """The scenario with its robot on the branch where waypoints (K, m) end that begin where it stands; itself where
+    that is the one solved at the joints by themselves.
+    """
+    guide = standing(scenario, path).robot.guide
+    return scenario if guide is None else replace(scenario, robot=scenario.robot.guided(guide.at(-1)))
 
 
 def start_guide(scenario: Scenario) -> Guide | None:
