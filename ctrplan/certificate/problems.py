@@ -98,6 +98,8 @@ def _closely(robot: Robot, joints: Array, walked_m: Array, upper_m: Array) -> Ar
 
 
 BRANCH_TOLERANCE_M = 0.2e-3  # between tips of a shape at the ends of neighbouring pieces, reached on two ways
+# How sentences end, or begin, where the shape that is followed is not the one that is solved at the joints by themselves.
+PARTED = ("the shape depends on the way there", "another equilibrium exists for the same joints and friction.")
 LEAP_M = 2 * SPACING_M  # a shape that moves farther between samples was not followed
 
 
@@ -120,9 +122,9 @@ def problems_of_walk(scenario: Scenario, space: JointSpace, corners: Array, piec
             walked_m, own_m = (tips[: 2**piece.pairs + 1] for tips in (before.end_tips_m[1], piece.end_tips_m[0]))
             unwinding = way_to_unwind(scenario.robot, piece.joints[0], walked_m, own_m)
             end = f": the robot may be wound up there; {unwinding}" if unwinding else ""
-            results.append(f"On {where}: the shape depends on the way there, several equilibria exist{end}.")
+            results.append(f"On {where}: {PARTED[0]}, several equilibria exist{end}.")
         if piece.apart_m > SAME_SHAPE_M:
-            results.append(f"On {where}: another equilibrium exists for the same joints and friction.")
+            results.append(f"On {where}: {PARTED[1]}")
         if (leap := float(piece.motion_m.max())) > LEAP_M:
             results.append(
                 f"On {where}: a shape leaps by {leap * MM_PER_M:.1f} mm, its friction state loses its equilibrium."

@@ -44,6 +44,13 @@ def standing(scenario: Scenario, path: Array | None = None) -> Scenario:
     return replace(scenario, robot=robot.guided(guide))
 
 
+def followed(scenario: Scenario, joints: Array) -> Scenario:
+    """The scenario with its robot on the branch that is solved at joints (m,) by themselves, wherever that leads to."""
+    robot, here = scenario.robot, scenario.robot.drive.collars(joints)
+    guide = Guide.of(robot.mechanics, *here, robot.solve(*here))
+    return scenario if guide is None else replace(scenario, robot=robot.guided(guide))
+
+
 def led_on(scenario: Scenario, path: Array) -> Scenario:
     """The scenario with its robot on the branch where waypoints (K, m) end that begin where it stands; itself where
     that is the one solved at the joints by themselves.
