@@ -242,12 +242,11 @@ class HistoryHunt:
         self.grid = np.unique(np.concatenate([np.linspace(0, 1, GRID), ends]))
         self.kept: dict[str, tuple[float, Before]] = {}
         self.friction = case.plan.certificate.get("start_friction", case.plan.scenario.start_friction)
-        none = np.empty((0, len(case.way.joints[0])))
         is_lost = self.friction == "observed" and case.plan.scenario.start_state is None  # no file holds that state
-        self.queue = [] if is_lost else [Before(none, start) for start in start_states(case.plan.scenario)]
+        self.queue = [] if is_lost else [Before(case.way.joints[:0], start) for start in start_states(case.plan.scenario)]
         self.starts = len(self.queue)
-        is_counted = case.plan.scenario.start_turns == "absolute"
-        self.wound = [] if self.friction == "observed" or is_counted else self._wound()
+        is_known = self.friction == "observed" or case.plan.scenario.start_turns == "absolute"
+        self.wound = [] if is_known else self._wound()
         self.usual: Array | None = None  # (3,) the tip at the start without turns before
         self.late: list[Before] = []  # whole turns that lead back to the same equilibrium, without friction
         self.number = 0

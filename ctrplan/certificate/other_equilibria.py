@@ -30,7 +30,7 @@ from ctrplan.base.long_work import cores
 from ctrplan.certificate.friction_states import BEYOND_BOUND_M
 from ctrplan.certificate.walked_piece import Piece
 from ctrplan.errors import InputError, SolverError
-from ctrplan.mechanics.equilibria import SAME_SHAPE_M, Torus, branches, is_unique
+from ctrplan.mechanics.equilibria import SAME_SHAPE_M, Torus, branches, is_unique, other_branches
 from ctrplan.mechanics.friction import corner_signs
 from ctrplan.mechanics.shapes import Status
 from ctrplan.mechanics.walk import PathDensity
@@ -206,39 +206,6 @@ def _elsewhere(robot: Robot, joints: Array, bound: Bound, is_loaded: bool, is_co
             sentence += '; a drive that was homed, whose turns count, says so by turns = "absolute" in [start]'
         return sentence
     return ""
-
-
-@dataclass(frozen=True, eq=False)
-class OtherBranch:
-    """A branch that is not the one that was walked to."""
-
-    branch: Branch
-    turns: NDArray[np.int_]  # (P,) whole turns of the pairs' collars that lead to it
-    apart_m: Array  # (1 + C,) of its tip from that of the same friction state; NaN where it has no equilibrium
-
-
-def other_branches(each: Sequence[Branch], tip_m: Array) -> list[OtherBranch]:
-    """Those of `each` that lie apart from the tips (1 + C, 3) of what was walked to, and in which friction states.
-
-    Where what was walked to is not among them, nothing is known of turns: the branch nearest to it takes its place. No
-    turns are needed to one that friction alone leads to.
-    """
-    apart = [np.linalg.norm(branch.tip_m - tip_m, axis=1) for branch in each]
-    own = min(zip(apart, each, strict=True), key=lambda pair: np.nanmin(pair[0], initial=np.inf), default=(0, None))[1]
-    results = list[OtherBranch]()
-    for branch, away in zip(each, apart, strict=True):
-        if own is None or branch is own:
-            continue
-        both = np.flatnonzero(branch.solved & own.solved)
-        a, b = (both[0], both[0]) if len(both) else (branch.first, own.first)
-        turns = np.round((branch.twist_rad[a] - own.twist_rad[b]) / (2 * np.pi)).astype(int)
-        led = ~own.solved & (away <= SAME_SHAPE_M)  # from the own one, which ends before friction is there
-        if led.any():
-            turns, away = np.zeros_like(turns), np.linalg.norm(branch.tip_m - own.tip_m[own.first], axis=1)
-        away = np.where(away > SAME_SHAPE_M, away, np.nan)
-        if np.isfinite(away).any():
-            results.append(OtherBranch(branch, turns, away))
-    return results
 
 
 def _unturned(robot: Robot, joints: Array, turns: NDArray[np.int_]) -> Array | None:

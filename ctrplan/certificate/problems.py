@@ -98,7 +98,7 @@ def _closely(robot: Robot, joints: Array, walked_m: Array, upper_m: Array) -> Ar
 
 
 BRANCH_TOLERANCE_M = 0.2e-3  # between tips of a shape at the ends of neighbouring pieces, reached on two ways
-# How sentences end, or begin, where the shape that is followed is not the one that is solved at the joints by themselves.
+# In sentences where the shape that is followed is not the one that is solved at the joints by themselves.
 PARTED = ("the shape depends on the way there", "another equilibrium exists for the same joints and friction.")
 LEAP_M = 2 * SPACING_M  # a shape that moves farther between samples was not followed
 

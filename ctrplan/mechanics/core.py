@@ -23,14 +23,10 @@ from ctrplan.errors import InputError
 from ctrplan.mechanics.core_arrays import (
     core_density,
     core_grid,
-    core_guide,
     core_limits,
-    core_loads,
-    core_pair,
-    core_tube,
+    core_model,
     joint_row,
     joint_rows,
-    joint_table,
     promised,
     require_tubes,
     solved_bound,
@@ -92,13 +88,7 @@ class Mechanics:
         self._given = (tuple(tubes), gaps.copy(), coefficients.copy(), loads, guide)
         require_tubes(tubes)
         with input_errors():
-            pairs = zip(gaps.tolist(), coefficients.tolist(), tubes[:-1], tubes[1:], strict=True)
-            self._model = _model.Model(
-                [core_tube(tube) for tube in tubes],
-                [core_pair(*pair) for pair in pairs],
-                core_loads(loads),
-                core_guide(guide),
-            )
+            self._model = core_model(tubes, gaps, coefficients, loads, guide)
 
     def headline(self) -> str:
         """How many tubes."""
@@ -305,7 +295,7 @@ class Mechanics:
         """
         with input_errors():
             return self._model.clearances(
-                self._rows(theta_b), self._rows(l_b), core_grid(field), spacing_m, core_threads(threads)
+                *self._configurations(theta_b, l_b), core_grid(field), spacing_m, core_threads(threads)
             )
 
     @checked(parameters=Texts(), threads=THREADS, accuracy=FIRST_ORDER, progress=PROGRESS)
@@ -453,9 +443,6 @@ class Mechanics:
         if pairs.shape != (self.n - 1,):
             raise InputError(f"must have shape ({self.n - 1},), one value per pair, not {pairs.shape}", key=key)
         return pairs
-
-    def _rows(self, values: ArrayLike) -> Array:
-        return joint_table(values, self.n)
 
 
 def kernel_name() -> str:

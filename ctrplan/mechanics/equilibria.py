@@ -196,6 +196,39 @@ def other_shapes(robot: Tubes, theta_b: ArrayLike, l_b: ArrayLike, tip_m: Array)
     return sorted((pair for pair in away if pair[0] > SAME_SHAPE_M), key=lambda pair: pair[0])
 
 
+@dataclass(frozen=True, eq=False)
+class OtherBranch:
+    """A branch that is not the one that was walked to."""
+
+    branch: Branch
+    turns: NDArray[np.int_]  # (P,) whole turns of the pairs' collars that lead to it
+    apart_m: Array  # (1 + C,) of its tip from that of the same friction state; NaN where it has no equilibrium
+
+
+def other_branches(each: Sequence[Branch], tip_m: Array) -> list[OtherBranch]:
+    """Those of `each` that lie apart from the tips (1 + C, 3) of what was walked to, and in which friction states.
+
+    Where what was walked to is not among them, nothing is known of turns: the branch nearest to it takes its place. No
+    turns are needed to one that friction alone leads to.
+    """
+    apart = [np.linalg.norm(branch.tip_m - tip_m, axis=1) for branch in each]
+    own = min(zip(apart, each, strict=True), key=lambda pair: np.nanmin(pair[0], initial=np.inf), default=(0, None))[1]
+    results = list[OtherBranch]()
+    for branch, away in zip(each, apart, strict=True):
+        if own is None or branch is own:
+            continue
+        both = np.flatnonzero(branch.solved & own.solved)
+        a, b = (both[0], both[0]) if len(both) else (branch.first, own.first)
+        turns = np.round((branch.twist_rad[a] - own.twist_rad[b]) / (2 * np.pi)).astype(int)
+        led = ~own.solved & (away <= SAME_SHAPE_M)  # from the own one, which ends before friction is there
+        if led.any():
+            turns, away = np.zeros_like(turns), np.linalg.norm(branch.tip_m - own.tip_m[own.first], axis=1)
+        away = np.where(away > SAME_SHAPE_M, away, np.nan)
+        if np.isfinite(away).any():
+            results.append(OtherBranch(branch, turns, away))
+    return results
+
+
 def is_unique(robot: Tubes, l_b: ArrayLike) -> bool:
     """Whether there is one equilibrium at every rotation of the collars, at translations (n,) [m].
 
@@ -344,7 +377,7 @@ class _Looked:
             return
         states, energy = np.array([state for state, *_ in guesses]), [energy_J for *_, energy_J in guesses]
         angles, back = np.array([shape for _, shape, *_ in guesses]), np.array([by for *_, by, _ in guesses])
-        # At once; and where that is not solved while friction grows and the collars turn back, from solution to solution.
+        # At once; where that is not solved while friction grows and the collars turn back, from solution to solution.
         at = np.arange(len(states))
         for way in ((0.0,), LEFT):
             for left in way:

@@ -1,15 +1,15 @@
 """The branch of equilibria that a robot stands on, along a way of its collars: shapes that solves begin from.
 
 A robot may have several stable shapes at the same collars. By itself the core solves the one that a robot without
-precurvature leads to. A robot that stands on another branch is followed: each frictionless shape is solved from the one
-before it, in steps so short that no other is reached. Whatever is solved beside the way begins from the nearest of them.
+precurvature leads to. A robot that stands on another branch is followed: each frictionless shape is solved from that
+before it, in steps so short that no other is reached. Whatever is solved beside the way begins from the nearest one.
 Branches end at folds, and so do guides.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -17,12 +17,23 @@ from ctrplan.base.arrays import Array
 from ctrplan.mechanics.shapes import Status
 
 if TYPE_CHECKING:
-    from ctrplan.mechanics.core import Mechanics
-    from ctrplan.mechanics.shapes import Shape
+    from ctrplan.mechanics.friction import Branched
+    from ctrplan.mechanics.shapes import Accuracy, Shape
 
 STEP_RAD, STEP_M = 0.05, 2e-3  # of a collar between the shapes of a guide: those of histories and a few of their steps
 SHORTEST = 1 / 16  # of such a step: a branch that leaps in so short a one has ended
-PLACES = 200  # along the robot at which angles are kept, on straight lines in between: a shape to begin from, no solution
+PLACES = 200  # along the robot at which angles are kept, straight in between: a shape to begin from, no solution
+LEAP_RAD = 1.0  # of an angle in one step, many times what such a step turns a tube by: another shape
+
+
+class Mechanics(Protocol):
+    """What a shape is led on by: the robot's own mechanics."""
+
+    def core_solve_from(
+        self, theta_b: Array, l_b: Array, phi: Array, s_m: Array, angles: Array, accuracy: Accuracy
+    ) -> Branched:
+        """Solved from given shapes, as `ctrplan.mechanics.core.Mechanics`."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,11 +107,6 @@ class Guide:
         return Guide(theta_b[None], l_b[None], self.s_m, rows.angles_rad, rows.tip_m)
 
 
-LEAP_RAD = 1.0  # of an angle in one step, several times what folds leave of stability allows: another shape
-
-
 def _joined(parts: list[Guide]) -> Guide:
-    columns = {
-        name: np.concatenate([getattr(part, name) for part in parts]) for name in ("theta_b", "l_b", "angles_rad", "tip_m")
-    }
-    return replace(parts[0], **columns)
+    names = ("theta_b", "l_b", "angles_rad", "tip_m")
+    return replace(parts[0], **{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})

@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import numpy as np
@@ -296,15 +296,8 @@ class Robot:
         for collars that do not nest, SolverError where nothing is solved.
         """
         _warn_of_degrees(theta_b)
-        return self.mechanics.bound(
-            theta_b,
-            l_b,
-            accuracy=accuracy,
-            corners=corners,
-            progress=progress,
-            gradient=gradient,
-            parameters=parameters,
-        )
+        bound = partial(self.mechanics.bound, accuracy=accuracy, corners=corners, progress=progress)
+        return bound(theta_b, l_b, gradient=gradient, parameters=parameters)
 
     def bound_many(
         self,

@@ -77,7 +77,7 @@ def _wound(robot: Robot, joints: Array, least_stability: float) -> Guide | None:
     home = np.where(robot.drive.is_rotation, 0.0, joints)
     theta_b, l_b = robot.drive.collars(_dense(robot, np.array([home, joints])))
     here = theta_b[-1], l_b[-1]
-    if np.allclose(np.diff(theta_b[[0, -1]], axis=1)[1], np.diff(theta_b[[0, -1]], axis=1)[0]) or is_unique(robot, here[1]):
+    if np.allclose(np.diff(theta_b[-1] - theta_b[0]), 0.0) or is_unique(robot, here[1]):
         return None
     history = robot.history()
     try:
