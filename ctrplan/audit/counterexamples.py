@@ -395,8 +395,7 @@ class HistoryHunt:
         return [replace(f, accuracy=mesh) for f in result]
 
     def _approach(self, history: History, before: Before, mesh: Accuracy) -> None:
-        start = self.case.way.joints[0]
-        rows = np.array([*before.joints, start])
+        rows = np.array([*before.joints, self.case.way.joints[0]])
         theta, l = self.case.robot.drive.collars(rows)  # noqa: E741 (as in the equations)
         path = history.follow(theta, l)
         self._count(np.vstack([rows, rows[:1]]) if len(rows) == 1 else rows, mesh)
