@@ -28,10 +28,12 @@ from numpy.typing import NDArray
 from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.base.long_work import cores
 from ctrplan.certificate.friction_states import BEYOND_BOUND_M
+from ctrplan.certificate.variants import Variants
 from ctrplan.certificate.walked_piece import Piece
 from ctrplan.errors import InputError, SolverError
-from ctrplan.mechanics.equilibria import SAME_SHAPE_M, Torus, branches, is_unique, other_branches
+from ctrplan.mechanics.equilibria import SAME_SHAPE_M, Torus, branches, is_unique, other_branches, other_shapes
 from ctrplan.mechanics.friction import corner_signs
+from ctrplan.mechanics.guide import SHORTEST
 from ctrplan.mechanics.shapes import Status
 from ctrplan.mechanics.walk import PathDensity
 from ctrplan.robot.robot import Robot
@@ -60,11 +62,12 @@ def other_start(scenario: Scenario, joints: Array) -> str:
     key = joints.tobytes() + bytes([is_loaded]) + scenario.start_turns.encode()
     key += b"" if robot.guide is None else robot.guide.tip_m[0].tobytes()
     if key not in known:
-        known[key] = _other_start(robot, joints, is_loaded, scenario.start_turns)
+        known[key] = _other_start(scenario, joints, is_loaded, scenario.start_turns)
     return known[key]
 
 
-def _other_start(robot: Robot, joints: Array, is_loaded: bool, turns: StartTurns) -> str:
+def _other_start(scenario: Scenario, joints: Array, is_loaded: bool, turns: StartTurns) -> str:
+    robot = scenario.robot
     theta_b, l_b = robot.drive.collars(joints)
     if robot.n == 1:
         return ""
@@ -73,14 +76,18 @@ def _other_start(robot: Robot, joints: Array, is_loaded: bool, turns: StartTurns
         return ""
     approaches = [*_approaches(robot.n - 1)] if is_loaded and robot.friction.any() else []
     is_counted = turns == "absolute" or robot.guide is not None
-    if robot.guide is None and turns == "absolute" and (turned := _turned_from_home(robot, joints, bound)):
-        return turned
+    if turns == "absolute" and robot.guide is None:
+        turned, is_counted = _turned_from_home(robot, joints, bound)
+        if turned:
+            return turned
     if turns != "followed" or robot.guide is not None:
         try:
-            if elsewhere := _elsewhere(robot, joints, bound, is_loaded, is_counted):
+            if elsewhere := _elsewhere(robot, joints, bound, is_loaded, is_counted, turns):
                 return elsewhere
         except InputError:  # of a kind whose equilibria are not enumerated
             approaches += _windings(robot, joints) if turns == "unknown" else []
+    if turns == "absolute" and (otherwise := _wound_otherwise(scenario, joints)):
+        return otherwise
     if not approaches:
         return ""
 
@@ -114,12 +121,14 @@ def _other_start(robot: Robot, joints: Array, is_loaded: bool, turns: StartTurns
     )
 
 
-def _turned_from_home(robot: Robot, joints: Array, bound: Bound) -> str:
-    """A sentence if rotations straight from home, at the start's translations, end in another shape; empty if not."""
+def _turned_from_home(robot: Robot, joints: Array, bound: Bound) -> tuple[str, bool]:
+    """A sentence if rotations straight from home, at the start's translations, end in another shape, empty if not; and
+    whether they say which: what a snap ends in, nobody promises.
+    """
     home = np.where(robot.drive.is_rotation, 0.0, joints)
     theta_b, l_b = robot.drive.collars(np.array([home, joints]))
     if np.allclose(np.diff(np.diff(theta_b), axis=0), 0.0) or is_unique(robot, l_b[-1]):
-        return ""
+        return "", True
     nearest = joints - 2 * np.pi * np.where(robot.drive.is_rotation, np.round(joints / (2 * np.pi)), 0.0)
     history, free = robot.history(), np.zeros(robot.n - 1)
     try:
@@ -128,18 +137,44 @@ def _turned_from_home(robot: Robot, joints: Array, bound: Bound) -> str:
         unwound = history.follow(*robot.drive.collars(np.array([joints, home, nearest])))
         back = history.tip_beside(free)
     except SolverError:  # there is no equilibrium to come from
-        return ""
+        return "", False
     away = float(np.linalg.norm(let_go - bound.frictionless.tip_m))
     if not away > SAME_SHAPE_M:
-        return ""
+        return "", not np.nansum(wound.snaps)
     is_back = np.linalg.norm(back - bound.frictionless.tip_m) < SAME_SHAPE_M
     is_smooth = not (np.nansum(wound.snaps) or np.nansum(unwound.snaps))
     way = nearest - joints
     ways = f"to unwind it {_moved(robot, way)}" if is_back and is_smooth and way.any() else ""
-    return (
+    sentence = (
         f"The start has another stable equilibrium, where rotations straight from home end: the tip stands "
         f"{away * MM_PER_M:.1f} mm away there; {ways or 'start within half a turn of home, or where there is no other'}"
     )
+    return sentence, True
+
+
+def _wound_otherwise(scenario: Scenario, joints: Array) -> str:
+    """A sentence if a robot at an end of a stated interval ends elsewhere than the file's robot; empty if not."""
+    robot, variants = scenario.robot, Variants.of(scenario, joints[None])
+    free, way = np.zeros((1, robot.n - 1)), np.array([np.where(robot.drive.is_rotation, 0.0, joints), joints])
+    theta_b, l_b = robot.drive.collars(joints)
+    if not variants.of_parameters or not other_shapes(robot, theta_b, l_b, robot.solve(theta_b, l_b).tip_m):
+        return ""
+    for axis, side in itertools.product(range(variants.of_parameters), (1.0, -1.0)):
+        point = variants.end(axis, side)
+        other, collars = variants.robot(point), variants.collars(point, way)
+        own = other.mechanics.tips_with_friction(collars[0][1:], collars[1][1:], free).position_m[0]
+        history = other.unguided.history()
+        try:
+            snaps = history.follow(*collars).snaps
+            is_same = not np.nansum(snaps) and np.linalg.norm(history.tip_beside(free[0]) - own) <= SAME_SHAPE_M
+        except SolverError:
+            is_same = False
+        if not is_same:
+            return (
+                "The start has another stable equilibrium, where rotations straight from home may end by what is "
+                f"stated of {variants.title(axis)}; start within half a turn of home, or where there is no other"
+            )
+    return ""
 
 
 def _moved(robot: Robot, by: Array) -> str:
@@ -150,38 +185,7 @@ def _moved(robot: Robot, by: Array) -> str:
     return " and ".join([f"turn {turned}"] * bool(turned) + [f"move {pushed}"] * bool(pushed))
 
 
-def shape_notes(scenario: Scenario, ends: Sequence[Array]) -> tuple[str, ...]:
-    """Sentences about which of several stable shapes a plan begins and ends in; `ends` are joints (m,) at each target.
-
-    The shape is the one that is solved at these joints by themselves: a walk that leads to another one is refused.
-    """
-    names = [f"At {goal.name or goal.table}" for goal in scenario.targets]
-    places = zip(("At the start", *names), (scenario.start, *ends), strict=True)
-    return tuple(note for where, joints in places if (note := _shape_note(scenario.robot, joints, where)))
-
-
-def _shape_note(robot: Robot, joints: Array, where: str) -> str:
-    theta_b, l_b = robot.drive.collars(joints)
-    if robot.n == 1 or is_unique(robot, l_b):
-        return ""
-    try:
-        each = branches(robot, theta_b, l_b)
-    except InputError:  # of a kind whose equilibria are not enumerated
-        return ""
-    tip_m = robot.mechanics.solve(theta_b, l_b).tip_m
-    by_distance = sorted(each, key=lambda one: float(np.linalg.norm(one.tip_m[one.first] - tip_m)))
-    away_mm = [float(np.linalg.norm(one.tip_m[one.first] - tip_m)) * MM_PER_M for one in by_distance]
-    others = [mm for mm in away_mm if mm > SAME_SHAPE_M * MM_PER_M]
-    if not others or len(others) == len(each):
-        return ""
-    twisted = ", ".join(f"{np.degrees(x):+.0f}" for x in by_distance[0].twist_rad[by_distance[0].first])
-    return (
-        f"{where} the robot stands in one of {len(others) + 1} stable shapes, that with pairs of tubes twisted by "
-        f"({twisted}) deg; the nearest other one is {others[0]:.1f} mm away."
-    )
-
-
-def _elsewhere(robot: Robot, joints: Array, bound: Bound, is_loaded: bool, is_counted: bool) -> str:
+def _elsewhere(robot: Robot, joints: Array, bound: Bound, is_loaded: bool, is_counted: bool, turns: StartTurns) -> str:
     """A sentence about another stable shape that turns lead to, whole ones where these do not count; empty without."""
     theta_b, l_b = robot.drive.collars(joints)
     if is_unique(robot, l_b):
@@ -202,6 +206,8 @@ def _elsewhere(robot: Robot, joints: Array, bound: Bound, is_loaded: bool, is_co
         )
         if way.any():
             sentence += f"; to unwind it {_moved(robot, way)}"
+        if turns == "absolute" and not is_counted:
+            return f"{sentence}; rotations straight from home snap on the way, and may end in either"
         if other.turns.any():
             sentence += '; a drive that was homed, whose turns count, says so by turns = "absolute" in [start]'
         return sentence
@@ -333,7 +339,6 @@ EVERY_MM = 5.0  # of joint length
 # Of each pair. Of 1,000 random configurations of the three-tube robot walks from 30 deg found all six that any of 30,
 # 60 and 90 deg did; from 60 deg three, from 90 deg two.
 TURN_RAD = np.radians(30.0)
-SHORTEST = 1 / 16  # of a motion by TURN_RAD: a branch that leaps in so short a step has ended
 COARSE = PathDensity(rotation_rad=0.26, translation_m=8e-3, motion_m=15e-3)
 
 

@@ -110,7 +110,8 @@ def problems_of_walk(scenario: Scenario, space: JointSpace, corners: Array, piec
         results.append("A waypoint breaks a joint limit or the nesting of the tubes.")
     if (guide := scenario.robot.guide) is not None:
         allowed_m = SAME_SHAPE_M if pieces[0].accuracy == "search" else mesh_allowance_m(scenario.robot, "search")
-        if not np.linalg.norm(pieces[0].samples.tip_m[0] - guide.tip_m[0]) <= allowed_m:
+        here = guide.near(pieces[0].theta_b[0], pieces[0].l_b[0])
+        if not np.linalg.norm(pieces[0].samples.tip_m[0] - here.tip_m[0]) <= allowed_m:
             results.append("At the start: the stable shape that the robot stands in is not solved again.")
     for before, piece in zip([None, *pieces[:-1]], pieces, strict=True):
         where = f"leg {piece.leg + 1}"

@@ -21,12 +21,12 @@ if TYPE_CHECKING:
     from ctrplan.mechanics.shapes import Accuracy, Shape
 
 STEP_RAD, STEP_M = 0.05, 2e-3  # of a collar between the shapes of a guide: those of histories and a few of their steps
-SHORTEST = 1 / 16  # of such a step: a branch that leaps in so short a one has ended
+SHORTEST = 1 / 16  # of a step: a branch that leaps in so short a one has ended
 PLACES = 200  # along the robot at which angles are kept, straight in between: a shape to begin from, no solution
 LEAP_RAD = 1.0  # of an angle in one step, many times what such a step turns a tube by: another shape
 
 
-class Mechanics(Protocol):
+class ShapeSolver(Protocol):
     """What a shape is led on by: the robot's own mechanics."""
 
     def core_solve_from(
@@ -47,7 +47,7 @@ class Guide:
     tip_m: Array  # (R, 3) robot frame
 
     @classmethod
-    def of(cls, mechanics: Mechanics, theta_b: Array, l_b: Array, shape: Shape) -> Guide | None:
+    def of(cls, mechanics: ShapeSolver, theta_b: Array, l_b: Array, shape: Shape) -> Guide | None:
         """The frictionless shape next to another one at collars (n,) [rad], (n,) [m]; None where there is none."""
         ends = [tube.s_m[[0, -1]] for tube in shape.tubes]
         s_m = np.linspace(min(first for first, _ in ends), max(last for _, last in ends), PLACES)
@@ -67,11 +67,11 @@ class Guide:
         )
 
     def near(self, theta_b: Array, l_b: Array) -> Guide:
-        """The shape at the place nearest to collars (n,) [rad], (n,) [m]; of several there the last one of the way."""
+        """The shape at the place nearest to collars (n,) [rad], (n,) [m]; of several there the first one of the way."""
         apart = np.abs(self.theta_b - theta_b).max(axis=1) / STEP_RAD + np.abs(self.l_b - l_b).max(axis=1) / STEP_M
-        return self.at(len(apart) - 1 - int(np.argmin(apart[::-1])))
+        return self.at(int(np.argmin(apart)))
 
-    def along(self, mechanics: Mechanics, theta_b: Array, l_b: Array) -> Guide:
+    def along(self, mechanics: ShapeSolver, theta_b: Array, l_b: Array) -> Guide:
         """Followed from the last shape along waypoints (K, n) [rad], (K, n) [m], straight in between, to where the
         branch ends.
         """
@@ -96,7 +96,7 @@ class Guide:
                 parts.append(here)
         return _joined(parts)
 
-    def _solved(self, mechanics: Mechanics, theta_b: Array, l_b: Array) -> Guide | None:
+    def _solved(self, mechanics: ShapeSolver, theta_b: Array, l_b: Array) -> Guide | None:
         """The only shape led on to collars (n,), (n,) near by; None where that is not solved or leaps."""
         turned = self.angles_rad + (theta_b - self.theta_b)[..., None]
         free = np.zeros((1, len(theta_b) - 1))

@@ -22,7 +22,7 @@ from ctrplan.certificate.certify import GoalTest, certify, frictionless_arrives,
 from ctrplan.certificate.closest import failure_with_place
 from ctrplan.certificate.friction_cube import refuse_many_tubes
 from ctrplan.certificate.narrow_samples import remembered_looks
-from ctrplan.certificate.other_equilibria import other_start, shape_notes
+from ctrplan.certificate.other_equilibria import other_start
 from ctrplan.certificate.problems import with_shares
 from ctrplan.certificate.uneven_friction import NEAR_LIMIT_M
 from ctrplan.certificate.walked_legs import WalkedLegs, walk_legs
@@ -31,7 +31,15 @@ from ctrplan.errors import NoAnswerError
 from ctrplan.motion.checker import MotionChecker
 from ctrplan.planning.compensate import compensate, shifted_start
 from ctrplan.planning.endings import Settled, erase, settle, settled_again
-from ctrplan.planning.goal_states import follow_line, goal_states, is_at_goal, line_beginnings, nearest_turn, turn_notes
+from ctrplan.planning.goal_states import (
+    follow_line,
+    goal_states,
+    is_at_goal,
+    line_beginnings,
+    nearest_turn,
+    shape_notes,
+    turn_notes,
+)
 from ctrplan.planning.reordering import Reordered, as_given, assemble
 from ctrplan.planning.room import refuse_blocked_fixtures, refuse_impossible_margins, start_room, start_trouble
 from ctrplan.planning.search.stage_search import Candidate, Progress, Report, StageSearch

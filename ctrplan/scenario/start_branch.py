@@ -7,7 +7,6 @@ neither without friction nor in its sign corners. Along a path the shape is foll
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import replace
 from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary
@@ -19,13 +18,13 @@ from ctrplan.errors import InputError, SolverError
 from ctrplan.mechanics.equilibria import SAME_SHAPE_M, is_unique, refuse_other_kinds
 from ctrplan.mechanics.guide import Guide
 from ctrplan.mechanics.shapes import Status
-from ctrplan.mechanics.walk import PathDensity, PathLimits
+from ctrplan.mechanics.walk import PathLimits
+from ctrplan.scenario.joint_space import JointSpace
 
 if TYPE_CHECKING:
     from ctrplan.robot.robot import Robot
     from ctrplan.scenario.scenario import Scenario
 
-WINDING = PathDensity(rotation_rad=0.1, motion_m=2e-3, near_m=2e-3)  # a corner that leaps is seen by where it ends
 _STARTS: WeakKeyDictionary[Robot, dict[bytes, Guide | None]] = WeakKeyDictionary()
 
 
@@ -36,7 +35,7 @@ def standing(scenario: Scenario, path: Array | None = None) -> Scenario:
     then the start is refused (`ctrplan.certificate.other_equilibria`).
     """
     robot, way = scenario.robot, scenario.start[None] if path is None else path
-    theta_b, l_b = robot.drive.collars(_dense(robot, way))
+    theta_b, l_b = robot.drive.collars(JointSpace.of_robot(robot).straight_steps(way))
     begin = start_guide(scenario) if robot.guide is None else robot.guide.near(theta_b[0], l_b[0])
     if begin is None:
         return scenario
@@ -47,6 +46,10 @@ def standing(scenario: Scenario, path: Array | None = None) -> Scenario:
 def followed(scenario: Scenario, joints: Array) -> Scenario:
     """The scenario with its robot on the branch that is solved at joints (m,) by themselves, wherever that leads to."""
     robot, here = scenario.robot, scenario.robot.drive.collars(joints)
+    try:
+        refuse_other_kinds(robot)
+    except InputError:
+        return scenario
     guide = Guide.of(robot.mechanics, *here, robot.solve(*here))
     return scenario if guide is None else replace(scenario, robot=robot.guided(guide))
 
@@ -56,7 +59,9 @@ def led_on(scenario: Scenario, path: Array) -> Scenario:
     that is the one solved at the joints by themselves.
     """
     guide = standing(scenario, path).robot.guide
-    return scenario if guide is None else replace(scenario, robot=scenario.robot.guided(guide.at(-1)))
+    if guide is None:
+        return scenario
+    return replace(scenario, robot=scenario.robot.guided(guide.at(-1)), start_turns="followed")
 
 
 def start_guide(scenario: Scenario) -> Guide | None:
@@ -75,7 +80,7 @@ def start_guide(scenario: Scenario) -> Guide | None:
 
 def _wound(robot: Robot, joints: Array, least_stability: float) -> Guide | None:
     home = np.where(robot.drive.is_rotation, 0.0, joints)
-    theta_b, l_b = robot.drive.collars(_dense(robot, np.array([home, joints])))
+    theta_b, l_b = robot.drive.collars(JointSpace.of_robot(robot).straight_steps(np.array([home, joints])))
     here = theta_b[-1], l_b[-1]
     if np.allclose(np.diff(theta_b[-1] - theta_b[0]), 0.0) or is_unique(robot, here[1]):
         return None
@@ -92,7 +97,7 @@ def _wound(robot: Robot, joints: Array, least_stability: float) -> Guide | None:
     if guide is None or np.linalg.norm(guide.tip_m[0] - own) <= SAME_SHAPE_M:
         return None
     limits = PathLimits(stability=least_stability)
-    walk = robot.mechanics.check_path(theta_b, l_b, density=WINDING, limits=limits)
+    walk = robot.mechanics.check_path(theta_b, l_b, limits=limits)
     place = walk.segment[-1] + walk.fraction[-1]
     if place < len(theta_b) - 1 or walk.status[-1] >= Status.UNSTABLE or walk.stability[-1] < least_stability:
         return None
@@ -101,15 +106,3 @@ def _wound(robot: Robot, joints: Array, least_stability: float) -> Guide | None:
     walked = np.vstack([walk.tip_m[-1], walk.corner_tip_m[-1]])
     apart = max(np.linalg.norm(solved - walked, axis=1).max(), np.linalg.norm(walked[0] - guide.tip_m[0]))
     return guide if apart <= SAME_SHAPE_M else None
-
-
-def _dense(robot: Robot, path: Array) -> Array:
-    """Rows of a path (K, m) between which the drive's collars may be taken to move straight."""
-    if not robot.drive.terms:
-        return path
-    most = np.where(robot.drive.is_rotation, 0.05, 2e-3)
-    rows = [path[:1]]
-    for a, b in itertools.pairwise(path):
-        count = max(1, int(np.ceil(np.max(np.abs(b - a) / most))))
-        rows.append(a + np.linspace(0, 1, count + 1)[1:, None] * (b - a))
-    return np.concatenate(rows)

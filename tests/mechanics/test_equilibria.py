@@ -22,13 +22,14 @@ from ctrplan.__main__ import main
 from ctrplan.base.arrays import Array
 from ctrplan.certificate.certify import certify
 from ctrplan.certificate.friction_states import BEYOND_BOUND_M
-from ctrplan.certificate.other_equilibria import other_start, shape_notes
+from ctrplan.certificate.other_equilibria import other_start
 from ctrplan.errors import InputError, SolverError
 from ctrplan.files.robot_file import load_robot, robot_from_dict
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.mechanics.equilibria import SAME_SHAPE_M, Torus, equilibria, is_unique, other_shapes
 from ctrplan.mechanics.friction import corner_signs
 from ctrplan.mechanics.shapes import Status
+from ctrplan.planning.goal_states import shape_notes
 from ctrplan.reports.live_state import LiveState
 from ctrplan.robot.robot import Robot
 from ctrplan.scenario.joint_space import JointSpace, bare_scenario

@@ -54,6 +54,8 @@ class ZeroClearance {
     bool follow_guide(const Robot& robot, const Configuration& q);
     template <class Shape>
     void begin_from(const Robot& robot, const Configuration& q, const Shape& shape);
+    template <class Shape>
+    double farthest_from(const Shape& shape) const;
     bool turn_and_correct(const std::vector<double>& twist);
     int locate(double s) const;
     template <class Visit>

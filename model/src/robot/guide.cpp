@@ -9,8 +9,8 @@
 namespace ctr {
 namespace {
 
-constexpr double kRotation = 0.1;      // rad, longest step of a base
-constexpr double kTranslation = 3e-3;  // m
+constexpr double kRotation = 0.2;      // rad, longest step of a base: longer ones are seldom reached at once
+constexpr double kTranslation = 6e-3;  // m
 constexpr double kTurns = 1e-6;        // of a step that a whole turn counts: among places that are one otherwise
 constexpr double kTurn = 6.283185307179586;
 

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
 #include "ctr/watch.hpp"
 
@@ -83,6 +84,14 @@ void ZeroClearance::begin_from(const Robot& robot, const Configuration& q, const
         }
 }
 
+template <class Shape>
+double ZeroClearance::farthest_from(const Shape& shape) const {
+    double most = 0;
+    for (int k = 0; k < nodes_; ++k)
+        for (int t = 0; t < n_; ++t) most = larger(most, std::fabs(x_[k * ld_ + 2 * t] - shape(t, s_[k])));
+    return most;
+}
+
 // Straight from the nearest shape of the guide, each solution from the one before, by shorter steps where the next is not
 // reached.
 bool ZeroClearance::follow_guide(const Robot& robot, const Configuration& q) {
@@ -92,8 +101,12 @@ bool ZeroClearance::follow_guide(const Robot& robot, const Configuration& q) {
     const GivenAngles given = robot.guide->shape(row);
     std::vector<double> turns(tubes);
     for (int t = 0; t < tubes; ++t) turns[t] = from.theta[tubes - 1 - t] - robot.guide->theta[row * tubes + tubes - 1 - t];
-    begin_from(robot, from, [&](int t, double s) { return given.at(tubes - 1 - t, s) + turns[t]; });
-    if (!correct(1.0, 1e9)) return false;
+    const auto shape = [&](int t, double s) { return given.at(tubes - 1 - t, s) + turns[t]; };
+    begin_from(robot, from, shape);
+    if (!correct(1.0, 1e9) || farthest_from(shape) > kAligned) {  // the branch has none without clearance: its own shape
+        begin_from(robot, q, shape);
+        return false;
+    }
     const double length = Guide::steps(from, q);
     double done = 0, step = length > 1 ? 1 / length : 1;
     ZeroClearance before;
@@ -104,7 +117,7 @@ bool ZeroClearance::follow_guide(const Robot& robot, const Configuration& q) {
             at.theta[i] = from.theta[i] + next * (q.theta[i] - from.theta[i]);
             at.l[i] = from.l[i] + next * (q.l[i] - from.l[i]);
         }
-        before = *this;
+        std::swap(*this, before);
         begin_from(robot, at, [&](int t, double s) { return before.theta(t, s); });
         if (correct(1.0, kFirstCorrection)) {
             done = next;
@@ -116,7 +129,7 @@ bool ZeroClearance::follow_guide(const Robot& robot, const Configuration& q) {
             begin_from(robot, q, [&](int t, double s) { return before.theta(t, s); });
             return false;
         }
-        *this = before;
+        std::swap(*this, before);
     }
     return true;
 }
