@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from ctrplan.scenario.scenario import Scenario, StartTurns
 
 APPROACH_DEG = 90.0  # of Section V of Ha et al. 2019
+UNWIND = "to unwind it"
 MOST_TURNS = 2  # of a joint before the start
 MOST_WINDINGS = 8  # whole turns of joints before the start that are simulated: all of three tubes, a budget
 
@@ -144,12 +145,24 @@ def _turned_from_home(robot: Robot, joints: Array, bound: Bound) -> tuple[str, b
     is_back = np.linalg.norm(back - bound.frictionless.tip_m) < SAME_SHAPE_M
     is_smooth = not (np.nansum(wound.snaps) or np.nansum(unwound.snaps))
     way = nearest - joints
-    ways = f"to unwind it {_moved(robot, way)}" if is_back and is_smooth and way.any() else ""
+    ways = f"{UNWIND} {_moved(robot, way)}" if is_back and is_smooth and way.any() else ""
     sentence = (
         f"The start has another stable equilibrium, where rotations straight from home end: the tip stands "
         f"{away * MM_PER_M:.1f} mm away there; {ways or 'start within half a turn of home, or where there is no other'}"
     )
     return sentence, True
+
+
+def unwinding(scenario: Scenario) -> str:
+    """How a robot that is followed on a branch of its own comes back to where one that was never wound up stands.
+
+    Empty where that is not known, or where it stands there.
+    """
+    robot, joints = scenario.robot.unguided, scenario.start
+    if scenario.robot.guide is None or robot.n == 1:
+        return ""
+    said, _ = _turned_from_home(robot, joints, robot.bound(*robot.drive.collars(joints)))
+    return said[said.index(UNWIND) :] if UNWIND in said else ""
 
 
 def _wound_otherwise(scenario: Scenario, joints: Array) -> str:
@@ -205,7 +218,7 @@ def _elsewhere(robot: Robot, joints: Array, bound: Bound, is_loaded: bool, is_co
             f"friction moves the tip by {bound_mm:.2f} mm: the pairs of tubes are twisted by ({twisted}) deg"
         )
         if way.any():
-            sentence += f"; to unwind it {_moved(robot, way)}"
+            sentence += f"; {UNWIND} {_moved(robot, way)}"
         if turns == "absolute" and not is_counted:
             return f"{sentence}; rotations straight from home snap on the way, and may end in either"
         if other.turns.any():
@@ -241,7 +254,7 @@ def way_to_unwind(robot: Robot, joints: Array, tip_m: Array, own_m: Array) -> st
         return ""
     there = [branch for branch in each if np.linalg.norm(branch.tip_m[state] - tip_m[state]) < SAME_SHAPE_M]
     way = _way_home(robot, joints, there[0], state) if there else np.zeros(len(joints))
-    return f"to unwind it {_moved(robot, way)}" if way.any() else ""
+    return f"{UNWIND} {_moved(robot, way)}" if way.any() else ""
 
 
 def _way_home(robot: Robot, joints: Array, branch: Branch, state: int) -> Array:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 from ctrplan.base.arrays import Array
+from ctrplan.errors import InputError
 from ctrplan.mechanics.shapes import Status
 
 if TYPE_CHECKING:
@@ -100,7 +101,10 @@ class Guide:
         """The only shape led on to collars (n,), (n,) near by; None where that is not solved or leaps."""
         turned = self.angles_rad + (theta_b - self.theta_b)[..., None]
         free = np.zeros((1, len(theta_b) - 1))
-        rows = mechanics.core_solve_from(theta_b[None], l_b, free, self.s_m, turned, "search")
+        try:
+            rows = mechanics.core_solve_from(theta_b[None], l_b, free, self.s_m, turned, "search")
+        except InputError:  # collars that do not nest
+            return None
         leap = np.abs(rows.angles_rad - turned).max()
         if rows.status[0] != Status.CONVERGED or leap > LEAP_RAD:
             return None

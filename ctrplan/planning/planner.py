@@ -22,7 +22,7 @@ from ctrplan.certificate.certify import GoalTest, certify, frictionless_arrives,
 from ctrplan.certificate.closest import failure_with_place
 from ctrplan.certificate.friction_cube import refuse_many_tubes
 from ctrplan.certificate.narrow_samples import remembered_looks
-from ctrplan.certificate.other_equilibria import other_start
+from ctrplan.certificate.other_equilibria import other_start, unwinding
 from ctrplan.certificate.problems import with_shares
 from ctrplan.certificate.uneven_friction import NEAR_LIMIT_M
 from ctrplan.certificate.walked_legs import WalkedLegs, walk_legs
@@ -115,7 +115,12 @@ def plan(
         asked = _PlanRequest(
             seed, began, budget, budget, time_s is not None, report, interrupted, approaches, compensated
         )
-        first, stages, ended_by = _anytime_stages(scenario, asked)
+        try:
+            first, stages, ended_by = _anytime_stages(scenario, asked)
+        except NoAnswerError as error:
+            if way := unwinding(scenario):
+                raise NoAnswerError(f"{error} The robot is wound up at its start; {way}.") from None
+            raise
         spent_ns = [meter.spent_ns for meter in asked.meters]  # corrections at the end are no search
         laps.end("search")
         finish = _finish(scenario, stages, compensated, report)
@@ -344,7 +349,7 @@ def _finish(scenario: Scenario, stages: Stages, compensated: bool, report: Repor
                 notes=("The motions to the targets are not compensated: no corrected one leads on to the next.",),
             )
         ways.append(corners)
-        certificates.append(with_restart(stage, certificate, starts))
+        certificates.append(with_restart(standing(stage, corners), certificate, starts))
         compensation = _with_steps(change, certificates[-1])
         shift = corners[-1] - best.result.after[-1]
     return _Finish(ways, joined_certificates(certificates), compensation, tuple(notes))
