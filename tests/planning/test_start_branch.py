@@ -28,6 +28,7 @@ from ctrplan.certificate.certificate import Certificate
 from ctrplan.certificate.friction_states import BEYOND_BOUND_M
 from ctrplan.certificate.other_equilibria import other_start
 from ctrplan.errors import SolverError
+from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.mechanics.equilibria import SAME_SHAPE_M, Torus
 from ctrplan.mechanics.guide import Guide
 from ctrplan.robot.robot import Robot
@@ -274,3 +275,49 @@ def test_no_history_leaves_what_is_certified_on_a_branch(name: str) -> None:
             assert most < BEYOND_BOUND_M and not snaps
             certified += 1
     assert certified > 3
+
+
+@pytest.mark.parametrize("at", WOUND)
+def test_a_robot_is_unwound_along_its_branch(at: list[float]) -> None:
+    """Back to home's rotations, by more than a turn: there both robots have one shape, and friction moves them far."""
+    robot = rvim()
+    start = in_si(robot, at)
+    path = np.array([start, np.where(robot.drive.is_rotation, 0.0, start)])
+    guide = standing(wound(robot, *path), path).robot.guide
+    assert guide is not None
+    own = robot.solve(*robot.drive.collars(path[-1])).tip_m
+    np.testing.assert_allclose(guide.tip_m[-1], own, atol=1e-6)
+    driven = robot.history().follow(*robot.drive.collars(path[::-1])).position_m[-1]
+    bound = robot.guided(guide).bound(guide.theta_b[0], guide.l_b[0])
+    assert np.linalg.norm(driven - guide.tip_m[0]) < bound.position_m
+        np.linalg.norm(driven - guide.tip_m[0]) < robot.guided(guide).bound(guide.theta_b[0], guide.l_b[0]).position_m
+    )
+    for row in range(0, len(guide.theta_b), 7):
+        solved = robot.guided(guide).solve(guide.theta_b[row], guide.l_b[row])
+        np.testing.assert_allclose(solved.tip_m, guide.tip_m[row], atol=1e-5)
+
+
+def test_targets_on_the_way_are_passed_on_the_branch() -> None:
+    robot = rvim()
+    start = in_si(robot, WOUND[1])
+    way = l_shaped(robot, start, in_si(robot, MOVED))
+    end = way[-1] + in_si(robot, [-5, 8, 0, 0, 1, -2])
+    scenario = wound(robot, start, end, via=(Goal(joints=way[-1]),))
+    certificate = ctrplan.certify(scenario, np.vstack([way, end]))
+    assert certificate.valid and len(certificate.targets) == 2
+    most, snaps = beyond_m(robot, certificate, start, np.random.default_rng(2))
+    assert most < BEYOND_BOUND_M and not snaps
+
+
+def test_a_start_that_intervals_may_leave_on_another_branch_is_refused() -> None:
+    """The pair stays wound past where its tubes are opposed; bent less, within its interval, it snaps on the way."""
+    pair = bent(2.5)
+    key = "tube.2.section.2.curvature_per_m"
+    most = pair.content["tube"][1]["section"][1]["curvature_y_per_m"]
+    start = np.array([0, np.radians(215), -29.6e-3])
+    for least, is_refused in ((0.99 * most, False), (0.4 * most, True)):
+        content = {**pair.content, "uncertainty": {"ci95": {key: [least, most]}}}
+        robot = robot_from_dict(content, file=pair.path)
+        scenario = standing(wound(robot, start, start, start_friction="released"))
+        assert scenario.robot.guide is not None
+        assert ("may end by what is stated of" in other_start(scenario, start)) == is_refused

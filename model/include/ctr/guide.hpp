@@ -24,7 +24,7 @@ struct Guide {
 
     std::size_t rows() const { return tubes ? theta.size() / tubes : 0; }
     GivenAngles shape(std::size_t row) const { return {s.data(), angles.data() + row * tubes * s.size(), s.size()}; }
-    // The row with bases nearest to q, whole turns of which count where several stand alike; turned: its bases, by whole turns as
+    // The row with bases nearest to q, each whole turn of which counts as a step; turned: its bases, by whole turns as
     // near to q as they come, and its angles turn along.
     std::size_t nearest(const Configuration& q, Configuration& turned) const;
     // Steps between two configurations, on each of which a branch is followed.

@@ -11,7 +11,7 @@ namespace {
 
 constexpr double kRotation = 0.2;      // rad, longest step of a base: longer ones are seldom reached at once
 constexpr double kTranslation = 6e-3;  // m
-constexpr double kTurns = 1e-6;        // of a step that a whole turn counts: among places that are one otherwise
+constexpr double kTurns = 1;              // steps that a whole turn counts as: more than to the next shape of the same way
 constexpr double kTurn = 6.283185307179586;
 
 }  // namespace
