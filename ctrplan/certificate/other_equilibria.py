@@ -76,7 +76,7 @@ def _other_start(scenario: Scenario, joints: Array, is_loaded: bool, turns: Star
     if not np.isfinite(bound.position_m):
         return ""
     approaches = [*_approaches(robot.n - 1)] if is_loaded and robot.friction.any() else []
-    is_counted = turns == "absolute" or robot.guide is not None
+    is_counted = turns != "unknown"
     if turns == "absolute" and robot.guide is None:
         turned, is_counted = _turned_from_home(robot, joints, bound)
         if turned:

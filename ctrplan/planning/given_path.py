@@ -88,8 +88,8 @@ def _certified(
         given = timing if len(ways) == 1 else None
         certified = partial(certified_legs, goal_test=either_arrives, starts=starts, timing=given, progress=told)
         stages.append(certified(stage, way))
-        has_parted = any(words in problem for problem in stages[-1].problems for words in PARTED)
-        if parts and has_parted and scenario.robot.guide is None:
+        first = next(iter(stages[-1].problems), "")  # of a start that is refused it says so
+        if parts and any(words in first for words in PARTED) and scenario.robot.guide is None:
             scenario = followed(scenario, way[0])
             stages[-1] = certified(replace(stage, robot=scenario.robot), way)
         start, starts, scenario = way[-1], stages[-1].end_states or None, led_on(scenario, way)
