@@ -322,7 +322,7 @@ def _finish(scenario: Scenario, stages: Stages, compensated: bool, report: Repor
         if is_moved:
             is_rotation = best.checker.space.drive.is_rotation
             corners = shifted_start(corners, is_rotation, shift, keeps_end=stage.goal.tip_m is None)
-            stage = replace(stage, start=corners[0])
+            stage = replace(led_on(stage, np.array([stage.start, corners[0]])), start=corners[0])
         if is_moved or starts:
             certificate = certify(
                 stage, corners, goal_test=goal_test, starts=starts, restart=False, spare_m=NEAR_LIMIT_M

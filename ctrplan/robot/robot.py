@@ -217,7 +217,7 @@ class Robot:
 
         Raises InputError for a field or key that there is not, and as files do.
         """
-        kept = {"effects": self.effects, "content": {}, "warnings": ()} | changes
+        kept = {"effects": self.effects, "content": {}, "warnings": (), "guide": None} | changes
         made = changed(self.ideal or self, **kept)
         if not overrides:
             return made

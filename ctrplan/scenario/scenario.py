@@ -286,7 +286,7 @@ class Scenario:
 
         Raises InputError for a field or key that there is not, and as files do.
         """
-        made = changed(self, **({"content": {}, "warnings": ()} | changes))
+        made = changed(self, **({"content": {}, "warnings": (), "robot": self.robot.unguided} | changes))
         if not overrides:
             return made
         import ctrplan

@@ -15,7 +15,7 @@ import numpy as np
 
 from ctrplan.base.arrays import Array
 from ctrplan.errors import InputError, SolverError
-from ctrplan.mechanics.equilibria import SAME_SHAPE_M, is_unique, refuse_other_kinds
+from ctrplan.mechanics.equilibria import SAME_RAD, SAME_SHAPE_M, is_unique, refuse_other_kinds
 from ctrplan.mechanics.guide import Guide
 from ctrplan.mechanics.shapes import Status
 from ctrplan.mechanics.walk import PathLimits
@@ -32,13 +32,16 @@ def standing(scenario: Scenario, path: Array | None = None) -> Scenario:
     """The scenario with its robot on the branch where it stands at the start, and along waypoints (K, m) from there.
 
     The scenario itself where that is the one that is solved at the joints by themselves, or where it is not known:
-    then the start is refused (`ctrplan.certificate.other_equilibria`).
+    then the start is refused (`ctrplan.certificate.other_equilibria`). What a robot was followed along elsewhere says
+    nothing of this start.
     """
     robot, way = scenario.robot, scenario.start[None] if path is None else path
     theta_b, l_b = robot.drive.collars(JointSpace.of_robot(robot).straight_steps(way))
-    begin = start_guide(scenario) if robot.guide is None else robot.guide.near(theta_b[0], l_b[0])
+    begin = robot.guide and robot.guide.near(theta_b[0], l_b[0])
+    if begin is None or max(np.abs(begin.theta_b - theta_b[0]).max(), np.abs(begin.l_b - l_b[0]).max()) > SAME_RAD:
+        begin = start_guide(scenario)
     if begin is None:
-        return scenario
+        return scenario if robot.guide is None else replace(scenario, robot=robot.unguided)
     guide = begin.along(robot.unguided.mechanics, theta_b, l_b)
     return replace(scenario, robot=robot.guided(guide))
 
@@ -60,7 +63,7 @@ def led_on(scenario: Scenario, path: Array) -> Scenario:
     """
     guide = standing(scenario, path).robot.guide
     if guide is None:
-        return scenario
+        return replace(scenario, robot=scenario.robot.unguided) if scenario.robot.guide else scenario
     return replace(scenario, robot=scenario.robot.guided(guide.at(-1)), start_turns="followed")
 
 

@@ -306,6 +306,20 @@ def test_a_robot_is_unwound_along_its_branch(at: list[float]) -> None:
         np.testing.assert_allclose(solved.tip_m, guide.tip_m[row], atol=1e-5)
 
 
+def test_a_scenario_with_another_start_knows_nothing_of_the_branch_before() -> None:
+    """Whoever changes the scenario of a plan asks for its start anew."""
+    robot = rvim()
+    start = in_si(robot, WOUND[1])
+    scenario = standing(wound(robot, start, start))
+    elsewhere = start - 2 * np.pi * np.round(start / (2 * np.pi)) * robot.drive.is_rotation
+    assert scenario.robot.guide is not None and scenario.with_(name="other").robot.guide is None
+    for other in (replace(scenario, start=elsewhere), scenario.with_(start=elsewhere)):
+        assert standing(other).robot.guide is None
+    again = standing(replace(scenario, name="other")).robot.guide
+    assert again is not None
+    np.testing.assert_allclose(again.tip_m[0], scenario.robot.guide.tip_m[0], atol=1e-9)
+
+
 def test_targets_on_the_way_are_passed_on_the_branch() -> None:
     robot = rvim()
     start = in_si(robot, WOUND[1])
