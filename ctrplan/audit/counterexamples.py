@@ -242,11 +242,12 @@ class HistoryHunt:
         self.grid = np.unique(np.concatenate([np.linspace(0, 1, GRID), ends]))
         self.kept: dict[str, tuple[float, Before]] = {}
         self.friction = case.plan.certificate.get("start_friction", case.plan.scenario.start_friction)
-        none = np.empty((0, len(case.way.joints[0])))
         is_lost = self.friction == "observed" and case.plan.scenario.start_state is None  # no file holds that state
-        self.queue = [] if is_lost else [Before(none, start) for start in start_states(case.plan.scenario)]
+        begun = [] if is_lost else start_states(case.plan.scenario)
+        self.queue = [Before(case.way.joints[:0], start) for start in begun]
         self.starts = len(self.queue)
-        self.wound = [] if self.friction == "observed" else self._wound()
+        is_known = self.friction == "observed" or case.plan.scenario.start_turns == "absolute"
+        self.wound = [] if is_known else self._wound()
         self.usual: Array | None = None  # (3,) the tip at the start without turns before
         self.late: list[Before] = []  # whole turns that lead back to the same equilibrium, without friction
         self.number = 0
@@ -362,10 +363,10 @@ class HistoryHunt:
         return turns
 
     def _turned(self, turns: Array) -> Array:
-        """(H, m) joints that turns (H, m) away from the start reach within limits."""
-        drive = self.case.robot.drive
-        joints: Array = np.clip(self.case.way.joints[0] + turns, drive.lower, drive.upper)
-        return joints
+        """(H, m) joints that turns (H, m) away from the start reach within limits; a robot on a branch begins there."""
+        drive, start = self.case.robot.drive, self.case.way.joints[:1]
+        joints: Array = np.clip(start + turns, drive.lower, drive.upper)
+        return joints if self.case.robot.guide is None else np.vstack([start, joints])
 
     def _end(self) -> float:
         """How far the way is followed: to its end, or to where little clearance was found."""
@@ -394,12 +395,12 @@ class HistoryHunt:
         return [replace(f, accuracy=mesh) for f in result]
 
     def _approach(self, history: History, before: Before, mesh: Accuracy) -> None:
-        start = self.case.way.joints[0]
-        rows = np.array([*before.joints, start])
+        rows = np.array([*before.joints, self.case.way.joints[0]])
         theta, l = self.case.robot.drive.collars(rows)  # noqa: E741 (as in the equations)
         path = history.follow(theta, l)
         self._count(np.vstack([rows, rows[:1]]) if len(rows) == 1 else rows, mesh)
-        if path.status[-1] >= Status.FAILED:
+        has_left = self.case.robot.guide is not None and np.nansum(path.snaps) > 0  # its branch
+        if path.status[-1] >= Status.FAILED or has_left:
             raise SolverError("the start is not reached")
         if before.oscillates:
             swing = np.radians(OSCILLATION_DEG)[:, None] * np.arange(self.case.robot.n)
@@ -434,8 +435,7 @@ class HistoryHunt:
     def _tips(self, tips: Array, off: Array, places: Array, before: Before) -> list[WorstFigure]:
         """The worst against the bound, and against the certificate's own prediction where it simulated the same."""
         case, claims = self.case, ["bound", "worst bound", *([] if len(before.joints) else ["predicted"])]
-        phi = before.phi(case.pairs)
-        results = []
+        results, phi = [], before.phi(case.pairs)
         for claim in claims:
             excess = np.array([d - case.stated(claim, p) for d, p in zip(off, places, strict=True)])
             if np.isfinite(excess).any():

@@ -34,6 +34,7 @@ from ctrplan.plans.planned_motion import Leg, ReorderReport, follow_the_leader_m
 from ctrplan.scenario.joint_space import JointSpace
 from ctrplan.scenario.prediction import predict, start_states
 from ctrplan.scenario.scenario import Goal, Scenario
+from ctrplan.scenario.start_branch import led_on, standing
 
 # Of plan.json, what follows from scenario and legs; None where a hand-made plan says nothing.
 KEYS = ("base", "goal", "via", "margins", "cost", "joints", "legs", "certificate", "trajectory", "follow_the_leader_m")
@@ -80,18 +81,18 @@ def _certificate(plan: WrittenPlan, progress: Progress | None) -> Certificate:
         raise CtrplanError(f"{plan.file or plan.scenario.name}: {rule}.")
     stages, first, start = list[Certificate](), 0, plan.scenario.start
     lasts = [target["leg"] for target in plan.certificate["targets"]]
-    targets = plan.scenario.targets
+    targets, scenario = plan.scenario.targets, standing(plan.scenario, plan.waypoints[:1])
     if len(lasts) != len(targets) or lasts != sorted(lasts) or lasts[-1] != len(plan.waypoints) - 2:
         rule = f"certificate.targets must be those of the scenario, {len(targets)}, the last one at the end of the legs"
         raise CtrplanError(f"{plan.file or plan.scenario.name}: {rule}.")
     for k, (goal, last) in enumerate(zip(targets, lasts, strict=True)):
         corners = plan.waypoints[first : last + 2]
         corners = corners[:1] if len(corners) == 2 and np.array_equal(*corners) else corners
-        stage = replace(plan.scenario, start=start, goal=nearest_turn(plan.scenario, start, goal), via=())
+        stage = replace(scenario, start=start, goal=nearest_turn(scenario, start, goal), via=())
         starts = stages[-1].end_states or None if stages else None
         report = part_of(progress, k, len(targets))
         stages.append(certify(stage, corners, goal_test=either_arrives, starts=starts, progress=report))
-        start, first = corners[-1], last + 1
+        start, first, scenario = corners[-1], last + 1, led_on(scenario, corners)
     joined = joined_certificates(stages)
     return replace(joined, settling=_settling(plan, joined))
 

@@ -118,7 +118,7 @@ def certify(
     """
     walk = walk_legs(scenario, corners, accuracy=accuracy, spare_m=spare_m, timing=timing, progress=progress)
     result = finished(walk, goal_test, starts)
-    return with_restart(scenario, result, starts, accuracy) if restart else result
+    return with_restart(walk.scenario, result, starts, accuracy) if restart else result
 
 
 def finished(

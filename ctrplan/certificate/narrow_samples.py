@@ -83,7 +83,7 @@ def closer_looks(spare_m: float) -> CloserLooks:
 def key_of(piece: Piece) -> Hashable:
     """Alike for pieces with the same samples; of the same variants, as pieces that are not walked again."""
     ways = piece.joints.tobytes(), piece.way.tobytes()
-    return id(piece.scenario.robot), *ways, piece.accuracy, piece.variants.large
+    return piece.scenario.robot, *ways, piece.accuracy, piece.variants.large
 
 
 def closely_solved(scenario: Scenario, pieces: Sequence[Piece], spare_m: float) -> list[Piece]:

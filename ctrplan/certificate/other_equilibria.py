@@ -28,10 +28,12 @@ from numpy.typing import NDArray
 from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.base.long_work import cores
 from ctrplan.certificate.friction_states import BEYOND_BOUND_M
+from ctrplan.certificate.variants import Variants
 from ctrplan.certificate.walked_piece import Piece
 from ctrplan.errors import InputError, SolverError
-from ctrplan.mechanics.equilibria import SAME_SHAPE_M, Torus, branches, is_unique
+from ctrplan.mechanics.equilibria import SAME_SHAPE_M, Torus, branches, is_unique, other_branches, other_shapes
 from ctrplan.mechanics.friction import corner_signs
+from ctrplan.mechanics.guide import SHORTEST
 from ctrplan.mechanics.shapes import Status
 from ctrplan.mechanics.walk import PathDensity
 from ctrplan.robot.robot import Robot
@@ -42,6 +44,7 @@ if TYPE_CHECKING:
     from ctrplan.scenario.scenario import Scenario, StartTurns
 
 APPROACH_DEG = 90.0  # of Section V of Ha et al. 2019
+UNWIND = "to unwind it"
 MOST_TURNS = 2  # of a joint before the start
 MOST_WINDINGS = 8  # whole turns of joints before the start that are simulated: all of three tubes, a budget
 
@@ -56,14 +59,16 @@ def other_start(scenario: Scenario, joints: Array) -> str:
     """
     robot = scenario.robot
     is_loaded = scenario.start_friction not in ("released", "oscillated")
-    known = _KNOWN.setdefault(robot, {})
+    known = _KNOWN.setdefault(robot.unguided, {})
     key = joints.tobytes() + bytes([is_loaded]) + scenario.start_turns.encode()
+    key += b"" if robot.guide is None else robot.guide.tip_m[0].tobytes()
     if key not in known:
-        known[key] = _other_start(robot, joints, is_loaded, scenario.start_turns)
+        known[key] = _other_start(scenario, joints, is_loaded, scenario.start_turns)
     return known[key]
 
 
-def _other_start(robot: Robot, joints: Array, is_loaded: bool, turns: StartTurns) -> str:
+def _other_start(scenario: Scenario, joints: Array, is_loaded: bool, turns: StartTurns) -> str:
+    robot = scenario.robot
     theta_b, l_b = robot.drive.collars(joints)
     if robot.n == 1:
         return ""
@@ -71,22 +76,31 @@ def _other_start(robot: Robot, joints: Array, is_loaded: bool, turns: StartTurns
     if not np.isfinite(bound.position_m):
         return ""
     approaches = [*_approaches(robot.n - 1)] if is_loaded and robot.friction.any() else []
-    if turns == "absolute" and (turned := _turned_from_home(robot, joints, bound)):
-        return turned
-    if turns != "followed":
+    is_counted = turns != "unknown"
+    if turns == "absolute" and robot.guide is None:
+        turned, is_counted = _turned_from_home(robot, joints, bound)
+        if turned:
+            return turned
+    if turns != "followed" or robot.guide is not None:
         try:
-            if elsewhere := _elsewhere(robot, joints, bound, is_loaded, is_counted=turns == "absolute"):
+            if elsewhere := _elsewhere(robot, joints, bound, is_loaded, is_counted, turns):
                 return elsewhere
         except InputError:  # of a kind whose equilibria are not enumerated
             approaches += _windings(robot, joints) if turns == "unknown" else []
+    if turns == "absolute" and (otherwise := _wound_otherwise(scenario, joints)):
+        return otherwise
     if not approaches:
         return ""
 
     def beyond(turns: Array) -> float:
         from_side = theta_b - np.concatenate([[0.0], np.cumsum(turns)])
-        history = robot.history()
+        history, way = robot.history(), np.array([from_side, theta_b])
         try:
-            path = history.follow(np.array([from_side, theta_b]), np.array([l_b, l_b]))
+            if robot.guide is not None:  # it comes from where its own branch leads to without a snap
+                out = history.follow(np.array([theta_b, from_side]), np.array([l_b, l_b]))
+                if np.nansum(out.snaps) or out.status[-1] >= Status.FAILED:
+                    return 0.0
+            path = history.follow(way, np.array([l_b, l_b]))
             let_go = history.tip_beside(np.zeros(robot.n - 1))
         except SolverError:  # there is no equilibrium to come from
             return 0.0
@@ -108,12 +122,14 @@ def _other_start(robot: Robot, joints: Array, is_loaded: bool, turns: StartTurns
     )
 
 
-def _turned_from_home(robot: Robot, joints: Array, bound: Bound) -> str:
-    """A sentence if rotations straight from home, at the start's translations, end in another shape; empty if not."""
+def _turned_from_home(robot: Robot, joints: Array, bound: Bound) -> tuple[str, bool]:
+    """A sentence if rotations straight from home, at the start's translations, end in another shape, empty if not; and
+    whether they say which: what a snap ends in, nobody promises.
+    """
     home = np.where(robot.drive.is_rotation, 0.0, joints)
     theta_b, l_b = robot.drive.collars(np.array([home, joints]))
     if np.allclose(np.diff(np.diff(theta_b), axis=0), 0.0) or is_unique(robot, l_b[-1]):
-        return ""
+        return "", True
     nearest = joints - 2 * np.pi * np.where(robot.drive.is_rotation, np.round(joints / (2 * np.pi)), 0.0)
     history, free = robot.history(), np.zeros(robot.n - 1)
     try:
@@ -122,18 +138,56 @@ def _turned_from_home(robot: Robot, joints: Array, bound: Bound) -> str:
         unwound = history.follow(*robot.drive.collars(np.array([joints, home, nearest])))
         back = history.tip_beside(free)
     except SolverError:  # there is no equilibrium to come from
-        return ""
+        return "", False
     away = float(np.linalg.norm(let_go - bound.frictionless.tip_m))
     if not away > SAME_SHAPE_M:
-        return ""
+        return "", not np.nansum(wound.snaps)
     is_back = np.linalg.norm(back - bound.frictionless.tip_m) < SAME_SHAPE_M
     is_smooth = not (np.nansum(wound.snaps) or np.nansum(unwound.snaps))
     way = nearest - joints
-    ways = f"to unwind it {_moved(robot, way)}" if is_back and is_smooth and way.any() else ""
-    return (
+    ways = f"{UNWIND} {_moved(robot, way)}" if is_back and is_smooth and way.any() else ""
+    sentence = (
         f"The start has another stable equilibrium, where rotations straight from home end: the tip stands "
         f"{away * MM_PER_M:.1f} mm away there; {ways or 'start within half a turn of home, or where there is no other'}"
     )
+    return sentence, True
+
+
+def unwinding(scenario: Scenario) -> str:
+    """How a robot that is followed on a branch of its own comes back to where one that was never wound up stands.
+
+    Empty where that is not known, or where it stands there.
+    """
+    robot, joints = scenario.robot.unguided, scenario.start
+    if scenario.robot.guide is None or robot.n == 1:
+        return ""
+    said, _ = _turned_from_home(robot, joints, robot.bound(*robot.drive.collars(joints)))
+    return said[said.index(UNWIND) :] if UNWIND in said else ""
+
+
+def _wound_otherwise(scenario: Scenario, joints: Array) -> str:
+    """A sentence if a robot at an end of a stated interval ends elsewhere than the file's robot; empty if not."""
+    robot, variants = scenario.robot, Variants.of(scenario, joints[None])
+    free, way = np.zeros((1, robot.n - 1)), np.array([np.where(robot.drive.is_rotation, 0.0, joints), joints])
+    theta_b, l_b = robot.drive.collars(joints)
+    if not variants.of_parameters or not other_shapes(robot, theta_b, l_b, robot.solve(theta_b, l_b).tip_m):
+        return ""
+    for axis, side in itertools.product(range(variants.of_parameters), (1.0, -1.0)):
+        point = variants.end(axis, side)
+        other, collars = variants.robot(point), variants.collars(point, way)
+        own = other.mechanics.tips_with_friction(collars[0][1:], collars[1][1:], free).position_m[0]
+        history = other.unguided.history()
+        try:
+            snaps = history.follow(*collars).snaps
+            is_same = not np.nansum(snaps) and np.linalg.norm(history.tip_beside(free[0]) - own) <= SAME_SHAPE_M
+        except SolverError:
+            is_same = False
+        if not is_same:
+            return (
+                "The start has another stable equilibrium, where rotations straight from home may end by what is "
+                f"stated of {variants.title(axis)}; start within half a turn of home, or where there is no other"
+            )
+    return ""
 
 
 def _moved(robot: Robot, by: Array) -> str:
@@ -144,38 +198,7 @@ def _moved(robot: Robot, by: Array) -> str:
     return " and ".join([f"turn {turned}"] * bool(turned) + [f"move {pushed}"] * bool(pushed))
 
 
-def shape_notes(scenario: Scenario, ends: Sequence[Array]) -> tuple[str, ...]:
-    """Sentences about which of several stable shapes a plan begins and ends in; `ends` are joints (m,) at each target.
-
-    The shape is the one that is solved at these joints by themselves: a walk that leads to another one is refused.
-    """
-    names = [f"At {goal.name or goal.table}" for goal in scenario.targets]
-    places = zip(("At the start", *names), (scenario.start, *ends), strict=True)
-    return tuple(note for where, joints in places if (note := _shape_note(scenario.robot, joints, where)))
-
-
-def _shape_note(robot: Robot, joints: Array, where: str) -> str:
-    theta_b, l_b = robot.drive.collars(joints)
-    if robot.n == 1 or is_unique(robot, l_b):
-        return ""
-    try:
-        each = branches(robot, theta_b, l_b)
-    except InputError:  # of a kind whose equilibria are not enumerated
-        return ""
-    tip_m = robot.mechanics.solve(theta_b, l_b).tip_m
-    by_distance = sorted(each, key=lambda one: float(np.linalg.norm(one.tip_m[one.first] - tip_m)))
-    away_mm = [float(np.linalg.norm(one.tip_m[one.first] - tip_m)) * MM_PER_M for one in by_distance]
-    others = [mm for mm in away_mm if mm > SAME_SHAPE_M * MM_PER_M]
-    if not others or len(others) == len(each):
-        return ""
-    twisted = ", ".join(f"{np.degrees(x):+.0f}" for x in by_distance[0].twist_rad[by_distance[0].first])
-    return (
-        f"{where} the robot stands in one of {len(others) + 1} stable shapes, that with pairs of tubes twisted by "
-        f"({twisted}) deg; the nearest other one is {others[0]:.1f} mm away."
-    )
-
-
-def _elsewhere(robot: Robot, joints: Array, bound: Bound, is_loaded: bool, is_counted: bool) -> str:
+def _elsewhere(robot: Robot, joints: Array, bound: Bound, is_loaded: bool, is_counted: bool, turns: StartTurns) -> str:
     """A sentence about another stable shape that turns lead to, whole ones where these do not count; empty without."""
     theta_b, l_b = robot.drive.collars(joints)
     if is_unique(robot, l_b):
@@ -195,44 +218,13 @@ def _elsewhere(robot: Robot, joints: Array, bound: Bound, is_loaded: bool, is_co
             f"friction moves the tip by {bound_mm:.2f} mm: the pairs of tubes are twisted by ({twisted}) deg"
         )
         if way.any():
-            sentence += f"; to unwind it {_moved(robot, way)}"
+            sentence += f"; {UNWIND} {_moved(robot, way)}"
+        if turns == "absolute" and not is_counted:
+            return f"{sentence}; rotations straight from home snap on the way, and may end in either"
         if other.turns.any():
             sentence += '; a drive that was homed, whose turns count, says so by turns = "absolute" in [start]'
         return sentence
     return ""
-
-
-@dataclass(frozen=True, eq=False)
-class OtherBranch:
-    """A branch that is not the one that was walked to."""
-
-    branch: Branch
-    turns: NDArray[np.int_]  # (P,) whole turns of the pairs' collars that lead to it
-    apart_m: Array  # (1 + C,) of its tip from that of the same friction state; NaN where it has no equilibrium
-
-
-def other_branches(each: Sequence[Branch], tip_m: Array) -> list[OtherBranch]:
-    """Those of `each` that lie apart from the tips (1 + C, 3) of what was walked to, and in which friction states.
-
-    Where what was walked to is not among them, nothing is known of turns: the branch nearest to it takes its place. No
-    turns are needed to one that friction alone leads to.
-    """
-    apart = [np.linalg.norm(branch.tip_m - tip_m, axis=1) for branch in each]
-    own = min(zip(apart, each, strict=True), key=lambda pair: np.nanmin(pair[0], initial=np.inf), default=(0, None))[1]
-    results = list[OtherBranch]()
-    for branch, away in zip(each, apart, strict=True):
-        if own is None or branch is own:
-            continue
-        both = np.flatnonzero(branch.solved & own.solved)
-        a, b = (both[0], both[0]) if len(both) else (branch.first, own.first)
-        turns = np.round((branch.twist_rad[a] - own.twist_rad[b]) / (2 * np.pi)).astype(int)
-        led = ~own.solved & (away <= SAME_SHAPE_M)  # from the own one, which ends before friction is there
-        if led.any():
-            turns, away = np.zeros_like(turns), np.linalg.norm(branch.tip_m - own.tip_m[own.first], axis=1)
-        away = np.where(away > SAME_SHAPE_M, away, np.nan)
-        if np.isfinite(away).any():
-            results.append(OtherBranch(branch, turns, away))
-    return results
 
 
 def _unturned(robot: Robot, joints: Array, turns: NDArray[np.int_]) -> Array | None:
@@ -262,7 +254,7 @@ def way_to_unwind(robot: Robot, joints: Array, tip_m: Array, own_m: Array) -> st
         return ""
     there = [branch for branch in each if np.linalg.norm(branch.tip_m[state] - tip_m[state]) < SAME_SHAPE_M]
     way = _way_home(robot, joints, there[0], state) if there else np.zeros(len(joints))
-    return f"to unwind it {_moved(robot, way)}" if way.any() else ""
+    return f"{UNWIND} {_moved(robot, way)}" if way.any() else ""
 
 
 def _way_home(robot: Robot, joints: Array, branch: Branch, state: int) -> Array:
@@ -306,6 +298,7 @@ class _Led:
         """Where it was solved."""
         places = Torus(robot.tubes, robot.drive.collars(joints)[1])
         phi = np.vstack([np.zeros(robot.n - 1), corner_signs(robot.n - 1)])[state]
+        robot = robot.unguided
         s_m, _ = places.shapes(np.zeros((1, robot.n - 1)), [0.0])
         return cls(robot, joints, phi, s_m, branch.angles_rad[state], branch.tip_m[state])
 
@@ -359,7 +352,6 @@ EVERY_MM = 5.0  # of joint length
 # Of each pair. Of 1,000 random configurations of the three-tube robot walks from 30 deg found all six that any of 30,
 # 60 and 90 deg did; from 60 deg three, from 90 deg two.
 TURN_RAD = np.radians(30.0)
-SHORTEST = 1 / 16  # of a motion by TURN_RAD: a branch that leaps in so short a step has ended
 COARSE = PathDensity(rotation_rad=0.26, translation_m=8e-3, motion_m=15e-3)
 
 
@@ -439,8 +431,16 @@ def _from_turns(robot: Robot, piece: Piece, sample: int) -> float:
 
 
 def _walked_tips(robot: Robot, begin: Array, piece: Piece, sample: int) -> Array | None:
-    """(C, 3) tips of the corners, walked from base rotations `begin`; None where the robot snaps on the way."""
+    """(C, 3) tips of the corners, walked from base rotations `begin`; None where the robot snaps on the way.
+
+    A robot on a branch of its own begins where that leads to; None where it ends before.
+    """
     theta_b, l_b = np.array([begin, piece.theta_b[sample]]), np.array([piece.l_b[sample]] * 2)
+    if robot.guide is not None:
+        turned = robot.guide.near(theta_b[1], l_b[1]).along(robot.unguided.mechanics, theta_b[:1], l_b[:1])
+        if not np.array_equal(turned.theta_b[-1], begin):
+            return None
+        robot = robot.guided(turned)
     result = robot.mechanics.check_path(theta_b, l_b, density=COARSE, accuracy=piece.accuracy)
     arrived = result.fraction[-1] == 1 and result.status[-1] < Status.UNSTABLE
     return result.corner_tip_m[-1] if arrived else None

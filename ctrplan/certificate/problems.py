@@ -98,6 +98,8 @@ def _closely(robot: Robot, joints: Array, walked_m: Array, upper_m: Array) -> Ar
 
 
 BRANCH_TOLERANCE_M = 0.2e-3  # between tips of a shape at the ends of neighbouring pieces, reached on two ways
+# In sentences where the shape that is followed is not the one that is solved at the joints by themselves.
+PARTED = ("the shape depends on the way there", "another equilibrium exists for the same joints and friction.")
 LEAP_M = 2 * SPACING_M  # a shape that moves farther between samples was not followed
 
 
@@ -106,6 +108,11 @@ def problems_of_walk(scenario: Scenario, space: JointSpace, corners: Array, piec
     results = []
     if not space.allowed(corners):
         results.append("A waypoint breaks a joint limit or the nesting of the tubes.")
+    if (guide := scenario.robot.guide) is not None:
+        allowed_m = SAME_SHAPE_M if pieces[0].accuracy == "search" else mesh_allowance_m(scenario.robot, "search")
+        here = guide.near(pieces[0].theta_b[0], pieces[0].l_b[0])
+        if not np.linalg.norm(pieces[0].samples.tip_m[0] - here.tip_m[0]) <= allowed_m:
+            results.append("At the start: the stable shape that the robot stands in is not solved again.")
     for before, piece in zip([None, *pieces[:-1]], pieces, strict=True):
         where = f"leg {piece.leg + 1}"
         if piece.samples.fraction[-1] < 1 and len(pieces) > 1 or breach(piece.samples, PathLimits()):
@@ -116,9 +123,9 @@ def problems_of_walk(scenario: Scenario, space: JointSpace, corners: Array, piec
             walked_m, own_m = (tips[: 2**piece.pairs + 1] for tips in (before.end_tips_m[1], piece.end_tips_m[0]))
             unwinding = way_to_unwind(scenario.robot, piece.joints[0], walked_m, own_m)
             end = f": the robot may be wound up there; {unwinding}" if unwinding else ""
-            results.append(f"On {where}: the shape depends on the way there, several equilibria exist{end}.")
+            results.append(f"On {where}: {PARTED[0]}, several equilibria exist{end}.")
         if piece.apart_m > SAME_SHAPE_M:
-            results.append(f"On {where}: another equilibrium exists for the same joints and friction.")
+            results.append(f"On {where}: {PARTED[1]}")
         if (leap := float(piece.motion_m.max())) > LEAP_M:
             results.append(
                 f"On {where}: a shape leaps by {leap * MM_PER_M:.1f} mm, its friction state loses its equilibrium."

@@ -33,6 +33,7 @@ from ctrplan.motion.checker import TOO_CLOSE, left_at_end, path_limits
 from ctrplan.scenario.joint_space import JointSpace
 from ctrplan.scenario.prediction import start_load
 from ctrplan.scenario.scenario import path_cost_mm
+from ctrplan.scenario.start_branch import standing
 
 if TYPE_CHECKING:
     from ctrplan.drive.trajectory import Trajectory
@@ -123,6 +124,7 @@ def walk_legs(
     motion that ctrplan makes of the legs. Raises InputError for too many tubes.
     """
     refuse_many_tubes(scenario.robot)
+    scenario = standing(scenario, corners)
     space = JointSpace.of(scenario)
     known = failed.walked if failed and failed.scenario is scenario else ()
     as_walked = pieces = walk_pieces(scenario, space, corners, accuracy, progress, known, timing)

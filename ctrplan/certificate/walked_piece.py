@@ -49,7 +49,6 @@ if TYPE_CHECKING:
     from ctrplan.scenario.scenario import Scenario
 
 PIECE_MM = 40.0  # joint length of the pieces that run in parallel
-BENT_STEP_RAD, BENT_STEP_M = np.radians(2.0), 0.5e-3  # of a joint, along which a drive with effects moves straight
 FINE_M = 0.1e-3  # between samples where half of SPACING_M decides: five times the work there
 FROM_PLATE_M = 5e-3  # points of a body farther from where it leaves the plate have to stay in front of it
 
@@ -257,7 +256,7 @@ def walked(
     """One piece, along the joints of a way (S, m)."""
     scenario, mechanics = variants.scenario, variants.scenario.robot.mechanics
     density = PathDensity(motion_m=spacing_m, near_m=spacing_m, point_spacing_m=POINT_SPACING_M)
-    rows = _straight_steps(space, way)
+    rows = space.straight_steps(way)
     samples = mechanics.check_path(*space.drive.collars(rows), density=density, accuracy=accuracy, bodies=True)
     joints, corners = _joints(rows, samples), list[PathSamples]()
     if variants.large and samples.status[-1] < Status.UNSTABLE:
@@ -306,18 +305,6 @@ def walked(
         height_m=np.array([_height(scenario, every, walks, k) for k in range(len(joints))]),
         phi=np.zeros((len(place), scenario.robot.n - 1 + len(variants.large))),
     )
-
-
-def _straight_steps(space: JointSpace, way: Array) -> Array:
-    """(S', m) joint values of a way (S, m) between which the drive's collars may be taken to move straight."""
-    if not space.drive.terms:
-        return way
-    most = np.where(space.drive.is_rotation, BENT_STEP_RAD, BENT_STEP_M)
-    parts = [way[:1]]
-    for a, b in itertools.pairwise(way):
-        count = max(1, int(np.ceil(np.max(np.abs(b - a) / most))))
-        parts.append(a + np.linspace(0, 1, count + 1)[1:, None] * (b - a))
-    return np.concatenate(parts)
 
 
 def _solved_clearances(scenario: Scenario, samples: PathSamples, walks: VariantWalks) -> tuple[Array, Array, Array]:

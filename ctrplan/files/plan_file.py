@@ -23,6 +23,7 @@ from ctrplan.files.plan_inputs import changed_files, plan_json_of, scenario_with
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.plans.plan import SCHEMA_VERSION, SI_UNITS, Plan, plan_to_json
 from ctrplan.scenario.scenario import Scenario
+from ctrplan.scenario.start_branch import standing
 from ctrplan.storage.csv_table import LARGEST_FILE_BYTES, CsvTable, file_bytes, file_name
 from ctrplan.storage.toml_document import Document
 
@@ -333,6 +334,7 @@ def _checked(scenario: Scenario, content: dict[str, Any], file: str | None, play
     document = Document(content, file)
     entry = document.to(PlanEntry)
     waypoints = _waypoints(entry, scenario, document)
+    scenario = scenario if scenario.robot.guide else standing(scenario, waypoints)
     _check_columns(entry, content, waypoints, document)
     certified = np.array(entry.certificate.samples.joints)
     if scenario.robot.drive.is_late:  # its joints leave the legs

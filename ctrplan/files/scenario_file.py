@@ -22,6 +22,7 @@ from ctrplan.files.robot_file import load_robot, robot_from_dict
 from ctrplan.files.scenario_anatomy import anatomy_notes, anatomy_part, fixture, refuse_targets_outside_images
 from ctrplan.robot.magnitudes import summarised
 from ctrplan.robot.robot import Robot, nesting_violation
+from ctrplan.scenario import sizes
 from ctrplan.scenario.joint_space import bare_scenario
 from ctrplan.scenario.scenario import (
     Cost,
@@ -33,15 +34,6 @@ from ctrplan.scenario.scenario import (
     StartFriction,
     StartTurns,
     rotation_matrix,
-)
-from ctrplan.scenario.sizes import (
-    SizeDoubt,
-    base_doubt,
-    joint_doubts,
-    part_doubts,
-    place_doubt,
-    tolerance_doubts,
-    turn_doubts,
 )
 from ctrplan.storage.toml_document import (
     Angle,
@@ -329,25 +321,25 @@ def doubtful_sizes(scenario: Scenario) -> list[str]:
 
 def _size_doubts(
     robot: Robot, goals: Sequence[Goal], base_m: Array, anatomy: Sequence[AnatomyPart], document: Document
-) -> Iterator[tuple[SizeDoubt, InputError]]:
+) -> Iterator[tuple[sizes.SizeDoubt, InputError]]:
     aims = [goal for goal in goals if goal.tip_m is not None]
     tips = [goal.tip_m for goal in aims if goal.tip_m is not None]
-    base = base_doubt(robot, tips, base_m)
+    base = sizes.base_doubt(robot, tips, base_m)
     if base:
         yield base, document.fault(base.rule, "base", "position_mm")
     for goal, tip in zip(aims, tips, strict=True) if not base else ():
-        if doubt := place_doubt(robot, tip, base_m, "mm", anatomy):
+        if doubt := sizes.place_doubt(robot, tip, base_m, "mm", anatomy):
             steps = [int(step) - 1 if step.isdecimal() else step for step in f"{goal.table}.{goal.tip_key}".split(".")]
             yield doubt, document.fault(doubt.rule, *steps)
             break
-    for k, doubt in part_doubts(robot, anatomy, tips, base_m):
+    for k, doubt in sizes.part_doubts(robot, anatomy, tips, base_m):
         yield doubt, document.fault(doubt.rule, "anatomy", k, doubt.key)
     content = document.content
-    for doubt in turn_doubts(_table(content, ("base",))):
+    for doubt in sizes.turn_doubts(_table(content, ("base",))):
         yield doubt, document.fault(doubt.rule, "base", doubt.key)
     targets: list[tuple[Step, ...]] = [("target", k) for k in range(len(content.get("target", ())))]
     for place in [("start",), ("goal", "joints"), *((*target, "joints") for target in targets)]:
-        for name, doubt in joint_doubts(robot, _table(content, place)):
+        for name, doubt in sizes.joint_doubts(robot, _table(content, place)):
             yield doubt, document.fault(doubt.rule, *place, name)
     bodies: list[tuple[Step, ...]] = [(kind, k) for kind in BODIES for k in range(len(content.get(kind, ())))]
     within = {
@@ -356,7 +348,7 @@ def _size_doubts(
         for key in WITHIN
         if key in _table(content, place)
     }
-    for where, doubt in tolerance_doubts(robot, within):
+    for where, doubt in sizes.tolerance_doubts(robot, within):
         yield doubt, document.fault(doubt.rule, *where)
 
 

@@ -24,12 +24,9 @@ from ctrplan.mechanics.core_arrays import (
     core_density,
     core_grid,
     core_limits,
-    core_loads,
-    core_pair,
-    core_tube,
+    core_model,
     joint_row,
     joint_rows,
-    joint_table,
     promised,
     require_tubes,
     solved_bound,
@@ -57,6 +54,7 @@ from ctrplan.mechanics.walk import (
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
+    from ctrplan.mechanics.guide import Guide
     from ctrplan.mechanics.shapes import HistoryOptions
     from ctrplan.mechanics.tube import Tube
 
@@ -71,21 +69,26 @@ class Mechanics:
     """A robot's compiled model. Thread-safe: concurrent calls use separate workspaces; the GIL is released."""
 
     def __init__(
-        self, tubes: Sequence[Tube], clearance_m: ArrayLike, friction: ArrayLike, loads: Loads | None = None
+        self,
+        tubes: Sequence[Tube],
+        clearance_m: ArrayLike,
+        friction: ArrayLike,
+        loads: Loads | None = None,
+        guide: Guide | None = None,
     ) -> None:
-        """`clearance_m` (n - 1,) radial [m]; `friction` (n - 1,) Coulomb coefficients. Raises InputError."""
+        """`clearance_m` (n - 1,) radial [m]; `friction` (n - 1,) Coulomb coefficients. Raises InputError.
+
+        guide: shapes that whatever is solved begins from, those of a branch; by default a robot without precurvature.
+        """
         self.n = len(tubes)
         if not tubes:
             raise InputError("must be at least one tube", key="tubes")
         gaps, coefficients = self._pairs(clearance_m, "clearance_m"), self._pairs(friction, "friction")
         loads = loads or Loads()
-        self._given = (tuple(tubes), gaps.copy(), coefficients.copy(), loads)
+        self._given = (tuple(tubes), gaps.copy(), coefficients.copy(), loads, guide)
         require_tubes(tubes)
         with input_errors():
-            pairs = zip(gaps.tolist(), coefficients.tolist(), tubes[:-1], tubes[1:], strict=True)
-            self._model = _model.Model(
-                [core_tube(tube) for tube in tubes], [core_pair(*pair) for pair in pairs], core_loads(loads)
-            )
+            self._model = core_model(tubes, gaps, coefficients, loads, guide)
 
     def headline(self) -> str:
         """How many tubes."""
@@ -103,7 +106,7 @@ class Mechanics:
     @cached_property
     def _loaded(self) -> LoadedRobot | None:
         """What solves the zero-clearance model with terms that the core leaves out of it; None without such terms."""
-        tubes, _, _, loads = self._given
+        tubes, _, _, loads, _ = self._given
         return LoadedRobot(tubes, loads) if is_beyond_standard(tubes, loads) else None
 
     @checked(loads=Flag())
@@ -292,7 +295,7 @@ class Mechanics:
         """
         with input_errors():
             return self._model.clearances(
-                self._rows(theta_b), self._rows(l_b), core_grid(field), spacing_m, core_threads(threads)
+                *self._configurations(theta_b, l_b), core_grid(field), spacing_m, core_threads(threads)
             )
 
     @checked(parameters=Texts(), threads=THREADS, accuracy=FIRST_ORDER, progress=PROGRESS)
@@ -440,9 +443,6 @@ class Mechanics:
         if pairs.shape != (self.n - 1,):
             raise InputError(f"must have shape ({self.n - 1},), one value per pair, not {pairs.shape}", key=key)
         return pairs
-
-    def _rows(self, values: ArrayLike) -> Array:
-        return joint_table(values, self.n)
 
 
 def kernel_name() -> str:

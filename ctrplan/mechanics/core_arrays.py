@@ -19,6 +19,7 @@ from ctrplan.mechanics.tube import RANGES, SECTION_RANGES, Tube
 from ctrplan.mechanics.walk import Field, PathDensity, PathLimits, PathSamples
 
 if TYPE_CHECKING:
+    from ctrplan.mechanics.guide import Guide
     from ctrplan.mechanics.tube import Loads
 
 Table = TypeVar("Table", Bounds, PathSamples, Tips)
@@ -104,6 +105,24 @@ def core_pair(clearance_m: float, friction: float, outer: Tube, inner: Tube) -> 
 def core_loads(loads: Loads) -> _model.Loads:
     """Loads as the core reads them."""
     return _model.Loads(tip_force=loads.tip_force_N, tip_moment=loads.tip_moment_Nm, gravity=loads.gravity_m_s2)
+
+
+def core_model(
+    tubes: Sequence[Tube], clearance_m: Array, friction: Array, loads: Loads, guide: Guide | None
+) -> _model.Model:
+    """The compiled model of tubes, pairs with clearances and friction coefficients (n - 1,), loads and a guide."""
+    pairs = zip(clearance_m.tolist(), friction.tolist(), tubes[:-1], tubes[1:], strict=True)
+    return _model.Model(
+        [core_tube(tube) for tube in tubes], [core_pair(*pair) for pair in pairs], core_loads(loads), core_guide(guide)
+    )
+
+
+def core_guide(guide: Guide | None) -> tuple[Array, Array, Array, Array] | None:
+    """The shapes of a branch as the core reads them; None of the one that a robot without precurvature leads to."""
+    if guide is None:
+        return None
+    s_m, theta_b, l_b, angles = map(np.ascontiguousarray, (guide.s_m, guide.theta_b, guide.l_b, guide.angles_rad))
+    return s_m, theta_b, l_b, angles
 
 
 def core_grid(field: Field | None) -> _model.Grid | None:

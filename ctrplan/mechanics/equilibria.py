@@ -129,7 +129,7 @@ def equilibria(robot: Tubes, theta_b: ArrayLike, l_b: ArrayLike) -> Equilibria:
     Raises InputError for robots whose tubes carry loads, are oval or soften, and for more than five tubes.
     """
     theta, l = joint_row(theta_b, len(robot.tubes)), joint_row(l_b, len(robot.tubes))  # noqa: E741 (as in the equations)
-    _refuse(robot)
+    refuse_other_kinds(robot)
     each, degree = Torus(robot.tubes, l).roots(np.diff(theta), float(theta[0]))
     in_order = tuple(sorted(each, key=lambda equilibrium: equilibrium.energy_J))
     return Equilibria(in_order, degree, partial(branches, robot, theta, l))
@@ -174,7 +174,7 @@ def branches(robot: Tubes, theta_b: ArrayLike, l_b: ArrayLike, *, accuracy: Accu
     InputError as `equilibria` does.
     """
     theta, l = joint_row(theta_b, len(robot.tubes)), joint_row(l_b, len(robot.tubes))  # noqa: E741
-    _refuse(robot)
+    refuse_other_kinds(robot)
     looked = _Looked(robot, theta, l, accuracy)
     looked.begin()
     looked.begin_beside()
@@ -196,19 +196,53 @@ def other_shapes(robot: Tubes, theta_b: ArrayLike, l_b: ArrayLike, tip_m: Array)
     return sorted((pair for pair in away if pair[0] > SAME_SHAPE_M), key=lambda pair: pair[0])
 
 
+@dataclass(frozen=True, eq=False)
+class OtherBranch:
+    """A branch that is not the one that was walked to."""
+
+    branch: Branch
+    turns: NDArray[np.int_]  # (P,) whole turns of the pairs' collars that lead to it
+    apart_m: Array  # (1 + C,) of its tip from that of the same friction state; NaN where it has no equilibrium
+
+
+def other_branches(each: Sequence[Branch], tip_m: Array) -> list[OtherBranch]:
+    """Those of `each` that lie apart from the tips (1 + C, 3) of what was walked to, and in which friction states.
+
+    Where what was walked to is not among them, nothing is known of turns: the branch nearest to it takes its place. No
+    turns are needed to one that friction alone leads to.
+    """
+    apart = [np.linalg.norm(branch.tip_m - tip_m, axis=1) for branch in each]
+    own = min(zip(apart, each, strict=True), key=lambda pair: np.nanmin(pair[0], initial=np.inf), default=(0, None))[1]
+    results = list[OtherBranch]()
+    for branch, away in zip(each, apart, strict=True):
+        if own is None or branch is own:
+            continue
+        both = np.flatnonzero(branch.solved & own.solved)
+        a, b = (both[0], both[0]) if len(both) else (branch.first, own.first)
+        turns = np.round((branch.twist_rad[a] - own.twist_rad[b]) / (2 * np.pi)).astype(int)
+        led = ~own.solved & (away <= SAME_SHAPE_M)  # from the own one, which ends before friction is there
+        if led.any():
+            turns, away = np.zeros_like(turns), np.linalg.norm(branch.tip_m - own.tip_m[own.first], axis=1)
+        away = np.where(away > SAME_SHAPE_M, away, np.nan)
+        if np.isfinite(away).any():
+            results.append(OtherBranch(branch, turns, away))
+    return results
+
+
 def is_unique(robot: Tubes, l_b: ArrayLike) -> bool:
     """Whether there is one equilibrium at every rotation of the collars, at translations (n,) [m].
 
     False where robots are of a kind that `equilibria` refuses.
     """
     try:
-        _refuse(robot)
+        refuse_other_kinds(robot)
     except InputError:
         return False
     return bool(np.all(Torus(robot.tubes, joint_row(l_b, len(robot.tubes))).signs() > 0))
 
 
-def _refuse(robot: Tubes) -> None:
+def refuse_other_kinds(robot: Tubes) -> None:
+    """Raises InputError for robots of which equilibria are not enumerated."""
     rule = ""
     if robot.loads != Loads():
         rule = "has loads, with which equilibria without clearance are not enumerated"

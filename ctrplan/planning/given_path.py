@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,6 +20,7 @@ from ctrplan.base.arrays import MM_PER_M, Array, numbers
 from ctrplan.base.long_work import Progress, part_of
 from ctrplan.certificate.certificate import Certificate, joined_certificates
 from ctrplan.certificate.certify import certify as certified_legs
+from ctrplan.certificate.problems import PARTED
 from ctrplan.drive.legs import distance_from_polyline, merge_legs
 from ctrplan.drive.trajectory import PERIOD, PERIOD_S, Trajectory
 from ctrplan.errors import InputError, NoAnswerError
@@ -29,6 +31,7 @@ from ctrplan.planning.reordering import assemble, least_error_order
 from ctrplan.plans.plan import Plan
 from ctrplan.scenario.joint_space import JointSpace
 from ctrplan.scenario.scenario import Goal
+from ctrplan.scenario.start_branch import followed, led_on, standing
 from ctrplan.scenario.tip_solver import angle_to
 
 if TYPE_CHECKING:
@@ -55,6 +58,7 @@ def certify(
     """
     given, timed = (path.position, path) if isinstance(path, Trajectory) else (path, timing)
     corners = _corners(scenario, given)
+    scenario = standing(scenario, corners)
     if timed is not None:
         _refuse_other_way(scenario, corners, timed)
     if timed is None or scenario.via:
@@ -62,20 +66,33 @@ def certify(
     space = JointSpace.of(scenario)
     if not space.allowed(corners):
         raise InputError(space.violation(corners), file=scenario.path, key="path")
-    return _certified(scenario, _stages(scenario, corners), progress, timed)
+    return _certified(scenario, _stages(scenario, corners), progress, timed, parts=True)
 
 
 def _certified(
-    scenario: Scenario, ways: list[Array], progress: Progress | None = None, timing: Trajectory | None = None
+    scenario: Scenario,
+    ways: list[Array],
+    progress: Progress | None = None,
+    timing: Trajectory | None = None,
+    parts: bool = False,
 ) -> Certificate:
-    """The certificate of ways from target to target; `timing` is that of a single one."""
+    """The certificate of ways from target to target; `timing` is that of a single one.
+
+    parts: whether the shape that is followed may part from the one that is solved at the joints by themselves.
+    """
     stages, start, starts = list[Certificate](), scenario.start, None
+    scenario = standing(scenario)
     for k, (goal, way) in enumerate(zip(scenario.targets, ways, strict=True)):
         stage = replace(scenario, start=start, goal=nearest_turn(scenario, start, goal), via=())
         told = part_of(progress, k, len(ways))
         given = timing if len(ways) == 1 else None
-        stages.append(certified_legs(stage, way, goal_test=either_arrives, starts=starts, timing=given, progress=told))
-        start, starts = way[-1], stages[-1].end_states or None
+        certified = partial(certified_legs, goal_test=either_arrives, starts=starts, timing=given, progress=told)
+        stages.append(certified(stage, way))
+        first = next(iter(stages[-1].problems), "")  # of a start that is refused it says so
+        if parts and any(words in first for words in PARTED) and scenario.robot.guide is None:
+            scenario = followed(scenario, way[0])
+            stages[-1] = certified(replace(stage, robot=scenario.robot), way)
+        start, starts, scenario = way[-1], stages[-1].end_states or None, led_on(scenario, way)
     return joined_certificates(stages)
 
 
@@ -92,6 +109,7 @@ def reorder(path: ArrayLike, scenario: Scenario, *, period_s: float = 0.01) -> P
         rule = "has several targets; give the path of one, with the goal alone, at a time"
         raise InputError(rule, file=scenario.path, key="target")
     corners = _corners(scenario, path)
+    scenario = standing(scenario, corners)
     if scenario.robot.drive.is_late and period_s != PERIOD_S:
         rule = f"must be {PERIOD_S:g} s: joints follow late, and the certificate follows that motion in time"
         raise InputError(rule, key="period_s", value=period_s, unit="s")
@@ -103,6 +121,7 @@ def reorder(path: ArrayLike, scenario: Scenario, *, period_s: float = 0.01) -> P
     if not result.motion_before.valid:
         raise NoAnswerError(f"{scenario.path or scenario.name}: path: not valid: {result.motion_before.reason}.")
     certificate = _certified(scenario, [result.after])
+    scenario = standing(scenario, result.after)
     elapsed = time.monotonic() - began
     return assemble(scenario, [result], certificate, planner="given path", seed=0, clock_s=elapsed, period_s=period_s)
 

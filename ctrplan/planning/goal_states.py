@@ -22,7 +22,8 @@ from ctrplan.base.long_work import ROOM_NS, SearchOver, cores
 from ctrplan.certificate.problems import with_shares
 from ctrplan.drive.drive import JOINT_ROUNDING
 from ctrplan.drive.legs import distance_from_polyline
-from ctrplan.errors import NoAnswerError
+from ctrplan.errors import InputError, NoAnswerError
+from ctrplan.mechanics.equilibria import SAME_SHAPE_M, branches, is_unique
 from ctrplan.mechanics.shapes import Status
 from ctrplan.motion.checker import MotionChecker
 from ctrplan.planning.reach import Configuration, Reach, bound_slopes, configuration, distinct_rows, reach
@@ -32,6 +33,7 @@ from ctrplan.scenario.scenario import Goal
 from ctrplan.scenario.tip_solver import GoalState, TipSolver, TipTarget, target_in_robot_frame, tip_target
 
 if TYPE_CHECKING:
+    from ctrplan.robot.robot import Robot
     from ctrplan.scenario.scenario import Goal, Scenario
 
 STEPS = 12
@@ -352,3 +354,34 @@ def _corners(checker: MotionChecker, q: Array, line: Array, within_m: float) -> 
         return split(a, middle) + split(middle, b)
 
     return [0, *split(0, len(q) - 1)]
+
+
+def shape_notes(scenario: Scenario, ends: Sequence[Array]) -> tuple[str, ...]:
+    """Sentences about which of several stable shapes a plan begins and ends in; `ends` are joints (m,) at each target.
+
+    The shape is the one that is solved at these joints by themselves: a walk that leads to another one is refused.
+    """
+    names = [f"At {goal.name or goal.table}" for goal in scenario.targets]
+    places = zip(("At the start", *names), (scenario.start, *ends), strict=True)
+    return tuple(note for where, joints in places if (note := _shape_note(scenario.robot, joints, where)))
+
+
+def _shape_note(robot: Robot, joints: Array, where: str) -> str:
+    theta_b, l_b = robot.drive.collars(joints)
+    if robot.n == 1 or is_unique(robot, l_b):
+        return ""
+    try:
+        each = branches(robot, theta_b, l_b)
+    except InputError:  # of a kind whose equilibria are not enumerated
+        return ""
+    tip_m = robot.mechanics.solve(theta_b, l_b).tip_m
+    by_distance = sorted(each, key=lambda one: float(np.linalg.norm(one.tip_m[one.first] - tip_m)))
+    away_mm = [float(np.linalg.norm(one.tip_m[one.first] - tip_m)) * MM_PER_M for one in by_distance]
+    others = [mm for mm in away_mm if mm > SAME_SHAPE_M * MM_PER_M]
+    if not others or len(others) == len(each):
+        return ""
+    twisted = ", ".join(f"{np.degrees(x):+.0f}" for x in by_distance[0].twist_rad[by_distance[0].first])
+    return (
+        f"{where} the robot stands in one of {len(others) + 1} stable shapes, that with pairs of tubes twisted by "
+        f"({twisted}) deg; the nearest other one is {others[0]:.1f} mm away."
+    )

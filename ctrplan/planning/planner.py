@@ -22,7 +22,7 @@ from ctrplan.certificate.certify import GoalTest, certify, frictionless_arrives,
 from ctrplan.certificate.closest import failure_with_place
 from ctrplan.certificate.friction_cube import refuse_many_tubes
 from ctrplan.certificate.narrow_samples import remembered_looks
-from ctrplan.certificate.other_equilibria import other_start, shape_notes
+from ctrplan.certificate.other_equilibria import other_start, unwinding
 from ctrplan.certificate.problems import with_shares
 from ctrplan.certificate.uneven_friction import NEAR_LIMIT_M
 from ctrplan.certificate.walked_legs import WalkedLegs, walk_legs
@@ -31,7 +31,15 @@ from ctrplan.errors import NoAnswerError
 from ctrplan.motion.checker import MotionChecker
 from ctrplan.planning.compensate import compensate, shifted_start
 from ctrplan.planning.endings import Settled, erase, settle, settled_again
-from ctrplan.planning.goal_states import follow_line, goal_states, is_at_goal, line_beginnings, nearest_turn, turn_notes
+from ctrplan.planning.goal_states import (
+    follow_line,
+    goal_states,
+    is_at_goal,
+    line_beginnings,
+    nearest_turn,
+    shape_notes,
+    turn_notes,
+)
 from ctrplan.planning.reordering import Reordered, as_given, assemble
 from ctrplan.planning.room import refuse_blocked_fixtures, refuse_impossible_margins, start_room, start_trouble
 from ctrplan.planning.search.stage_search import Candidate, Progress, Report, StageSearch
@@ -41,6 +49,7 @@ from ctrplan.plans.uncertainty import stated_uncertainty
 from ctrplan.robot.friction_calibration import friction_law
 from ctrplan.scenario.prediction import FrictionStart
 from ctrplan.scenario.scenario import CostTerm
+from ctrplan.scenario.start_branch import led_on, standing
 from ctrplan.scenario.tip_solver import GoalState
 
 if TYPE_CHECKING:
@@ -87,7 +96,7 @@ def plan(
     """
     if start_state is not None:
         scenario = scenario.observed(start_state)
-    scenario = replace(scenario, terms=(*scenario.terms, *rows_of("terms", terms, CostTerm)))
+    scenario = standing(replace(scenario, terms=(*scenario.terms, *rows_of("terms", terms, CostTerm))))
     began, laps, report = time.monotonic(), Laps(), progress or (lambda _: None)
     budget = float(scenario.planner.time_s if time_s is None else time_s)
     refuse_many_tubes(scenario.robot)
@@ -106,7 +115,12 @@ def plan(
         asked = _PlanRequest(
             seed, began, budget, budget, time_s is not None, report, interrupted, approaches, compensated
         )
-        first, stages, ended_by = _anytime_stages(scenario, asked)
+        try:
+            first, stages, ended_by = _anytime_stages(scenario, asked)
+        except NoAnswerError as error:
+            if way := unwinding(scenario):
+                raise NoAnswerError(f"{error} The robot is wound up at its start; {way}.") from None
+            raise
         spent_ns = [meter.spent_ns for meter in asked.meters]  # corrections at the end are no search
         laps.end("search")
         finish = _finish(scenario, stages, compensated, report)
@@ -118,6 +132,7 @@ def plan(
         notes += ("Along the line, joints move simultaneously.",)
     if any(path.style == "simultaneous" and not path.on_line for path in paths):
         notes += ("No path of rotations before translations was found in time; joints move simultaneously.",)
+    scenario = standing(scenario, np.concatenate(finish.ways))
     finished = assemble(
         scenario,
         paths,
@@ -228,7 +243,7 @@ def _stages(
             stages.append(run(search))
             spent += clock.now()
             ended_by = clock.name if clock.ran_out else ended_by
-        start = stages[-1][1].corners[-1]
+        start, scenario = stages[-1][1].corners[-1], led_on(scenario, stages[-1][1].corners)
     return stages, ended_by, spent
 
 
@@ -307,7 +322,7 @@ def _finish(scenario: Scenario, stages: Stages, compensated: bool, report: Repor
         if is_moved:
             is_rotation = best.checker.space.drive.is_rotation
             corners = shifted_start(corners, is_rotation, shift, keeps_end=stage.goal.tip_m is None)
-            stage = replace(stage, start=corners[0])
+            stage = replace(led_on(stage, np.array([stage.start, corners[0]])), start=corners[0])
         if is_moved or starts:
             certificate = certify(
                 stage, corners, goal_test=goal_test, starts=starts, restart=False, spare_m=NEAR_LIMIT_M
@@ -334,7 +349,7 @@ def _finish(scenario: Scenario, stages: Stages, compensated: bool, report: Repor
                 notes=("The motions to the targets are not compensated: no corrected one leads on to the next.",),
             )
         ways.append(corners)
-        certificates.append(with_restart(stage, certificate, starts))
+        certificates.append(with_restart(standing(stage, corners), certificate, starts))
         compensation = _with_steps(change, certificates[-1])
         shift = corners[-1] - best.result.after[-1]
     return _Finish(ways, joined_certificates(certificates), compensation, tuple(notes))

@@ -57,9 +57,10 @@ def friction_law(robot: Robot) -> FrictionLaw:
 
     Known since it was asked for before, from the cache, or calibrated on simulated histories now: a second or so.
     """
-    if robot not in _known:
-        _known[robot] = _stored_or_fitted(robot)
-    return _known[robot]
+    own = robot.unguided
+    if own not in _known:
+        _known[own] = _stored_or_fitted(own)
+    return _known[own]
 
 
 def _stored_or_fitted(robot: Robot) -> FrictionLaw:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import numpy as np
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from ctrplan.base.long_work import Progress
     from ctrplan.mechanics.core import Mechanics
     from ctrplan.mechanics.equilibria import Equilibria
+    from ctrplan.mechanics.guide import Guide
     from ctrplan.mechanics.history import History, Start, Walker
     from ctrplan.mechanics.shapes import Accuracy, Bound, Bounds, HistoryOptions, Shape
     from ctrplan.robot.observer import Observer
@@ -138,6 +139,7 @@ class Robot:
     content: Mapping[str, Any] = field(default_factory=dict)  # of the file after overrides, or of one that says this
     path: str | None = None
     warnings: tuple[str, ...] = ()
+    guide: Guide | None = None  # shapes of the branch that it stands on; None: that of a robot never wound up
 
     def __post_init__(self) -> None:
         """Checks what was made in code. Raises InputError unless neighbouring tubes have a contact each."""
@@ -192,7 +194,18 @@ class Robot:
         """The compiled model; where friction is an interval it uses the upper end, whose corners enclose the rest."""
         from ctrplan.mechanics.core import Mechanics
 
-        return Mechanics(self.tubes, self.clearance_m, self.friction[:, 1], self.loads)
+        return Mechanics(self.tubes, self.clearance_m, self.friction[:, 1], self.loads, self.guide)
+
+    @cached_property
+    def unguided(self) -> Robot:
+        """The robot as its file says it, on whichever branch this one stands."""
+        return self if self.guide is None else replace(self, guide=None)
+
+    def guided(self, guide: Guide) -> Robot:
+        """The robot on a branch of equilibria: whatever is solved of it begins from the shapes of `guide`."""
+        made = replace(self, guide=guide)
+        vars(made)["unguided"] = self.unguided
+        return made
 
     def headline(self) -> str:
         """Name and size of the robot, shown where it is printed."""
@@ -204,7 +217,7 @@ class Robot:
 
         Raises InputError for a field or key that there is not, and as files do.
         """
-        kept = {"effects": self.effects, "content": {}, "warnings": ()} | changes
+        kept = {"effects": self.effects, "content": {}, "warnings": (), "guide": None} | changes
         made = changed(self.ideal or self, **kept)
         if not overrides:
             return made
@@ -283,15 +296,8 @@ class Robot:
         for collars that do not nest, SolverError where nothing is solved.
         """
         _warn_of_degrees(theta_b)
-        return self.mechanics.bound(
-            theta_b,
-            l_b,
-            accuracy=accuracy,
-            corners=corners,
-            progress=progress,
-            gradient=gradient,
-            parameters=parameters,
-        )
+        bound = partial(self.mechanics.bound, accuracy=accuracy, corners=corners, progress=progress)
+        return bound(theta_b, l_b, gradient=gradient, parameters=parameters)
 
     def bound_many(
         self,

@@ -25,6 +25,7 @@ from ctrplan.scenario.scenario import CATALOGUE, DEFAULT, Goal, Margins, Scenari
 MotionStyle = Literal["rotations before translations", "simultaneous"]
 
 PROJECTIONS = 12  # rounds over limits and nesting, which are few and nearly orthogonal
+BENT_STEP_RAD, BENT_STEP_M = np.radians(2.0), 0.5e-3  # of a joint, along which a drive with effects moves straight
 MM_PER_RAD = 20.0  # where no scenario says otherwise
 
 
@@ -83,6 +84,17 @@ class JointSpace:
         if style == "simultaneous" or not rotation.any() or np.array_equal(rotation, delta):
             return np.array([a, a + delta])
         return np.array([a, a + rotation, a + delta])
+
+    def straight_steps(self, way: Array) -> Array:
+        """(S', m) joint values of a way (S, m) between which the drive's collars may be taken to move straight."""
+        if not self.drive.terms:
+            return way
+        most = np.where(self.drive.is_rotation, BENT_STEP_RAD, BENT_STEP_M)
+        parts = [way[:1]]
+        for a, b in itertools.pairwise(way):
+            count = max(1, int(np.ceil(np.max(np.abs(b - a) / most))))
+            parts.append(a + np.linspace(0, 1, count + 1)[1:, None] * (b - a))
+        return np.concatenate(parts)
 
     def allowed(self, q: ArrayLike) -> bool:
         """Whether limits and nesting hold at q (m,) or at every row of q (K, m)."""

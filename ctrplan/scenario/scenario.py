@@ -290,7 +290,7 @@ class Scenario:
 
         Raises InputError for a field or key that there is not, and as files do.
         """
-        made = changed(self, **({"content": {}, "warnings": ()} | changes))
+        made = changed(self, **({"content": {}, "warnings": (), "robot": self.robot.unguided} | changes))
         if not overrides:
             return made
         import ctrplan
@@ -375,7 +375,7 @@ def anatomy_grid(scenario: Scenario) -> SignedDistanceField | None:
     """The scenario's anatomy as a signed-distance field around the robot's reach, built once; None in free space."""
     if not scenario.anatomy:
         return None
-    grids = _GRIDS.setdefault(scenario.robot, {})
+    grids = _GRIDS.setdefault(scenario.robot.unguided, {})
     place = np.append(scenario.base_R.ravel(), scenario.base_position_m)
     key = (
         place.tobytes() + np.array([id(part) for part in scenario.anatomy]).tobytes()

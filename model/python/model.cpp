@@ -1,7 +1,10 @@
 // A robot's compiled model (ctr/model.hpp): what it answers, as arrays by name.
 #include "ctr/model.hpp"
 
+#include <nanobind/stl/optional.h>
+
 #include <memory>
+#include <optional>
 #include <tuple>
 
 #include "bindings.hpp"
@@ -17,8 +20,22 @@ namespace {
 using ctr::Model;
 using Directions = std::vector<std::tuple<std::vector<int>, std::vector<double>, double>>;  // indices into number_names, weights, step
 
-void make_model(Model* self, const std::vector<ctr::Tube>& tubes, const std::vector<ctr::Pair>& pairs, const ctr::Loads& loads) {
-    new (self) Model(ctr::Robot{tubes, pairs, loads});
+// guide: arc lengths s (K,), bases theta (R, n), l (R, n) and angles (R, n, K).
+using Guided = std::tuple<Vector, Matrix, Matrix, Tensor>;
+
+std::shared_ptr<const ctr::Guide> read(const Guided& given, std::size_t tubes) {
+    const auto& [s, theta, l, angles] = given;
+    const std::size_t rows = theta.shape(0), count = s.shape(0);
+    if (rows == 0 || count == 0 || theta.shape(1) != tubes || l.shape(0) != rows || l.shape(1) != tubes || angles.shape(0) != rows ||
+        angles.shape(1) != tubes || angles.shape(2) != count)
+        throw ctr::InvalidInput("a guide needs arc lengths (places), rotations and translations (rows, tubes), angles (rows, tubes, places)");
+    auto values = [](const auto& array) { return std::vector<double>(array.data(), array.data() + array.size()); };
+    return std::make_shared<const ctr::Guide>(ctr::Guide{values(s), values(theta), values(l), values(angles), tubes});
+}
+
+void make_model(Model* self, const std::vector<ctr::Tube>& tubes, const std::vector<ctr::Pair>& pairs, const ctr::Loads& loads,
+                const std::optional<Guided>& guide) {
+    new (self) Model(ctr::Robot{tubes, pairs, loads, guide ? read(*guide, tubes.size()) : nullptr});
 }
 
 nb::object zero_clearance(const Model& model, Vector theta, Vector l) {
@@ -141,7 +158,7 @@ std::unique_ptr<PathHistory> history(const Model& model, const std::string& leve
 
 void bind_model(nb::module_& m) {
     nb::class_<Model>(m, "Model")
-        .def("__init__", &make_model, "tubes"_a, "pairs"_a, "loads"_a)
+        .def("__init__", &make_model, "tubes"_a, "pairs"_a, "loads"_a, "guide"_a.none())
         .def("zero_clearance", &zero_clearance, "theta_b"_a.noconvert(), "l_b"_a.noconvert())
         .def("solve", &solve, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "phi"_a.noconvert(), "accuracy"_a, "refinement"_a)
         .def("bound", &bound, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "accuracy"_a, "extremes_only"_a, "progress"_a.none())

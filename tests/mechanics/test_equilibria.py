@@ -15,39 +15,26 @@ import numpy as np
 import pytest
 from made_up_input import FUZZ
 from places import ROBOTS, SCENARIOS
-from stated_plans import in_si, rvim
+from stated_plans import PAIR, bent, in_si, rvim
 
 import ctrplan
 from ctrplan.__main__ import main
 from ctrplan.base.arrays import Array
 from ctrplan.certificate.certify import certify
 from ctrplan.certificate.friction_states import BEYOND_BOUND_M
-from ctrplan.certificate.other_equilibria import other_start, shape_notes
+from ctrplan.certificate.other_equilibria import other_start
 from ctrplan.errors import InputError, SolverError
 from ctrplan.files.robot_file import load_robot, robot_from_dict
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.mechanics.equilibria import SAME_SHAPE_M, Torus, equilibria, is_unique, other_shapes
 from ctrplan.mechanics.friction import corner_signs
 from ctrplan.mechanics.shapes import Status
+from ctrplan.planning.goal_states import shape_notes
 from ctrplan.reports.live_state import LiveState
 from ctrplan.robot.robot import Robot
 from ctrplan.scenario.joint_space import JointSpace, bare_scenario
 from ctrplan.scenario.scenario import Goal
 from ctrplan.storage.toml_document import read_document
-
-PAIR = dict(read_document(ROBOTS / "table_5_pair.toml").content)
-
-
-def bent(factor: float, opposed_deg: float = 180, **joint: Any) -> Robot:
-    """The pair of Table V with so many times its precurvature, mounted so that the tubes are opposed at an angle."""
-    content, turned = copy.deepcopy(PAIR), np.radians(180 - opposed_deg)
-    for tube, angle in zip(content["tube"], (0.0, turned), strict=True):
-        for section in tube["section"]:
-            most = factor * section["curvature_y_per_m"]
-            section["curvature_x_per_m"], section["curvature_y_per_m"] = -most * np.sin(angle), most * np.cos(angle)
-    if joint:
-        content["joint"] = [{**given, **joint} if "theta" in given["moves"] else given for given in content["joint"]]
-    return robot_from_dict(content, file=str(ROBOTS / "bent.toml"))
 
 
 def collars(robot: Robot, count: int, seed: int) -> list[tuple[Array, Array]]:

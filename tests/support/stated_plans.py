@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from places import SCENARIOS
+from places import ROBOTS, SCENARIOS
 
 import ctrplan
 from ctrplan.anatomy.parts import AnatomyPart
@@ -20,6 +21,7 @@ from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.robot.robot import Robot
 from ctrplan.scenario.joint_space import bare_scenario
 from ctrplan.scenario.scenario import Goal, Scenario
+from ctrplan.storage.toml_document import read_document
 
 WIDE_M = 1.0  # bound that no tip leaves
 
@@ -63,6 +65,21 @@ def rvim() -> Robot:
         ],
     }  # fmt: skip
     return robot_from_dict(content)
+
+
+PAIR = dict(read_document(ROBOTS / "table_5_pair.toml").content)
+
+
+def bent(factor: float, opposed_deg: float = 180, **joint: Any) -> Robot:
+    """The pair of Table V with so many times its precurvature, mounted so that the tubes are opposed at an angle."""
+    content, turned = copy.deepcopy(PAIR), np.radians(180 - opposed_deg)
+    for tube, angle in zip(content["tube"], (0.0, turned), strict=True):
+        for section in tube["section"]:
+            most = factor * section["curvature_y_per_m"]
+            section["curvature_x_per_m"], section["curvature_y_per_m"] = -most * np.sin(angle), most * np.cos(angle)
+    if joint:
+        content["joint"] = [{**given, **joint} if "theta" in given["moves"] else given for given in content["joint"]]
+    return robot_from_dict(content, file=str(ROBOTS / "bent.toml"))
 
 
 def sphere(center_mm: Sequence[float], radius_mm: float) -> AnatomyPart:

@@ -9,6 +9,7 @@
 #include <memory>
 #include <vector>
 
+#include "ctr/guide.hpp"
 #include "ctr/kernel.hpp"
 #include "ctr/lane_state.hpp"
 #include "ctr/mesh.hpp"
@@ -19,14 +20,6 @@ namespace ctr {
 
 class ExactGeometry;
 class LoadMoments;
-
-// A shape that a solve begins from: angles [tube][count] of the tubes, outermost first, at arc lengths s [count] that ascend,
-// in between on straight lines, beyond as at the ends.
-struct GivenAngles {
-    const double *s, *theta;
-    std::size_t count;
-    double at(int tube, double place) const;
-};
 
 struct Convergence {
     bool converged = false;

@@ -2,9 +2,12 @@
 // Tubes are numbered from the outermost (0 here, 1 in the paper) to the innermost (n - 1); SI units throughout.
 #pragma once
 
+#include <memory>
 #include <stdexcept>
 #include <string>
 #include <vector>
+
+#include "ctr/guide.hpp"
 
 namespace ctr {
 
@@ -69,6 +72,7 @@ struct Robot {
     std::vector<Tube> tubes;
     std::vector<Pair> pairs;
     Loads loads;
+    std::shared_ptr<const Guide> guide = nullptr;  // null: on the branch that begins without precurvature
     int count() const { return static_cast<int>(tubes.size()); }
     bool loaded() const;        // whether any load acts
     bool softens() const;       // whether the stiffness of any tube drops somewhere

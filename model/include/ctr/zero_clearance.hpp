@@ -16,7 +16,8 @@ namespace ctr {
 
 class ZeroClearance {
   public:
-    // Follows the branch from vanishing precurvature to the robot's own. Returns false if the residual was not reached.
+    // Follows the branch from vanishing precurvature to the robot's own, or from the nearest shape of the robot's guide. Returns
+    // false if the residual was not reached.
     bool solve(const Robot& robot, const Configuration& q);
 
     // Looks for other stable equilibria by restarts with the inner tubes of a pair turned across opposed precurvatures. Makes
@@ -50,6 +51,11 @@ class ZeroClearance {
     void solve_system();
     bool correct(double scale, double first_step_limit);
     bool follow_branch();
+    bool follow_guide(const Robot& robot, const Configuration& q);
+    template <class Shape>
+    void begin_from(const Robot& robot, const Configuration& q, const Shape& shape);
+    template <class Shape>
+    double farthest_from(const Shape& shape) const;
     bool turn_and_correct(const std::vector<double>& twist);
     int locate(double s) const;
     template <class Visit>

@@ -142,15 +142,6 @@ void FrictionSolver::read_angles(const LaneState& state, int lane, const GivenAn
     }
 }
 
-double GivenAngles::at(int tube, double place) const {
-    const double* own = theta + static_cast<std::size_t>(tube) * count;
-    const std::size_t next = std::upper_bound(s, s + count, place) - s;
-    if (next == 0) return own[0];
-    if (next == count) return own[count - 1];
-    const double share = (place - s[next - 1]) / (s[next] - s[next - 1]);
-    return own[next - 1] + share * (own[next] - own[next - 1]);
-}
-
 void FrictionSolver::spread(const LaneState& from, LaneState& to) const {
     for (int lane = 0; lane < to.lanes(); ++lane) copy(from, to, lane);
 }

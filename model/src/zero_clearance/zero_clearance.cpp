@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
 #include "ctr/watch.hpp"
 
@@ -16,6 +17,7 @@ constexpr int kMaxNewton = 12;
 constexpr double kFirstCorrection = 0.35; // rad: a larger first corrector step means the predictor left the branch
 constexpr double kFirstStep = 0.5, kLongestStep = 0.5, kShortestStep = 1e-5;  // of the continuation
 constexpr double kBifurcationStep = 1e-3;
+constexpr double kRate = 1e-3;            // m, over which the twist of a given shape is taken
 
 double larger(double most, double value) { return value <= most ? most : value; }  // a NaN stays
 
@@ -70,12 +72,78 @@ bool ZeroClearance::follow_branch() {
     return true;
 }
 
+// shape(t, s): angles of another configuration near by, of tubes counted from the innermost.
+template <class Shape>
+void ZeroClearance::begin_from(const Robot& robot, const Configuration& q, const Shape& shape) {
+    build(robot, q);
+    for (int k = 0; k < nodes_; ++k)
+        for (int t = 0; t < n_; ++t) {
+            const double s = s_[k], behind = std::max(s - kRate, 0.0);
+            x_[k * ld_ + 2 * t] = k == 0 && is_clamped(t) ? base_theta_[t] : shape(t, s);
+            x_[k * ld_ + 2 * t + 1] = k < nodes_ - 1 || s < end_s_[t] ? (shape(t, s + kRate) - shape(t, behind)) / (s + kRate - behind) : 0.0;
+        }
+}
+
+template <class Shape>
+double ZeroClearance::farthest_from(const Shape& shape) const {
+    double most = 0;
+    for (int k = 0; k < nodes_; ++k)
+        for (int t = 0; t < n_; ++t) most = larger(most, std::fabs(x_[k * ld_ + 2 * t] - shape(t, s_[k])));
+    return most;
+}
+
+// Straight from the nearest shape of the guide, each solution from the one before, by shorter steps where the next is not
+// reached.
+bool ZeroClearance::follow_guide(const Robot& robot, const Configuration& q) {
+    const int tubes = n_;
+    Configuration from;
+    const std::size_t row = robot.guide->nearest(q, from);
+    const GivenAngles given = robot.guide->shape(row);
+    std::vector<double> turns(tubes);
+    for (int t = 0; t < tubes; ++t) turns[t] = from.theta[tubes - 1 - t] - robot.guide->theta[row * tubes + tubes - 1 - t];
+    const auto shape = [&](int t, double s) { return given.at(tubes - 1 - t, s) + turns[t]; };
+    begin_from(robot, from, shape);
+    if (!correct(1.0, 1e9) || farthest_from(shape) > kAligned) {  // the branch has none without clearance: its own shape
+        begin_from(robot, q, shape);
+        return false;
+    }
+    const double length = Guide::steps(from, q);
+    double done = 0, step = length > 1 ? 1 / length : 1;
+    ZeroClearance before;
+    while (done < 1 && length > 0) {
+        const double next = done + step > 1 - 1e-9 ? 1 : done + step;
+        Configuration at = q;
+        for (int i = 0; i < tubes && next < 1; ++i) {
+            at.theta[i] = from.theta[i] + next * (q.theta[i] - from.theta[i]);
+            at.l[i] = from.l[i] + next * (q.l[i] - from.l[i]);
+        }
+        std::swap(*this, before);
+        begin_from(robot, at, [&](int t, double s) { return before.theta(t, s); });
+        if (correct(1.0, kFirstCorrection)) {
+            done = next;
+            step = std::min(2 * step, length > 1 ? 1 / length : 1.0);
+            continue;
+        }
+        step *= 0.5;
+        if (step * length < kBifurcationStep) {
+            begin_from(robot, q, [&](int t, double s) { return before.theta(t, s); });
+            return false;
+        }
+        std::swap(*this, before);
+    }
+    return true;
+}
+
 bool ZeroClearance::solve(const Robot& robot, const Configuration& q) {
     build(robot, q);
     iterations_ = negative_ = 0;
     unique_ = nodes_ < 2 || is_convex();
     if (nodes_ < 2) return true;
-    if (!(unique_ && correct(1.0, 1e9))) {
+    if (!unique_ && robot.guide) {
+        const bool done = follow_guide(robot, q);
+        unique_ = false;
+        if (!done) return false;
+    } else if (!(unique_ && correct(1.0, 1e9))) {
         for (int k = 0; k < nodes_; ++k)
             for (int t = 0; t < n_; ++t) {
                 x_[k * ld_ + 2 * t] = base_theta_[t];
