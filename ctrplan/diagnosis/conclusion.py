@@ -94,9 +94,8 @@ def conclude(
         if first.interrupted or (first.partly and not first.partly.is_noise):
             return _with_built(first, first, teller)
     result = _ordinary(data, usable, wrong, bench, parts, known, teller)
-    is_alone = result.compared is None or result.compared.posterior.of_unknown < 1 / 2
-    explained = result.judgement.verdict != "unexplained" or (result.judgement.adequacy.is_adequate and is_alone)
-    if explained or result.interrupted or is_long:
+    is_explained = result.compared is None or result.compared.posterior.of_unknown < 1 / 2
+    if is_explained or is_long:
         return result
     part = _beside_a_remainder(result, data, usable, noise, known, teller)
     return _with_built(part, part if part.judgement.verdict == "partial" or part.interrupted else result, teller)
@@ -157,7 +156,7 @@ def _beside_a_remainder(
 def _nothing(data: Measurements, parts: Split, bench: Workbench, wrong: NDArray[np.bool_]) -> Conclusion:
     """Before any search."""
     base = bench.scored([])
-    judgement = Judgement("unexplained", (), remains(bench, base), ())
+    judgement = Judgement("unexplained", (), remains(bench, base))
     return Conclusion(bench, (), base, base, judgement, parts, groups(data), bench.noise, False, wrong, ())
 
 
@@ -222,13 +221,13 @@ def _searched(bench: Workbench, known: Candidates, teller: Teller) -> _Searched:
         scaled, note = rescaled_noise(adequacy, bench.noise, *_norms(result.chosen))
         notes += [note] if note else []
         if scaled is not None:
-            bench = Workbench(bench.robot, bench.data, scaled, bench.group, bench.fold)
+            bench = Workbench(bench.robot, bench.data, scaled, bench.group)
             result = _most_probable(bench, known, teller)
         return replace(result, notes=tuple(notes))
     except Interrupted:
         bench.pause = lambda: None
         base = bench.scored([])
-        judgement = Judgement("unexplained", (), remains(bench, base), ())
+        judgement = Judgement("unexplained", (), remains(bench, base))
         return _Searched(bench, base, judgement, (), (*notes, INTERRUPTED), None)
 
 

@@ -31,12 +31,10 @@ from ctrplan.calibration.discrepancy import Linearised
 from ctrplan.calibration.least_squares import Fit
 from ctrplan.calibration.residuals import Noise
 from ctrplan.diagnosis.correlated_bench import FRAMES
-from ctrplan.diagnosis.cross_validation import Linear
-from ctrplan.diagnosis.term_dictionary import pieces
-from ctrplan.diagnosis.term_search import is_built
+from ctrplan.diagnosis.term_pieces import is_built, pieces
 from ctrplan.diagnosis.unknown_errors import Peak, UnknownErrors, without_error
 from ctrplan.diagnosis.verdict import ACTS, UNKNOWN_ACTS, Posterior, log_odds, normalised
-from ctrplan.diagnosis.workbench import Candidates, Scored, Workbench, linear
+from ctrplan.diagnosis.workbench import Candidates, Linear, Scored, Workbench, linear
 from ctrplan.pipeline.term import Term
 
 MOST_EFFECTS = 4  # of a set
@@ -163,9 +161,9 @@ class _Comparison:
     ) -> None:
         self.bench, self.known = bench, known
         self.of_piece = float(np.log(len(pieces(bench.robot, bench.data, known.terms))))  # of which a term is built
-        self.root = np.sqrt(np.where(base.failed | chosen.failed, 0.0, chosen.fit.residuals.weight))[:, None]
+        self.root = np.sqrt(np.where(base.failed | chosen.failed, 0.0, chosen.fit.residuals.weight))
         ends = [self.as_fitted(scored) for scored in (base, chosen)]
-        self.errors = UnknownErrors(bench, base, chosen, ends, self.root[:, 0])
+        self.errors = UnknownErrors(bench, base, chosen, ends, self.root)
         self.known_sets: dict[Scored, _Set] = {}  # with all frames that are free
         self._weights: dict[Scored, float] = {}  # with some of them or none
         self._evidence: dict[frozenset[str], _Set] = {}  # of sets that were fitted
@@ -348,13 +346,9 @@ class _Comparison:
         without: Collection[str] = (),
     ) -> Linearised:
         """Residuals at the priors' centres over the noise alone, as poses count; without some effects' parameters."""
-        r, J = fit.r, fit.J
-        if noise.discrepancy is not None:
-            r, J = noise.discrepancy.coloured(r), noise.discrepancy.coloured(J)
         precision = fit.precision / np.square([widths.get(name, STATED).over_stated for name in owners])
-        kept = [k for k, name in enumerate(owners) if name not in without]
-        centred = self.root * (r + J @ fit.offset)
-        return Linearised(centred, (self.root[:, :, None] * J)[:, :, kept], precision[kept])
+        kept, centred = [k for k, name in enumerate(owners) if name not in without], fit.centred(noise, self.root)
+        return Linearised(centred.r, centred.J[:, :, kept], precision[kept])
 
     def _cost(self, names: Iterable[str], widths: Mapping[str, Width]) -> float:
         """Logarithm of what the choice of one variant of each effect and of its width cost."""

@@ -1,6 +1,4 @@
-"""Fits of the base with sets of effects, each with its cross-validation score, and the effects that the data can
-test.
-"""
+"""Fits of the base with sets of effects, their linearisations, and the effects that the data can test."""
 
 from __future__ import annotations
 
@@ -11,12 +9,13 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
 
 from ctrplan.base.arrays import Array
+from ctrplan.calibration.discrepancy import Linearised
 from ctrplan.calibration.least_squares import Fit, fit, fit_at
 from ctrplan.calibration.parameters import ABSOLUTE_STIFFNESS, BaseParameters
-from ctrplan.calibration.residuals import UNSOUND, Noise, residuals, robust_square
-from ctrplan.diagnosis.cross_validation import Linear, cross_validation_loss
+from ctrplan.calibration.residuals import PER_POSE, UNSOUND, Noise, residuals, robust_square
 from ctrplan.effects.effect import CATALOGUE, Effect
 from ctrplan.errors import InputError
 from ctrplan.measurement.measurements import Measurements
@@ -74,8 +73,75 @@ def candidates(
     return Candidates(tuple(terms), reasons, {**Counter(t.name for t in terms), **(more or {})})
 
 
-CERTAIN = 2.0  # standard errors over groups or blocks by which a gain exceeds zero that is taken for one
-SURE = 3.0  # of the same, where much was asked or something remains
+@dataclass(frozen=True, eq=False)
+class Linear:
+    """A linearised fit: whitened residuals r (K, 5), derivatives J (K, 5, P), weights (K,), prior precision (P,)."""
+
+    r: Array
+    J: Array
+    weight: Array
+    precision: Array
+    offset: Array  # (P,) distance of the parameters from the priors' centres
+    given: NDArray[np.bool_]  # (K, 5) numbers that were measured; the others are zero in r and J
+
+    def columns(self, chosen: list[int]) -> Linear:
+        """The fit with some of the parameters only."""
+        return replace(self, J=self.J[:, :, chosen], precision=self.precision[chosen], offset=self.offset[chosen])
+
+    def without(self, gone: NDArray[np.bool_]) -> Linear:
+        """With some of the parameters, mask (P,), back at the priors' centres, and no longer fitted."""
+        back = replace(self, r=self.r + self.J[:, :, gone] @ self.offset[gone])
+        return back.columns(np.flatnonzero(~gone).tolist())
+
+    def refitted(self) -> Linear:
+        """After one Gauss-Newton step."""
+        H, gradient = self._system()
+        step = solved(H, gradient - self.precision * self.offset)
+        return replace(self, r=self.r - self.J @ step, offset=self.offset + step)
+
+    def centred(self, noise: Noise, root: Array) -> Linearised:
+        """Residuals at the priors' centres over the noise alone, as poses count: by roots (K,)."""
+        seen = self.coloured(noise)
+        return Linearised(root[:, None] * (seen.r + seen.J @ self.offset), root[:, None, None] * seen.J, self.precision)
+
+    def coloured(self, noise: Noise) -> Linear:
+        """The fit over the noise alone, without the discrepancy that it was fitted beside."""
+        if (rest := noise.discrepancy) is None:
+            return self
+        return replace(self, r=rest.coloured(self.r), J=rest.coloured(self.J))
+
+    def _system(self) -> tuple[Array, Array]:
+        J, w = self.J.reshape(-1, self.J.shape[2]), np.repeat(self.weight, PER_POSE)
+        return J.T @ (w[:, None] * J) + np.diag(self.precision), J.T @ (w * self.r.ravel())
+
+
+def left_out_residuals(fit: Linear, group: NDArray[np.int_]) -> Array:
+    """(K, 5) residuals of every pose when its group (K,) had not been fitted.
+
+    With r = y - J p and H = J^T W J + prior, those of a group move to r_g + J_g (H - J_g^T W J_g)^-1 J_g^T W r_g.
+    """
+    H, _ = fit._system()
+    left = np.empty_like(fit.r)
+    for number in np.unique(group):
+        inside = group == number
+        J, r, w = fit.J[inside].reshape(-1, len(H)), fit.r[inside].ravel(), np.repeat(fit.weight[inside], PER_POSE)
+        moved = r + J @ solved(H - J.T @ (w[:, None] * J), J.T @ (w * r))
+        left[inside] = moved.reshape(-1, PER_POSE)
+    return left
+
+
+def solved(matrix: Array, right: Array) -> Array:
+    """For a symmetric matrix whose rows may differ by many orders of magnitude."""
+    scale = 1 / np.sqrt(np.maximum(np.diag(matrix), np.finfo(float).tiny))
+    scaled = matrix * np.outer(scale, scale)
+    shaped = scale if right.ndim == 1 else scale[:, None]
+    try:
+        solved: Array = shaped * cho_solve(cho_factor(scaled, check_finite=False), shaped * right, check_finite=False)
+    except np.linalg.LinAlgError:  # not positive definite by rounding: what nothing determines stays where it is
+        solved = shaped * np.linalg.lstsq(scaled, shaped * right, rcond=1e-13)[0]
+    return solved
+
+
 MOST_WIDENINGS = 3
 WIDENED_FROM = 1.1  # standard deviations of a prior
 WORTH_ANOTHER = 2.0  # of the loss, to fit a set again from another place
@@ -84,16 +150,10 @@ CORRECTIONS = {False: 1, True: 2}  # rounds, of poses at rest and of a continuou
 
 @dataclass(frozen=True, eq=False)
 class Scored:
-    """A fit and what it says of poses it has not seen."""
+    """A set of effects and its fit together with the base."""
 
     terms: tuple[Term, ...]  # without the base
     fit: Fit
-    held_out: Array  # (K,) robust squares
-
-    @property
-    def score(self) -> float:
-        """Held-out log-likelihood, up to a constant."""
-        return float(-self.held_out.sum() / 2)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -122,7 +182,6 @@ class Linearisation:
 
     keys: tuple[tuple[str, str], ...]
     whole: Linear
-    variants: tuple[Term, ...]  # that were asked for besides the fit's own terms
 
     def of(self, terms: Sequence[Term]) -> Linear:
         """The linearisation in the parameters of some terms; the others stay where they are."""
@@ -136,26 +195,13 @@ class Linearisation:
         wanted = {(t.name, q.name) for t in terms for q in t.parameters}
         return [k for k, key in enumerate(self.keys) if key in wanted]
 
-    def without(self, gone: Term) -> Linearisation:
-        """With one of its effects taken back to where it does nothing, and none of its parameters."""
-        mine: NDArray[np.bool_] = np.array([name == gone.name for name, _ in self.keys])
-        keys = tuple(key for key, gone in zip(self.keys, mine, strict=True) if not gone)
-        return Linearisation(keys, self.whole.without(mine), self.variants)
-
-    def others(self, among: Sequence[Term]) -> list[Term]:
-        """Variants of effects that are not among the terms."""
-        names = {t.name for t in among}
-        return [t for t in self.variants if t.name not in names]
-
 
 class Workbench:
     """Everything that stays the same while sets of effects are compared."""
 
-    def __init__(
-        self, robot: Robot, data: Measurements, noise: Noise, group: NDArray[np.int_], fold: NDArray[np.int_]
-    ) -> None:
-        """group (K,): poses that count as one where gains are compared; fold (K,): those left out together."""
-        self.robot, self.data, self.noise, self.group, self.fold = robot, data, noise, group, fold
+    def __init__(self, robot: Robot, data: Measurements, noise: Noise, group: NDArray[np.int_]) -> None:
+        """group (K,): poses that are left out together."""
+        self.robot, self.data, self.noise, self.group = robot, data, noise, group
         self.pause: Callable[[], None] = lambda: None  # called between fits; may raise to stop
         self._correction: tuple[Array, Array] | None = None
         self._done: dict[frozenset[str], Scored] = {}
@@ -183,10 +229,6 @@ class Workbench:
         """What is fitted besides `terms`, whatever they are."""
         return [self.base(terms)]
 
-    def loss(self, system: Linear) -> Array:
-        """(K,) of poses whose fold had not been fitted."""
-        return cross_validation_loss(system, self.fold)
-
     def scored(self, terms: Sequence[Term], *near: Fit | None) -> Scored:
         """The base and `terms` fitted together, from the values of a fit in `near` where it has them.
 
@@ -203,19 +245,15 @@ class Workbench:
             chain = self.chain([*self.basis(terms), *terms])
             start, promised = self._start(chain, places, compared=known is not None)
             if known is None or promised < known.fit.residuals.loss - WORTH_ANOTHER:
-                result = self._fitted(tuple(terms), chain, start)
+                result = Scored(tuple(terms), fit(chain, self.noise, self.whitening_group, start))
                 known = result if known is None or result.fit.loss < known.fit.loss else known
                 self._done[key] = known
         return known
 
-    def _fitted(self, terms: tuple[Term, ...], chain: ParametricChain, start: Array) -> Scored:
-        best = fit(chain, self.noise, self.whitening_group, start)
-        return Scored(terms, best, self.loss(linear(best)))
-
     def continued(self, scored: Scored) -> Scored:
         """A set whose fit has used up its steps, fitted on from there until it converges or gets no better."""
         while not scored.fit.converged:
-            further = self._fitted(scored.terms, scored.fit.chain, scored.fit.p)
+            further = replace(scored, fit=fit(scored.fit.chain, self.noise, self.whitening_group, scored.fit.p))
             if further.fit.loss > scored.fit.loss - WORTH_ANOTHER:
                 break
             scored = self._done[frozenset(t.key for t in scored.terms)] = further
@@ -341,7 +379,7 @@ class Workbench:
         result = residuals(self.data, chain.predict(p), self.noise, self.whitening_group)
         weight = here.fit.residuals.weight
         whole = Linear(result.r, result.J, weight, 1 / chain.prior**2, p - chain.neutral, result.given)
-        return Linearisation(tuple(keys), whole, tuple(others))
+        return Linearisation(tuple(keys), whole)
 
     def _tried_out(
         self, here: Scored, other: Term, completed: Callable[[Sequence[Term], Term], Sequence[Term]]
@@ -352,30 +390,6 @@ class Workbench:
         start, _ = self._start(chain, [here.fit])
         there = linear(fit_at(chain, self.noise, self.whitening_group, start)).refitted()
         return Screened(other, there, tuple(t.name for t in chain.terms for _ in t.parameters))
-
-    def by_group(self, gain: Array) -> Array:
-        """(B,) sums over poses that count as one, of values (K,)."""
-        number = np.unique(self.group, return_inverse=True)[1].ravel()
-        return np.asarray(np.bincount(number, weights=gain), dtype=np.float64)
-
-    def difference(self, a: Scored, b: Scored) -> tuple[float, float]:
-        """How much better `a` predicts than `b` (log-likelihood), and the standard error of that over groups."""
-        return summed(self.by_group((b.held_out - a.held_out) / 2))
-
-
-def summed(gains: Array) -> tuple[float, float]:
-    """The sum over blocks (B,) and its standard error."""
-    return float(gains.sum()), float(np.sqrt(len(gains)) * gains.std(ddof=1))
-
-
-def certainty(gains: Array) -> float:
-    """How many standard errors blocks' gains (B,) lie above zero on average, themselves or their signed roots.
-
-    A gain is half the square of how far an effect stands out: where it stands out much in few blocks, roots are nearer
-    to Gaussian.
-    """
-    roots = np.sign(gains) * np.sqrt(np.abs(gains))
-    return max(float(np.sqrt(len(x)) * x.mean() / max(float(x.std(ddof=1)), 1e-9)) for x in (gains, roots))
 
 
 def _widened(t: Term, p: Array) -> Term:

@@ -18,7 +18,7 @@ from packed_page import library
 
 from ctrplan.__main__ import main
 from ctrplan.diagnosis import CATALOGUE, Diagnosis, diagnose
-from ctrplan.diagnosis.gap import localise
+from ctrplan.diagnosis.remainder import localise
 from ctrplan.errors import InputError
 from ctrplan.files.robot_file import load_robot, write_robot
 from ctrplan.measurement.measurements import Measurements, split
@@ -199,7 +199,7 @@ def test_a_blank_does_not_hide_what_the_error_goes_along_with() -> None:
     assert place.trends[0].quantity == "temperature_C" and place.trends[0].share > 0.6
     warmth[:] = np.where(np.arange(len(warmth)) > np.median(PLAN.rows), 20.0, np.nan)  # blank or not says it all
     place = localise(replace(PLAN, time_s=None, more={"temperature_C": warmth}), r, group, np.ones(len(r)), 0.1)
-    assert place.trends[0].quantity == "temperature_C" and place.trends[0].p < 0.05
+    assert place.trends[0].quantity == "temperature_C" and place.trends[0].probability > 0.95
 
 
 TIP_LOAD = BASE | {"tip_load": {"force_x_N": 0.15, "force_y_N": -0.12, "force_z_N": 0.0}}

@@ -30,7 +30,7 @@ def jumped(step_mm: float, seed: int = 1) -> Measurements:
 
 
 def beside(data: Measurements, *terms: Term) -> tuple[Workbench, Scored]:
-    bench = Workbench(ROBOT, data, noise_floor(ROBOT, data)[0], data.configuration, data.configuration % 6)
+    bench = Workbench(ROBOT, data, noise_floor(ROBOT, data)[0], data.configuration)
     return bench, bench.scored(terms)
 
 
