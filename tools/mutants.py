@@ -150,7 +150,7 @@ MUTANTS = (
         "tests/calibration/test_wrong_poses.py tests/diagnosis/test_gross_outliers.py",
     ),
     Mutant(
-        "ctrplan/diagnosis/workbench.py",
+        "ctrplan/diagnosis/linear_fit.py",
         "moved = r + J @ solved(",
         "moved = r - J @ solved(",
         "a group left out has the residual of a refit without it",

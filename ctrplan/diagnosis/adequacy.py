@@ -19,7 +19,8 @@ from ctrplan.base.arrays import Array
 from ctrplan.calibration.fit_warnings import OUTLIER, excused
 from ctrplan.calibration.observed_noise import LEAST_SPARE, ObservedNoise, observed_noises, repeats
 from ctrplan.calibration.residuals import NO_TANGENT_SIGMA, PAPER, PER_POSE, Noise, Residuals, information_inverse
-from ctrplan.diagnosis.workbench import Linear, Scored, Workbench, linear
+from ctrplan.diagnosis.linear_fit import Linear
+from ctrplan.diagnosis.workbench import Scored, Workbench, linear
 from ctrplan.errors import InputError
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.robot.robot import Robot

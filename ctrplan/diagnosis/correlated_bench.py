@@ -22,7 +22,8 @@ from ctrplan.calibration.discrepancy import Discrepancy
 from ctrplan.calibration.fit_warnings import PHYSICAL_POISSON
 from ctrplan.calibration.least_squares import Fit, fit, fit_at
 from ctrplan.calibration.residuals import Noise
-from ctrplan.diagnosis.workbench import Scored, Workbench, left_out_residuals, linear
+from ctrplan.diagnosis.linear_fit import left_out_residuals
+from ctrplan.diagnosis.workbench import Scored, Workbench, linear
 from ctrplan.effects.effect import CATALOGUE
 from ctrplan.measurement.approach import clock
 from ctrplan.measurement.measurements import Measurements

@@ -17,12 +17,13 @@ from ctrplan.base.arrays import Array
 from ctrplan.calibration.residuals import Noise
 from ctrplan.diagnosis.adequacy import Adequacy, remains
 from ctrplan.diagnosis.correlated_bench import FRAMES, HOMED, SHIFT, CorrelatedBench, frames_beside
+from ctrplan.diagnosis.linear_fit import left_out_residuals
 from ctrplan.diagnosis.posterior import Compared, Report, SelectionStep, settled
 from ctrplan.diagnosis.remainder import Remainder, localise, shares
 from ctrplan.diagnosis.term_pieces import is_built
 from ctrplan.diagnosis.usable_poses import block_split, blocks, on_one_branch, thinned, thinning
 from ctrplan.diagnosis.verdict import Judgement, Verdict, findings_of
-from ctrplan.diagnosis.workbench import Candidates, Scored, Workbench, left_out_residuals, linear
+from ctrplan.diagnosis.workbench import Candidates, Scored, Workbench, linear
 from ctrplan.measurement.measurements import Measurements, Split
 from ctrplan.pipeline.term import Term
 from ctrplan.robot.robot import Robot

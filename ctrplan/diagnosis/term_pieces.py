@@ -19,7 +19,8 @@ import numpy as np
 from ctrplan.base.arrays import Array
 from ctrplan.calibration.residuals import residuals
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
-from ctrplan.diagnosis.workbench import Linear, Scored, values_by_name
+from ctrplan.diagnosis.linear_fit import Linear
+from ctrplan.diagnosis.workbench import Scored, values_by_name
 from ctrplan.effects.effect import sliding, turning
 from ctrplan.effects.learned import parts
 from ctrplan.effects.learned.inputs import InputRange, Situation, Target, values

@@ -9,13 +9,12 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
 
 from ctrplan.base.arrays import Array
-from ctrplan.calibration.discrepancy import Linearised
 from ctrplan.calibration.least_squares import Fit, fit, fit_at
 from ctrplan.calibration.parameters import ABSOLUTE_STIFFNESS, BaseParameters
-from ctrplan.calibration.residuals import PER_POSE, UNSOUND, Noise, residuals, robust_square
+from ctrplan.calibration.residuals import UNSOUND, Noise, residuals, robust_square
+from ctrplan.diagnosis.linear_fit import Linear, widths_of
 from ctrplan.effects.effect import CATALOGUE, Effect
 from ctrplan.errors import InputError
 from ctrplan.measurement.measurements import Measurements
@@ -73,77 +72,6 @@ def candidates(
     return Candidates(tuple(terms), reasons, {**Counter(t.name for t in terms), **(more or {})})
 
 
-@dataclass(frozen=True, eq=False)
-class Linear:
-    """A linearised fit: whitened residuals r (K, 5), derivatives J (K, 5, P), weights (K,), prior precision (P,)."""
-
-    r: Array
-    J: Array
-    weight: Array
-    precision: Array
-    offset: Array  # (P,) distance of the parameters from the priors' centres
-    given: NDArray[np.bool_]  # (K, 5) numbers that were measured; the others are zero in r and J
-
-    def columns(self, chosen: list[int]) -> Linear:
-        """The fit with some of the parameters only."""
-        return replace(self, J=self.J[:, :, chosen], precision=self.precision[chosen], offset=self.offset[chosen])
-
-    def without(self, gone: NDArray[np.bool_]) -> Linear:
-        """With some of the parameters, mask (P,), back at the priors' centres, and no longer fitted."""
-        back = replace(self, r=self.r + self.J[:, :, gone] @ self.offset[gone])
-        return back.columns(np.flatnonzero(~gone).tolist())
-
-    def refitted(self) -> Linear:
-        """After one Gauss-Newton step."""
-        H, gradient = self._system()
-        step = solved(H, gradient - self.precision * self.offset)
-        return replace(self, r=self.r - self.J @ step, offset=self.offset + step)
-
-    def centred(self, noise: Noise, root: Array) -> Linearised:
-        """Residuals at the priors' centres over the noise alone, as poses count: by roots (K,)."""
-        seen = self.coloured(noise)
-        return Linearised(root[:, None] * (seen.r + seen.J @ self.offset), root[:, None, None] * seen.J, self.precision)
-
-    def coloured(self, noise: Noise) -> Linear:
-        """The fit over the noise alone, without the discrepancy that it was fitted beside."""
-        if (rest := noise.discrepancy) is None:
-            return self
-        return replace(self, r=rest.coloured(self.r), J=rest.coloured(self.J))
-
-    def _system(self) -> tuple[Array, Array]:
-        J, w = self.J.reshape(-1, self.J.shape[2]), np.repeat(self.weight, PER_POSE)
-        return J.T @ (w[:, None] * J) + np.diag(self.precision), J.T @ (w * self.r.ravel())
-
-
-def left_out_residuals(fit: Linear, group: NDArray[np.int_]) -> Array:
-    """(K, 5) residuals of every pose when its group (K,) had not been fitted.
-
-    With r = y - J p and H = J^T W J + prior, those of a group move to r_g + J_g (H - J_g^T W J_g)^-1 J_g^T W r_g.
-    """
-    H, _ = fit._system()
-    left = np.empty_like(fit.r)
-    for number in np.unique(group):
-        inside = group == number
-        J, r, w = fit.J[inside].reshape(-1, len(H)), fit.r[inside].ravel(), np.repeat(fit.weight[inside], PER_POSE)
-        moved = r + J @ solved(H - J.T @ (w[:, None] * J), J.T @ (w * r))
-        left[inside] = moved.reshape(-1, PER_POSE)
-    return left
-
-
-def solved(matrix: Array, right: Array) -> Array:
-    """For a symmetric matrix whose rows may differ by many orders of magnitude."""
-    scale = 1 / np.sqrt(np.maximum(np.diag(matrix), np.finfo(float).tiny))
-    scaled = matrix * np.outer(scale, scale)
-    shaped = scale if right.ndim == 1 else scale[:, None]
-    try:
-        solved: Array = shaped * cho_solve(cho_factor(scaled, check_finite=False), shaped * right, check_finite=False)
-    except np.linalg.LinAlgError:  # not positive definite by rounding: what nothing determines stays where it is
-        solved = shaped * np.linalg.lstsq(scaled, shaped * right, rcond=1e-13)[0]
-    return solved
-
-
-MOST_WIDENINGS = 3
-WIDENED_FROM = 1.1  # standard deviations of a prior
 WORTH_ANOTHER = 2.0  # of the loss, to fit a set again from another place
 CORRECTIONS = {False: 1, True: 2}  # rounds, of poses at rest and of a continuous motion
 
@@ -316,28 +244,20 @@ class Workbench:
         return changed
 
     def sized(self, scored: Scored) -> Scored:
-        """The set with priors of its effects as wide as their estimates are large.
+        """The set with priors of its effects as wide as is most probable, where that is wider than stated.
 
         Priors say where to look. The size of an effect that is there is for the data to say: a prior that it exceeds
         would draw it in and make its interval too narrow.
         """
         key = scored, self.noise
         if key not in self._sized:
-            self._sized[key] = self._freed(scored)
+            chain = scored.fit.chain
+            owners = [t.name for t in chain.terms for _ in t.parameters]
+            wide = {name: w.over_stated for name, w in widths_of(linear(scored.fit), owners, scored.names).items()}
+            terms = [_widened(t, max(1.0, wide.get(t.name, 1.0))) for t in chain.terms]
+            freed = fit(chain.with_terms(terms), self.noise, self.whitening_group, scored.fit.p)
+            self._sized[key] = replace(scored, fit=freed) if max(wide.values(), default=1.0) > 1 else scored
         return self._sized[key]
-
-    def _freed(self, scored: Scored) -> Scored:
-        for _ in range(MOST_WIDENINGS):
-            chain, p = scored.fit.chain, scored.fit.p
-            terms = [
-                t if t.name not in scored.names else _widened(t, p[s])
-                for t, s in zip(chain.terms, chain.slices(), strict=True)
-            ]
-            if all(a is b for a, b in zip(terms, chain.terms, strict=True)):
-                break
-            wide = chain.with_terms(terms)
-            scored = replace(scored, fit=fit(wide, self.noise, self.whitening_group, p))
-        return scored
 
     def screened(
         self, here: Scored, others: Sequence[Term], completed: Callable[[Sequence[Term], Term], Sequence[Term]]
@@ -392,13 +312,9 @@ class Workbench:
         return Screened(other, there, tuple(t.name for t in chain.terms for _ in t.parameters))
 
 
-def _widened(t: Term, p: Array) -> Term:
-    """Priors in proportion to the largest parameter, where that exceeds its own."""
-    sizes = [abs(value / q.si - q.neutral) / q.prior for q, value in zip(t.parameters, p.tolist(), strict=True)]
-    largest = max(sizes)
-    if largest < WIDENED_FROM:
-        return t
-    return Term(t.effect, tuple(replace(q, prior=q.prior * largest) for q in t.parameters))
+def _widened(t: Term, factor: float) -> Term:
+    """With priors so many times as wide."""
+    return Term(t.effect, tuple(replace(q, prior=factor * q.prior) for q in t.parameters))
 
 
 def linear(result: Fit) -> Linear:

@@ -8,7 +8,7 @@ import pytest
 from ctrplan.base.arrays import Array
 from ctrplan.calibration.residuals import PER_POSE, Noise, Residuals
 from ctrplan.diagnosis.adequacy import ChiSquare, adequacy, left_out_probability, outliers, rescaled_noise
-from ctrplan.diagnosis.workbench import Linear, left_out_residuals
+from ctrplan.diagnosis.linear_fit import Linear, left_out_residuals
 
 POSES, GROUPS = 120, 24
 GROUP = np.repeat(np.arange(GROUPS), POSES // GROUPS)

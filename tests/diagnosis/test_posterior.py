@@ -15,10 +15,11 @@ from ctrplan.calibration.discrepancy import Linearised
 from ctrplan.calibration.residuals import Noise
 from ctrplan.diagnosis import CATALOGUE, partial_diagnosis
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
-from ctrplan.diagnosis.posterior import _widths, compared
+from ctrplan.diagnosis.linear_fit import Linear, widths_of
+from ctrplan.diagnosis.posterior import compared
 from ctrplan.diagnosis.unknown_errors import UnknownErrors, without_error
 from ctrplan.diagnosis.verdict import Hypothesis, Posterior, normalised, shown
-from ctrplan.diagnosis.workbench import Linear, Workbench, candidates
+from ctrplan.diagnosis.workbench import Workbench, candidates
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.pipeline.term import Term
 
@@ -264,7 +265,7 @@ def test_the_evidence_of_an_unknown_width_is_its_integral_over_the_half_cauchy_p
         r = J @ (size * rng.standard_normal(count)) + rng.standard_normal((8, 5))
         ones = np.ones(count)
         fit = Linear(r, J, np.ones(8), ones, np.zeros(count), np.ones((8, 5), bool))
-        width = _widths(fit, ("a",) * count, {"a"})["a"]
+        width = widths_of(fit, ("a",) * count, {"a"})["a"]
         ours = without_error(Linearised(r, J, ones / width.over_stated**2)) - width.cost
         grid = np.linspace(-12, 8, 2001)  # of the logarithm
         prior = np.log(2 / np.pi) + grid - np.log1p(np.exp(2 * grid))
