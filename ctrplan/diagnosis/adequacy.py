@@ -46,11 +46,6 @@ class ChiSquare:
         """Probability of at least this under noise."""
         return float(chi2.sf(self.value, max(self.dof, 1e-9)))
 
-    @property
-    def is_noise(self) -> bool:
-        """Whether noise of the stated size explains it."""
-        return self.p > REJECTED
-
 
 @dataclass(frozen=True)
 class Adequacy:
@@ -61,11 +56,6 @@ class Adequacy:
     within: ChiSquare
     position: ChiSquare
     tangent: ChiSquare
-
-    @property
-    def is_adequate(self) -> bool:
-        """Whether nothing but noise is left, in all, between configurations and within them."""
-        return self.total.is_noise and self.between.is_noise and self.within.is_noise
 
 
 def outliers(norm: Array) -> NDArray[np.bool_]:

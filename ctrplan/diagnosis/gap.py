@@ -122,7 +122,6 @@ def _predictive(r: Array, J: Array, after: Fit) -> ChiSquare:
 
 
 LARGEST_REST = 1.5  # of the noise: rms error with which a model still agrees with measurements
-LEAST_TOLD = 0.2  # of the noise: what parameters leave open
 
 
 def times_noise(rms_m: float, floor_m: float) -> float:
@@ -156,8 +155,7 @@ def contradiction(verdict: Verdict, gap: Gap, place: Place) -> str:
         shown["the poses that were fitted"] = place.rms_m, gap.floor_m, LARGEST_REST
     for where, (rms_m, expected_m, most) in shown.items():
         if not times_noise(rms_m, expected_m) <= most:
-            is_worth_telling = gap.spread_m > LEAST_TOLD * gap.floor_m
-            left_open = f", parameters leave {gap.spread_m * 1e3:.2f} mm open" if is_worth_telling else ""
+            left_open = f", parameters leave {gap.spread_m * 1e3:.2f} mm open"
             off = f"tips are {rms_m * 1e3:.2f} mm off (rms), the noise is {gap.floor_m * 1e3:.2f} mm{left_open}"
             return f"The figures contradict it: on {where} {off}."
     return ""

@@ -65,7 +65,7 @@ def found() -> Diagnosis:
 def test_a_ripple_of_gears_is_built_in_the_drive_and_nothing_is_named() -> None:
     built, gap = found().built, found().gap
     assert built is not None and found().verdict == "unexplained" and not found().listed
-    assert not found().judgement.adequacy.is_adequate  # a built term explains nothing
+    assert found().judgement.adequacy.total.p < 1e-3  # a built term explains nothing
     assert [t.name for t in built.terms] == ["learned_theta_2"] and built.terms[0].effect.stage == "drive"
     assert built.by_stage["drive"] > 1.5 * max(built.by_stage["mechanics"], built.by_stage["sensor"])
     rest = [np.sqrt(max(errors.rms_m**2 - gap.floor_m**2, 0.0)) for errors in (gap.before, gap.after)]
@@ -98,7 +98,7 @@ def test_what_the_catalogue_has_is_named_beside_a_built_term_that_had_hidden_it(
     assert [t.name for t in after.built_terms] == ["learned_theta_2"]
     assert set(after.robot_content()["effects"]) == {"sensor_offset", "learned_theta_2", "base_misalignment"}
     assert after.built is not None and after.partly is not None
-    assert after.partly.rest.rms_m > 2 * after.built.rest.rms_m and not after.judgement.adequacy.is_adequate
+    assert after.partly.rest.rms_m > 2 * after.built.rest.rms_m and after.judgement.adequacy.total.p < 1e-3
     value = after.to_json()["effects"][0]["parameters"]["offset_x_mm"]["value"]
     assert value == pytest.approx(OFFSET["sensor_offset"]["offset_x_mm"], abs=0.15)
 
