@@ -125,7 +125,7 @@ def confirm(diagnosis: Diagnosis, data: Measurements) -> Confirmation:
     return Confirmation(data.file or "", data.sha256, new.data.count, as_it_is, before, after, effects)
 
 
-def _new(diagnosis: Diagnosis, data: Measurements, usable: NDArray[np.bool_]) -> _New:
+def _new(diagnosis: Diagnosis, data: Measurements, usable: NDArray[np.bool_]) -> NewPoses:
     """The poses to go by, of `usable` ones (K,)."""
     some = np.flatnonzero(usable)
     if not len(some):
@@ -133,11 +133,7 @@ def _new(diagnosis: Diagnosis, data: Measurements, usable: NDArray[np.bool_]) ->
     poses = data.subset(some[:: thinning(len(some))] if data.is_stream else some)
     if data.homing is not None or diagnosis.data.homing is not None:  # no run has the zeros of the first one there
         poses = replace(poses, homing=data.homings + 1)
-    bench = CorrelatedBench(diagnosis.robot, poses, diagnosis.noise, groups(poses))
-    rest = diagnosis.chosen.fit.noise.discrepancy
-    sizes = (np.hypot(1, rest.position), np.hypot(1, rest.tangent)) if rest else (1.0, 1.0)
-    rough = Noise(bench.noise.position_m * float(sizes[0]), bench.noise.tangent_rad * float(sizes[1]))
-    return _New(bench, rough)
+    return NewPoses.of(poses, diagnosis.chosen.fit, diagnosis.noise)
 
 
 def _without(diagnosis: Diagnosis, gone: Term) -> Fit:
@@ -160,11 +156,25 @@ class _Model:
 
 
 @dataclass(frozen=True, eq=False)
-class _New:
+class NewPoses:
     """Runs that a diagnosis has not read, and their noise together with what remained of the diagnosis."""
 
     bench: CorrelatedBench
     rough: Noise
+
+    @classmethod
+    def of(cls, poses: Measurements, chosen: Fit, noise: Noise) -> NewPoses:
+        """Those of a diagnosis with a chosen fit and the noise of the measurement."""
+        bench = CorrelatedBench(chosen.chain.robot, poses, noise, groups(poses))
+        rest = chosen.noise.discrepancy
+        sizes = (np.hypot(1, rest.position), np.hypot(1, rest.tangent)) if rest else (1.0, 1.0)
+        return cls(bench, Noise(noise.position_m * float(sizes[0]), noise.tangent_rad * float(sizes[1])))
+
+    def log_bayes_factors(self, base: Fit, whole: Fit, without: Sequence[Fit]) -> list[float]:
+        """Logarithms of how much more probable a model makes the poses than each of the models without an effect."""
+        model, *others = (self.model(one) for one in (whole, *without))
+        evidence, *less = self.evidences(self.model(base), [model, *others])
+        return [evidence - one for one in less]
 
     @property
     def data(self) -> Measurements:
