@@ -1,8 +1,8 @@
 """How large what remains after a fit is over the noise: chi-square of all, of configurations, of contrasts; noise of
 another size.
 
-What data show of it, `observed_noise.py`, misses what a tracker's filter takes away and what changes slowly; what a file
-states may be a data sheet's. Each is a lower bound, and the largest counts.
+What data show of the noise, `observed_noise.py`, misses what a tracker's filter takes away and what changes slowly;
+what a file states may be a data sheet's. Each is a lower bound, and the largest counts.
 """
 
 from __future__ import annotations

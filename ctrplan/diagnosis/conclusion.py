@@ -1,7 +1,7 @@
 """From measurements to a set of effects and a verdict, before the test set is opened.
 
-The ordinary search comes first and names what leaves noise alone. Where nothing does, what holds beside a rest is asked
-for, `partial_diagnosis.py`. A long log of a continuous motion, in which the ordinary search takes minutes, is asked that first.
+The ordinary search comes first and names what leaves noise alone. Where nothing does, the partial diagnosis says what
+holds beside a remainder. A long log of a continuous motion, in which the ordinary search takes minutes, begins there.
 """
 
 from __future__ import annotations

@@ -68,6 +68,8 @@ def shares(error_m: Array, data: Measurements, floor_m: float, memory: float) ->
 
     On a continuous motion what is forgotten after a `memory`, in s or in rows, is a fourth part beside these.
     """
+    some = np.arange(data.count)[:: thinning(data.count)]
+    data, error_m = data.subset(some), error_m[some]
     kernels = {name: np.exp(-square / 2) for name, square in input_distances(data)}
     if data.is_stream:
         same_run = data.run[:, None] == data.run
