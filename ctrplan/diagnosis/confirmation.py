@@ -25,7 +25,7 @@ from ctrplan.diagnosis.result import Diagnosis
 from ctrplan.diagnosis.unknown_errors import UnknownErrors
 from ctrplan.diagnosis.usable_poses import thinning, usable_poses
 from ctrplan.diagnosis.verdict import NAMED, log_odds, shown
-from ctrplan.diagnosis.workbench import Scored, values_by_name
+from ctrplan.diagnosis.workbench import Scored, valued
 from ctrplan.errors import InputError
 from ctrplan.measurement.measurements import Measurements, groups
 from ctrplan.pipeline.followed_runs import friction_correction
@@ -224,16 +224,14 @@ class NewPoses:
         values = dict(zip([t.key for t in result.chain.terms], result.chain.slices(), strict=True))
         held = [t if t.name in FRAMES else fixed(t, result.p[values[t.key]]) for t in terms]
         chain = ParametricChain(result.chain.robot, self.data, held)
-        keys = [(t.name, q.name) for t in chain.terms for q in t.parameters]
-        known = {key: value for key, value in values_by_name(result).items() if key[0] not in FRAMES}
-        p = np.array([known.get(key, value) for key, value in zip(keys, chain.neutral.tolist(), strict=True)])
+        p = valued(chain, result, chain.neutral, but=FRAMES)
         chain.correction = friction_correction(chain, p)
         return fit(chain, self.rough, self.bench.whitening_group, p)
 
 
 def _of_frames(result: Fit) -> NDArray[np.bool_]:
     """(P,) parameters of frames, and zeros after another homing."""
-    return np.array([t.name in FRAMES for t in result.chain.terms for _ in t.parameters], dtype=np.bool_)
+    return np.isin(result.chain.owners, FRAMES)
 
 
 def _failed(result: Fit) -> NDArray[np.bool_]:

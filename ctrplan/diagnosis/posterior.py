@@ -302,7 +302,7 @@ class _Comparison:
 
     def _of_fit(self, scored: Scored) -> tuple[dict[str, Width], tuple[str, ...]]:
         """How wide each effect's prior is, and the effect of each parameter."""
-        owners = tuple(t.name for t in scored.fit.chain.terms for _ in t.parameters)
+        owners = scored.fit.chain.owners
         named = {*(t.name for t in self._named(scored)), *scored.names}
         return widths_of(linear(scored.fit), owners, named), owners
 

@@ -20,7 +20,7 @@ from ctrplan.base.arrays import Array
 from ctrplan.calibration.residuals import residuals
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
 from ctrplan.diagnosis.linear_fit import Linear
-from ctrplan.diagnosis.workbench import Scored, values_by_name
+from ctrplan.diagnosis.workbench import Scored, valued
 from ctrplan.effects.effect import sliding, turning
 from ctrplan.effects.learned import parts
 from ctrplan.effects.learned.inputs import InputRange, Situation, Target, values
@@ -243,9 +243,7 @@ class _Probed:
 def _probed(bench: CorrelatedBench, here: Scored, targets: Sequence[Target]) -> _Probed:
     probes = [_probe(on, bench.robot.n) for on in targets]
     chain = bench.chain([*bench.basis(here.terms), *here.terms, *probes])
-    known = values_by_name(here.fit)
-    keys = [(t.name, q.name) for t in chain.terms for q in t.parameters]
-    p = np.array([known.get(key, value) for key, value in zip(keys, chain.neutral.tolist(), strict=True)])
+    p = valued(chain, here.fit, chain.neutral)
     own = len(p) - sum(len(t.parameters) for t in probes)
     starts = [place.start for place in chain.slices()[len(chain.terms) - len(probes) :]]
     return _Probed(chain, p, own, chain.predict(p), dict(zip(targets, starts, strict=True)))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -15,7 +15,7 @@ from ctrplan.calibration.least_squares import Fit, fit, fit_at
 from ctrplan.calibration.parameters import ABSOLUTE_STIFFNESS, BaseParameters
 from ctrplan.calibration.residuals import UNSOUND, Noise, residuals, robust_square
 from ctrplan.diagnosis.linear_fit import Linear, widths_of
-from ctrplan.effects.effect import CATALOGUE, Effect
+from ctrplan.effects.effect import CATALOGUE, Effect, Values
 from ctrplan.errors import InputError
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.pipeline.followed_runs import friction_correction
@@ -224,24 +224,15 @@ class Workbench:
 
     def _starts(self, chain: ParametricChain, near: Fit | None) -> list[Array]:
         """Known values of the parameters, and the effects' own suggestions for those not known yet."""
-        known = values_by_name(near) if near else {}
-        keys = [(t.name, p.name) for t in chain.terms for p in t.parameters]
-        plain = np.array([known.get(key, start) for key, start in zip(keys, chain.start, strict=True)])
-        starts = [plain]
+        known = near.chain.keys if near else ()
+        starts = [valued(chain, near, chain.start)]
         for t in chain.terms:
-            new = [key for key in keys if key[0] == t.name and key not in known]
-            suggestions = t.effect.starts([p.name for p in t.parameters]) if new else [{}]
+            if all((t.name, q.name) in known for q in t.parameters):
+                continue
+            suggestions = t.effect.starts([q.name for q in t.parameters])
             if suggestions != [{}]:
-                starts = [self._with(start, t, values, keys, chain.si) for start in starts for values in suggestions]
+                starts = [_suggested(start, chain, t, values) for start in starts for values in suggestions]
         return starts
-
-    @staticmethod
-    def _with(start: Array, t: Term, values: object, keys: Sequence[tuple[str, str]], si: Array) -> Array:
-        changed = start.copy()
-        for name, value in dict(values).items():  # type: ignore[call-overload]
-            place = keys.index((t.name, name))
-            changed[place] = value * si[place]
-        return changed
 
     def sized(self, scored: Scored) -> Scored:
         """The set with priors of its effects as wide as is most probable, where that is wider than stated.
@@ -252,8 +243,8 @@ class Workbench:
         key = scored, self.noise
         if key not in self._sized:
             chain = scored.fit.chain
-            owners = [t.name for t in chain.terms for _ in t.parameters]
-            wide = {name: w.over_stated for name, w in widths_of(linear(scored.fit), owners, scored.names).items()}
+            widths = widths_of(linear(scored.fit), chain.owners, scored.names)
+            wide = {name: width.over_stated for name, width in widths.items()}
             terms = [_widened(t, max(1.0, wide.get(t.name, 1.0))) for t in chain.terms]
             freed = fit(chain.with_terms(terms), self.noise, self.whitening_group, scored.fit.p)
             self._sized[key] = replace(scored, fit=freed) if max(wide.values(), default=1.0) > 1 else scored
@@ -292,14 +283,11 @@ class Workbench:
         """A fit linearised in its own parameters and those of other variants, which vanish there."""
         merged = _merged([*here.terms, *others], self.robot)
         chain = self.chain([*self.basis(merged), *merged])
-        known = values_by_name(here.fit)
-        keys = [(t.name, p.name) for t in chain.terms for p in t.parameters]
-        neutral = [_vanishing(p.start, p.neutral) * p.si for p in chain.parameters]
-        p = np.array([known.get(key, value) for key, value in zip(keys, neutral, strict=True)])
+        p = valued(chain, here.fit, np.array([_vanishing(q.start, q.neutral) * q.si for q in chain.parameters]))
         result = residuals(self.data, chain.predict(p), self.noise, self.whitening_group)
         weight = here.fit.residuals.weight
         whole = Linear(result.r, result.J, weight, 1 / chain.prior**2, p - chain.neutral, result.given)
-        return Linearisation(tuple(keys), whole)
+        return Linearisation(chain.keys, whole)
 
     def _tried_out(
         self, here: Scored, other: Term, completed: Callable[[Sequence[Term], Term], Sequence[Term]]
@@ -309,7 +297,7 @@ class Workbench:
         chain = self.chain([*self.basis(terms), *terms])
         start, _ = self._start(chain, [here.fit])
         there = linear(fit_at(chain, self.noise, self.whitening_group, start)).refitted()
-        return Screened(other, there, tuple(t.name for t in chain.terms for _ in t.parameters))
+        return Screened(other, there, chain.owners)
 
 
 def _widened(t: Term, factor: float) -> Term:
@@ -323,10 +311,20 @@ def linear(result: Fit) -> Linear:
     return Linear(parts.r, parts.J, parts.weight, result.precision, result.p - result.chain.neutral, parts.given)
 
 
-def values_by_name(result: Fit) -> dict[tuple[str, str], float]:
-    """(effect, parameter) -> value, SI."""
-    keys = [(t.name, p.name) for t in result.chain.terms for p in t.parameters]
-    return dict(zip(keys, result.p.tolist(), strict=True))
+def valued(chain: ParametricChain, near: Fit | None, otherwise: Array, but: Collection[str] = ()) -> Array:
+    """(P,) SI values of a chain's parameters: those of a fit `near`, else `otherwise` (P,), as for effects in `but`."""
+    known = dict(zip(near.chain.keys, near.p.tolist(), strict=True)) if near else {}
+    known = {key: value for key, value in known.items() if key[0] not in but}
+    return np.array([known.get(key, value) for key, value in zip(chain.keys, otherwise.tolist(), strict=True)])
+
+
+def _suggested(start: Array, chain: ParametricChain, t: Term, values: Values) -> Array:
+    """A start (P,) with values of a term, in the units of their names, that its effect suggests."""
+    changed = start.copy()
+    for name, value in values.items():
+        place = chain.keys.index((t.name, name))
+        changed[place] = value * chain.si[place]
+    return changed
 
 
 def _merged(terms: Sequence[Term], robot: Robot) -> list[Term]:

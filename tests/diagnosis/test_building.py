@@ -26,7 +26,7 @@ from ctrplan.diagnosis.partial_diagnosis import diagnose_partially
 from ctrplan.diagnosis.sentences import effect_lines, verdict_sentence
 from ctrplan.diagnosis.term_pieces import TermPiece, built_term, pieces, wide_linearisation, with_piece
 from ctrplan.diagnosis.usable_poses import usable_poses
-from ctrplan.diagnosis.workbench import Scored, candidates, values_by_name
+from ctrplan.diagnosis.workbench import Scored, candidates
 from ctrplan.effects.learned import parts
 from ctrplan.effects.learned.inputs import InputRange, Target
 from ctrplan.effects.learned.learned import named
@@ -177,7 +177,7 @@ def test_a_piece_acts_as_the_effect_that_is_made_of_it() -> None:
             rtol=2e-3,
             atol=2e-3 * np.abs(panel.whole.J[:, :, place]).max(),
         )
-        assert set(values_by_name(here.fit)) < set(panel.keys)
+        assert set(here.fit.chain.keys) < set(panel.keys)
 
 
 def test_pieces_that_an_effect_of_the_catalogue_is_are_left_to_it() -> None:
