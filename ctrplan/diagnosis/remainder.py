@@ -174,7 +174,7 @@ def localise(
     else:
         is_shared = SHARES[int(alone.argmax())] > 0.5
         kind = "is shared by all approaches of a configuration" if is_shared else "differs between approaches"
-        sentence = f"{start}; the error goes along with {_along(ranked, known, error_m)} and mostly {kind}."
+        sentence = f"{start}; the error goes along with {_along(ranked, known, error_m)}, and mostly {kind}."
     return Place(tuple(trend for trend in ranked if trend.quantity != JOINTS), sentence, rms_m)
 
 
