@@ -186,8 +186,10 @@ class NewPoses:
         placed, old = self.placed(result), _of_frames(result)
         free = _of_frames(placed)
         parts = fit_at(placed.chain, self.bench.noise, self.bench.whitening_group, placed.p).residuals
-        values, vectors = np.linalg.eigh(result.covariance[np.ix_(~old, ~old)])
-        known = parts.J[:, :, ~free] @ (vectors * np.sqrt(np.maximum(values, 0.0)))
+        covariance = result.covariance[np.ix_(~old, ~old)]
+        scale = np.sqrt(np.diag(covariance))  # parameters have units of their own
+        values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+        known = parts.J[:, :, ~free] @ (scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)))
         r = parts.r + parts.J[:, :, free] @ (placed.p - placed.chain.neutral)[free]
         precision = np.concatenate([np.ones(known.shape[2]), placed.precision[free]])
         return _Model(placed, Linearised(r, np.concatenate([known, parts.J[:, :, free]], axis=2), precision))
@@ -221,9 +223,9 @@ class NewPoses:
 
     def _fitted(self, result: Fit, terms: Sequence[Term]) -> Fit:
         """The chain of terms with the values that they have in a fit; frames alone are fitted."""
-        values = dict(zip([t.key for t in result.chain.terms], result.chain.slices(), strict=True))
-        held = [t if t.name in FRAMES else fixed(t, result.p[values[t.key]]) for t in terms]
-        chain = ParametricChain(result.chain.robot, self.data, held)
+        places = dict(zip([t.key for t in result.chain.terms], result.chain.slices(), strict=True))
+        terms = [t if t.name in FRAMES else fixed(t, result.p[places[t.key]]) for t in terms]
+        chain = ParametricChain(result.chain.robot, self.data, terms)
         p = valued(chain, result, chain.neutral, but=FRAMES)
         chain.correction = friction_correction(chain, p)
         return fit(chain, self.rough, self.bench.whitening_group, p)
