@@ -170,12 +170,6 @@ class NewPoses:
         sizes = (np.hypot(1, rest.position), np.hypot(1, rest.tangent)) if rest else (1.0, 1.0)
         return cls(bench, Noise(noise.position_m * float(sizes[0]), noise.tangent_rad * float(sizes[1])))
 
-    def log_bayes_factors(self, base: Fit, whole: Fit, without: Sequence[Fit]) -> list[float]:
-        """Logarithms of how much more probable a model makes the poses than each of the models without an effect."""
-        model, *others = (self.model(one) for one in (whole, *without))
-        evidence, *less = self.evidences(self.model(base), [model, *others])
-        return [evidence - one for one in less]
-
     @property
     def data(self) -> Measurements:
         """The poses that are compared."""

@@ -21,7 +21,6 @@ from ctrplan.calibration.residuals import Residuals
 from ctrplan.calibration.robot_content import within_file
 from ctrplan.diagnosis.adequacy import Adequacy, ignored, left_out_probability, noise_floor, remains
 from ctrplan.diagnosis.conclusion import HELD_OUT_SHARE, Conclusion, Teller, conclude
-from ctrplan.diagnosis.confirmation import NewPoses
 from ctrplan.diagnosis.gap import Gap, contradiction, open_test_set
 from ctrplan.diagnosis.next_experiment import decision, next_experiment
 from ctrplan.diagnosis.partial_diagnosis import PartialDiagnosis, left_by_names
@@ -31,8 +30,8 @@ from ctrplan.diagnosis.remainder import Place, localise
 from ctrplan.diagnosis.result import Diagnosis
 from ctrplan.diagnosis.slips import Slip, after_slip, found_slip
 from ctrplan.diagnosis.term_pieces import is_built
-from ctrplan.diagnosis.usable_poses import checked_split, thinning, usable_poses
-from ctrplan.diagnosis.verdict import NAMED, Judgement, Posterior, Verdict, log_odds, names_of
+from ctrplan.diagnosis.usable_poses import checked_split, usable_poses
+from ctrplan.diagnosis.verdict import Judgement, Posterior, Verdict, names_of
 from ctrplan.diagnosis.workbench import Candidates, Scored, candidates, reduced
 from ctrplan.effects.drive.homing_shift import HomingShift
 from ctrplan.effects.effect import CATALOGUE, Effect
@@ -41,6 +40,7 @@ from ctrplan.measurement.measurements import Measurements
 from ctrplan.pipeline.term import Term
 from ctrplan.robot.robot import Robot
 
+MOST_WORSE = 1.05  # rms error of poses kept aside with an effect, over that without it, for chance allows for so much
 HELD_OUT_REJECTED = 1e-4  # probability of the held-out set's residuals that takes a name back
 
 
@@ -61,30 +61,33 @@ class Opened:
 def opened(answer: Conclusion, data: Measurements) -> Opened:
     """What the poses kept aside say of an answer; a built term that brings them no nearer is taken back.
 
-    Names that hold beside it stay. An effect that they contradict is taken back.
+    Names that hold beside it stay. An effect without which tips are nearer there is taken back.
     """
     outcome = _with_or_without_built(answer, data)
     if harmful := _harmful(outcome, data):
         names = ", ".join(t.name for t in harmful)
-        note = f"Found and taken back: {names}, which the poses kept aside contradict."
+        note = f"Found and taken back: {names}, without which tips of the poses kept aside are nearer."
         outcome = _opened(_without(outcome.answer, harmful), data)
         outcome = replace(outcome, notes=(*outcome.notes, note))
     return replace(outcome, framed_gap=_framed(outcome.answer, data)) if outcome.answer.partly else outcome
 
 
 def _harmful(outcome: Opened, data: Measurements) -> list[Term]:
-    """Effects that the poses kept aside contradict, as other runs may."""
-    answer, part = outcome.answer, outcome.answer.partly
-    if part is None or answer.interrupted or outcome.judgement.verdict != "partial":
+    """Effects without which poses kept aside are predicted better."""
+    part = outcome.answer.partly
+    if part is None or outcome.answer.interrupted or outcome.judgement.verdict != "partial":
         return []
     listed = {finding.term.key for finding in outcome.judgement.findings}
-    terms = [t for t in answer.chosen.terms if t.key in listed]
-    sets = [[other for other in answer.chosen.terms if other.key != t.key] for t in terms]
-    fits = [_beside_a_remainder(part, part.bench.scored(others)).fit for others in sets]
-    kept = answer.split.held_out_set
-    new = NewPoses.of(data.subset(kept[:: thinning(len(kept))]), answer.chosen.fit, part.bench.plain)
-    gains = new.log_bayes_factors(answer.base.fit, answer.chosen.fit, fits)
-    return [t for t, gain in zip(terms, gains, strict=True) if gain < -log_odds(NAMED)]
+    kept = outcome.answer.split.held_out_set
+    aside, group = data.subset(kept), outcome.answer.group[kept]
+    results = []
+    for t in (t for t in outcome.answer.chosen.terms if t.key in listed):
+        rest = part.bench.scored([other for other in outcome.answer.chosen.terms if other.key != t.key])
+        fit = _beside_a_remainder(part, rest).fit
+        gap = open_test_set(outcome.answer.base.fit, fit, aside, group, outcome.answer.noise)
+        if MOST_WORSE * gap.after.rms_m < outcome.gap.after.rms_m:
+            results.append(t)
+    return results
 
 
 def _without(answer: Conclusion, harmful: Sequence[Term]) -> Conclusion:

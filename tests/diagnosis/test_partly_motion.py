@@ -118,5 +118,5 @@ def test_what_poses_kept_aside_are_nearer_without_is_taken_back() -> None:
     )  # fmt: skip
     asked = opened(answer, replace(found.data, position_m=position, tangent=tangent))
     assert asked.gap.after.rms_m < asked.gap.before.rms_m  # so that nothing else would take it back
-    assert any("lag, which the poses kept aside contradict" in note for note in asked.notes)
+    assert any("lag, without which" in note for note in asked.notes)
     assert "lag" not in [finding.term.name for finding in asked.judgement.findings]
