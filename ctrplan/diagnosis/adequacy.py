@@ -1,8 +1,8 @@
-"""Whether what remains after a fit is noise: chi-square of all, of configurations, of contrasts; noise of another
-size.
+"""How large what remains after a fit is over the noise: chi-square of all, of configurations, of contrasts; noise of
+another size.
 
-What data show of it, `shown_noise.py`, misses what a tracker's filter takes away and what changes slowly; what a file
-states may be a data sheet's. Each is a lower bound, and the largest counts.
+What data show of the noise, `observed_noise.py`, misses what a tracker's filter takes away and what changes slowly;
+what a file states may be a data sheet's. Each is a lower bound, and the largest counts.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from ctrplan.base.arrays import Array
 from ctrplan.calibration.fit_warnings import OUTLIER, excused
 from ctrplan.calibration.observed_noise import LEAST_SPARE, ObservedNoise, observed_noises, repeats
 from ctrplan.calibration.residuals import NO_TANGENT_SIGMA, PAPER, PER_POSE, Noise, Residuals, information_inverse
-from ctrplan.diagnosis.cross_validation import Linear
+from ctrplan.diagnosis.linear_fit import Linear
 from ctrplan.diagnosis.workbench import Scored, Workbench, linear
 from ctrplan.errors import InputError
 from ctrplan.measurement.measurements import Measurements
@@ -46,11 +46,6 @@ class ChiSquare:
         """Probability of at least this under noise."""
         return float(chi2.sf(self.value, max(self.dof, 1e-9)))
 
-    @property
-    def is_noise(self) -> bool:
-        """Whether noise of the stated size explains it."""
-        return self.p > REJECTED
-
 
 @dataclass(frozen=True)
 class Adequacy:
@@ -61,11 +56,6 @@ class Adequacy:
     within: ChiSquare
     position: ChiSquare
     tangent: ChiSquare
-
-    @property
-    def is_adequate(self) -> bool:
-        """Whether nothing but noise is left, in all, between configurations and within them."""
-        return self.total.is_noise and self.between.is_noise and self.within.is_noise
 
 
 def outliers(norm: Array) -> NDArray[np.bool_]:

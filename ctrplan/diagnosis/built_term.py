@@ -13,26 +13,19 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ctrplan.base.arrays import Array
 from ctrplan.calibration.discrepancy import Linearised
 from ctrplan.calibration.estimates import estimates
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
-from ctrplan.diagnosis.cross_validation import Linear
 from ctrplan.diagnosis.partial_diagnosis import PartialDiagnosis, mean_square, most_probable, remainder_beside
 from ctrplan.diagnosis.posterior import MOST_EFFECTS, SelectionStep
 from ctrplan.diagnosis.remainder import Remainder
-from ctrplan.diagnosis.term_dictionary import TermPiece, pieces
-from ctrplan.diagnosis.term_search import WideLinearisation, is_built, wide_linearisation, with_piece
+from ctrplan.diagnosis.term_pieces import TermPiece, WideLinearisation, is_built, pieces, wide_linearisation, with_piece
 from ctrplan.diagnosis.unknown_errors import Peak, UnknownErrors
 from ctrplan.diagnosis.workbench import Scored, linear
 from ctrplan.effects.learned.learned import Learned
-from ctrplan.measurement.measurements import Measurements
 from ctrplan.pipeline.term import Term
 
-MOST_WORSE = 1.05  # of the rms error of any region, with the term over without
-LEAST_POSES = 8  # of a region that is asked
 TRIED = 4  # pieces that are fitted for good in each round
 
 
@@ -91,18 +84,16 @@ class Built:
 
 
 def build(partial: PartialDiagnosis, tell: Callable[[str], None]) -> Built | None:
-    """A term of what remains, with the effects that hold beside it; None where nothing passes."""
-    bench = partial.bench
-    built = tried(partial, tell)
-    if built is None or refusals(bench, built):
-        bench.corrected(partial.chosen)  # what remains is described beside what is handed over
+    """A term of what remains, with the effects that hold beside it; None where none makes the poses more probable."""
+    built = _searched(partial, tell)
+    if built is None:
+        partial.bench.corrected(partial.chosen)  # what remains is described beside what is handed over
         return None
     _note_sizes(built)
     return built
 
 
-def tried(partial: PartialDiagnosis, tell: Callable[[str], None]) -> Built | None:
-    """What a search for a term ends with, before it is asked whether it is worse anywhere."""
+def _searched(partial: PartialDiagnosis, tell: Callable[[str], None]) -> Built | None:
     bench = partial.bench
     if partial.is_noise:
         return None
@@ -119,13 +110,6 @@ def tried(partial: PartialDiagnosis, tell: Callable[[str], None]) -> Built | Non
     return Built(scored, plain, again, tuple(rounds), share, remainder_beside(bench, scored, bench.plain))
 
 
-def refusals(bench: CorrelatedBench, built: Built) -> list[str]:
-    """Why a term is not handed over; empty if it is."""
-    errors = [np.linalg.norm(bench.left_out_m(scored), axis=1) for scored in (built.named, built.scored)]
-    worse = worse_in(bench.data, errors[0], errors[1])
-    return [f"it is worse on {worse}"] if worse else []
-
-
 def _grown(
     bench: CorrelatedBench, chosen: Scored, named: Sequence[Term], tell: Callable[[str], None]
 ) -> tuple[Scored, list[Round]]:
@@ -136,15 +120,15 @@ def _grown(
     while len(rounds) < MOST_EFFECTS and known:
         tell("building a term beside " + (", ".join(here.names) or "the calibrated robot"))
         root = np.sqrt(np.where(here.failed, 0.0, here.fit.residuals.weight))
-        of_here = _over_noise(bench, linear(here.fit), root)
+        of_here = linear(here.fit).centred(bench.noise, root)
         errors = UnknownErrors(bench, here, here, [of_here], root, with_stages=False)
         before, peak = errors.evidence(of_here)
         table = wide_linearisation(bench, here, known)
-        ranked = _ranked(table, _over_noise(bench, table.whole, root), peak, choice)
+        ranked = _ranked(table, table.whole.centred(bench.noise, root), peak, choice)
         best: tuple[float, TermPiece, Scored] | None = None
         for piece, _ in ranked[:TRIED]:
             there = bench.scored(with_piece(here.terms, piece, table.ranges[piece], bench), here.fit)
-            after, _ = errors.evidence(_over_noise(bench, linear(there.fit), root))
+            after, _ = errors.evidence(linear(there.fit).centred(bench.noise, root))
             gain = after - before - choice
             if best is None or gain > best[0]:
                 best = gain, piece, there
@@ -157,12 +141,6 @@ def _grown(
     return here, rounds
 
 
-def _over_noise(bench: CorrelatedBench, fit: Linear, root: Array) -> Linearised:
-    """Residuals at the priors' centres over the noise alone, as poses count: by roots (K,)."""
-    r, J = bench.coloured(fit.r), bench.coloured(fit.J)
-    return Linearised(root[:, None] * (r + J @ fit.offset), root[:, None, None] * J, fit.precision)
-
-
 def _ranked(table: WideLinearisation, whole: Linearised, peak: Peak, choice: float) -> list[tuple[TermPiece, float]]:
     """Pieces by what they gain to first order beside the most probable error of tips, best first."""
     spectrum, own = peak.error.at(whole, peak.position, peak.tangent), list(range(table.own))
@@ -173,31 +151,6 @@ def _ranked(table: WideLinearisation, whole: Linearised, peak: Peak, choice: flo
     plain = evidence(own)
     gains = [(piece, evidence([*own, *places]) - plain - choice) for piece, places in table.places.items()]
     return sorted(gains, key=lambda one: -one[1])
-
-
-def worse_in(data: Measurements, before: Array, after: Array) -> str:
-    """The first region in which errors (K,) have grown by more than 5 %, in words; empty if none."""
-    for name, inside in regions(data).items():
-        if inside.sum() >= LEAST_POSES and _rms(after[inside]) > MOST_WORSE * _rms(before[inside]):
-            return name
-    return ""
-
-
-def regions(data: Measurements) -> dict[str, NDArray[np.bool_]]:
-    """Masks (K,) of all poses, and of the thirds of each joint's range that changes, rotations modulo a turn."""
-    results = {"all poses": np.ones(data.count, bool)}
-    theta, l = np.mod(data.theta_commanded[data.rows], 2 * np.pi), data.l_commanded[data.rows]  # noqa: E741
-    for kind, columns in (("rotation", theta), ("translation", l)):
-        for i, values in enumerate(columns.T, start=1):
-            if np.ptp(values) > 1e-3:
-                third = np.searchsorted(np.quantile(values, [1 / 3, 2 / 3]), values, side="right")
-                words = ("lowest", "middle", "highest")
-                results |= {f"the {words[k]} third of the {kind} of tube {i}": third == k for k in range(3)}
-    return results
-
-
-def _rms(error: Array) -> float:
-    return float(np.sqrt(np.mean(error**2)))
 
 
 def _step(one: Round) -> SelectionStep:

@@ -1,7 +1,7 @@
 """From measurements to a set of effects and a verdict, before the test set is opened.
 
-The ordinary search comes first and names what leaves noise alone. Where nothing does, what holds beside a rest is asked
-for, `partly.py`. A long log of a continuous motion, in which the ordinary search takes minutes, is asked that first.
+The ordinary search comes first and names what leaves noise alone. Where nothing does, the partial diagnosis says what
+holds beside a remainder. A long log of a continuous motion, in which the ordinary search takes minutes, begins there.
 """
 
 from __future__ import annotations
@@ -89,14 +89,13 @@ def conclude(
     )  # of which every other is compared at most
     if is_long:
         few = thinned(parts, data)
-        nothing = _nothing(data, few, bench_of(robot, data, few, noise), wrong)
-        first = _beside_a_remainder(nothing, data, usable, noise, known, teller)
+        begun = _calibrated(data, few, bench_of(robot, data, few, noise), wrong)
+        first = _beside_a_remainder(begun, data, usable, noise, known, teller)
         if first.interrupted or (first.partly and not first.partly.is_noise):
             return _with_built(first, first, teller)
     result = _ordinary(data, usable, wrong, bench, parts, known, teller)
-    is_alone = result.compared is None or result.compared.posterior.of_unknown < 1 / 2
-    explained = result.judgement.verdict != "unexplained" or (result.judgement.adequacy.is_adequate and is_alone)
-    if explained or result.interrupted or is_long:
+    is_explained = result.compared is None or result.compared.posterior.of_unknown < 1 / 2
+    if is_explained or is_long:
         return result
     part = _beside_a_remainder(result, data, usable, noise, known, teller)
     return _with_built(part, part if part.judgement.verdict == "partial" or part.interrupted else result, teller)
@@ -154,10 +153,10 @@ def _beside_a_remainder(
     )
 
 
-def _nothing(data: Measurements, parts: Split, bench: Workbench, wrong: NDArray[np.bool_]) -> Conclusion:
+def _calibrated(data: Measurements, parts: Split, bench: Workbench, wrong: NDArray[np.bool_]) -> Conclusion:
     """Before any search."""
     base = bench.scored([])
-    judgement = Judgement("unexplained", (), remains(bench, base), ())
+    judgement = Judgement("unexplained", (), remains(bench, base))
     return Conclusion(bench, (), base, base, judgement, parts, groups(data), bench.noise, False, wrong, ())
 
 
@@ -171,73 +170,55 @@ def _ordinary(
     teller: Teller,
 ) -> Conclusion:
     """The search for what leaves noise alone, once more without poses that something missing had hidden."""
-    result = _searched(bench, known, teller)
+    result = _searched(data, parts, bench, wrong, known, teller)
     more = gross_outliers(result.chosen.fit, data, usable & ~wrong)
     if more.any() and not too_many(wrong | more, usable) and not result.interrupted:
-        wrong = wrong | more
-        parts = checked_split(data, usable & ~wrong)
+        parts = checked_split(data, usable & ~(wrong | more))
         bench = bench_of(bench.robot, data, parts, bench.noise)
-        result = _searched(bench, known, teller)
-    last = result.bench  # its calibrated robot is fitted by now
-    return Conclusion(
-        last,
-        result.path,
-        result.chosen,
-        last.scored([]),
-        result.judgement,
-        parts,
-        groups(data),
-        last.noise,
-        last.noise.position_m < bench.noise.position_m,
-        wrong,
-        result.notes,
-        result.interrupted,
-        compared=result.compared,
+        result = _searched(data, parts, bench, wrong | more, known, teller)
+    return result
+
+
+def _searched(
+    data: Measurements,
+    parts: Split,
+    bench: Workbench,
+    wrong: NDArray[np.bool_],
+    known: Candidates,
+    teller: Teller,
+) -> Conclusion:
+    """Search and judgement, once more with the noise that the data show if it is not the stated one."""
+    notes, stated = tuple[str, ...](), bench.noise
+    try:
+        teller("calibrating")
+        compared, chosen, path, judgement = _most_probable(bench, known, teller)
+        scaled, note = rescaled_noise(judgement.adequacy, stated, *_norms(chosen))
+        notes = (note,) if note else ()
+        if scaled is not None:
+            bench = Workbench(bench.robot, bench.data, scaled, bench.group)
+            compared, chosen, path, judgement = _most_probable(bench, known, teller)
+    except Interrupted:
+        bench.pause = lambda: None
+        return replace(_calibrated(data, parts, bench, wrong), notes=(*notes, INTERRUPTED), interrupted=True)
+    return replace(
+        _calibrated(data, parts, bench, wrong),
+        path=path,
+        chosen=chosen,
+        judgement=judgement,
+        is_rescaled=bench.noise.position_m < stated.position_m,
+        notes=notes,
+        compared=compared,
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _Searched:
-    """The most probable set and its verdict; of an interrupted search the calibrated robot."""
-
-    bench: Workbench
-    chosen: Scored
-    judgement: Judgement
-    path: tuple[SelectionStep, ...]
-    notes: tuple[str, ...]
-    compared: Compared | None
-
-    @property
-    def interrupted(self) -> bool:
-        return self.compared is None
-
-
-def _searched(bench: Workbench, known: Candidates, teller: Teller) -> _Searched:
-    """Search and judgement, once more with the noise that the data show if it is not the stated one."""
-    notes = list[str]()
-    try:
-        teller("calibrating")
-        result = _most_probable(bench, known, teller)
-        adequacy = result.judgement.adequacy
-        scaled, note = rescaled_noise(adequacy, bench.noise, *_norms(result.chosen))
-        notes += [note] if note else []
-        if scaled is not None:
-            bench = Workbench(bench.robot, bench.data, scaled, bench.group, bench.fold)
-            result = _most_probable(bench, known, teller)
-        return replace(result, notes=tuple(notes))
-    except Interrupted:
-        bench.pause = lambda: None
-        base = bench.scored([])
-        judgement = Judgement("unexplained", (), remains(bench, base), ())
-        return _Searched(bench, base, judgement, (), (*notes, INTERRUPTED), None)
-
-
-def _most_probable(bench: Workbench, known: Candidates, teller: Teller) -> _Searched:
+def _most_probable(
+    bench: Workbench, known: Candidates, teller: Teller
+) -> tuple[Compared, Scored, tuple[SelectionStep, ...], Judgement]:
     bench.pause = teller.pause
     compared, chosen, path = settled(bench, bench.scored([]), known, teller)
     judgement = judge(bench, chosen, known, compared.posterior, compared.sets)
     bench.pause = lambda: None
-    return _Searched(bench, chosen, judgement, path, (), compared)
+    return compared, chosen, path, judgement
 
 
 def _norms(scored: Scored) -> tuple[Array, Array]:

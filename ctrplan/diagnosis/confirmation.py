@@ -1,13 +1,12 @@
-"""Effects found on some runs, asked once on runs that nothing has read.
+"""Effects of a diagnosis, compared once on runs that nothing has read.
 
-Model and effects stay as they were found; only the frames between robot and tracker are found anew, as they are after
-every mounting: for each block of poses by the other blocks. An effect is confirmed where runs are predicted better with
-it than by a model that was calibrated without it, block after block.
+Frames and zeros of joints are found anew there, as they are after every mounting; all other parameters keep the values
+and the uncertainty that they have. An effect is confirmed by the number that named it: the log evidence of the new
+poses with it, beside everything that may act unknown, over that of a model that was calibrated without it.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -16,36 +15,43 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arguments import Made, checked
-from ctrplan.base.arrays import Array
+from ctrplan.calibration.discrepancy import Linearised
 from ctrplan.calibration.estimates import Errors, distances, summary
 from ctrplan.calibration.fit_warnings import excused, gross_outliers, too_many
-from ctrplan.calibration.least_squares import Fit, fit
-from ctrplan.calibration.residuals import Noise, residuals, robust_square
-from ctrplan.diagnosis.correlated_bench import FRAMES, fixed, frames
-from ctrplan.diagnosis.cross_validation import steps_without
+from ctrplan.calibration.least_squares import Fit, fit, fit_at
+from ctrplan.calibration.residuals import Noise
+from ctrplan.diagnosis.correlated_bench import FRAMES, CorrelatedBench, fixed, frames
 from ctrplan.diagnosis.result import Diagnosis
-from ctrplan.diagnosis.usable_poses import blocks, usable_poses
-from ctrplan.diagnosis.workbench import CERTAIN, SURE, certainty, linear, summed, values_by_name
+from ctrplan.diagnosis.unknown_errors import UnknownErrors
+from ctrplan.diagnosis.usable_poses import thinning, usable_poses
+from ctrplan.diagnosis.verdict import NAMED, log_odds, shown
+from ctrplan.diagnosis.workbench import Scored, valued
 from ctrplan.errors import InputError
-from ctrplan.measurement.measurements import Measurements
+from ctrplan.measurement.measurements import Measurements, groups
 from ctrplan.pipeline.followed_runs import friction_correction
 from ctrplan.pipeline.parametric_chain import ParametricChain
 from ctrplan.pipeline.term import Term
 
-LEAST_BLOCKS = 5
-MOST_POSES = 400  # of a continuous motion that are compared
-
 
 @dataclass(frozen=True)
 class ConfirmedEffect:
-    """One effect on the new runs: the log-likelihood it gains over a model calibrated without it, and errors."""
+    """One effect on the new runs: logarithm of how much more probable it makes them, and errors without it."""
 
     name: str
-    gain: float
-    error: float  # standard error over blocks
-    z: float
+    log_bayes_factor: float
     without: Errors
-    verdict: str  # "confirmed", "not confirmed", "contradicted"
+
+    @property
+    def probability(self) -> float:
+        """That it acts there, if that is as probable as not beforehand."""
+        return float(1 / (1 + np.exp(-self.log_bayes_factor)))
+
+    @property
+    def verdict(self) -> str:
+        """Confirmed or contradicted with the probability of a name, or neither."""
+        if abs(self.log_bayes_factor) < log_odds(NAMED):
+            return "not confirmed"
+        return "confirmed" if self.log_bayes_factor > 0 else "contradicted"
 
 
 @dataclass(frozen=True)
@@ -55,7 +61,6 @@ class Confirmation:
     file: str
     sha256: str
     poses: int
-    blocks: int
     calibrated: Errors  # without any effect, and in the frame that the robot file has
     before: Errors  # the same in frames found anew
     after: Errors  # with all effects
@@ -68,7 +73,7 @@ class Confirmation:
         errors = (
             f"{calibrated:.2f} mm rms calibrated, {before:.2f} mm in frames found anew, {after:.2f} mm with all effects"
         )
-        said = [f"{e.name} {e.verdict} ({e.z:.1f} standard errors)" for e in self.effects] or ["no effect to confirm"]
+        said = [f"{e.name} {e.verdict} ({shown(e.probability)})" for e in self.effects] or ["no effect to confirm"]
         return f"On {self.file or 'new runs'}, which nothing had read: {', '.join(said)}; {errors}."
 
     def to_json(self) -> dict[str, Any]:
@@ -76,7 +81,6 @@ class Confirmation:
         return {
             "measurements_sha256": self.sha256,
             "poses": self.poses,
-            "blocks": self.blocks,
             "calibrated_rms_mm": round(self.calibrated.rms_m * 1e3, 4),
             "before_rms_mm": round(self.before.rms_m * 1e3, 4),
             "after_rms_mm": round(self.after.rms_m * 1e3, 4),
@@ -84,9 +88,8 @@ class Confirmation:
                 {
                     "name": e.name,
                     "verdict": e.verdict,
-                    "gain": round(e.gain, 2),
-                    "standard_error": round(e.error, 2),
-                    "z": round(e.z, 2),
+                    "probability": round(e.probability, 4),
+                    "log_bayes_factor": round(e.log_bayes_factor, 2),
                     "without_rms_mm": round(e.without.rms_m * 1e3, 4),
                 }
                 for e in self.effects
@@ -96,9 +99,9 @@ class Confirmation:
 
 @checked(diagnosis=Made("Diagnosis"), data=Made("Measurements"))
 def confirm(diagnosis: Diagnosis, data: Measurements) -> Confirmation:
-    """Asks the effects of a diagnosis on other runs, once.
+    """Compares the effects of a diagnosis with models without them on other runs, once.
 
-    Raises InputError for runs that it has read, and for too few poses.
+    Raises InputError for runs that it has read, and where no pose can be compared.
     """
     if data.sha256 and data.sha256 == diagnosis.data.sha256:
         raise InputError("must be runs that the diagnosis has not read", file=data.file, key="confirm")
@@ -107,57 +110,30 @@ def confirm(diagnosis: Diagnosis, data: Measurements) -> Confirmation:
     wrong = gross_outliers(new.placed(diagnosis.chosen.fit), data, usable)
     if wrong.any() and not too_many(wrong, usable):
         new = _new(diagnosis, data, usable & ~wrong)
-    block, count = new.block, len(np.unique(new.block))
-    whole, listed = new.predicted(diagnosis.chosen.fit), {t.key for t in (*diagnosis.listed, *diagnosis.built_terms)}
+    listed = {t.key for t in (*diagnosis.listed, *diagnosis.built_terms)}
+    terms = [t for t in diagnosis.chosen.fit.chain.terms if t.key in listed and t.name not in FRAMES]
+    base, whole = new.model(diagnosis.base.fit), new.model(diagnosis.chosen.fit)
+    without = [new.model(_without(diagnosis, t)) for t in terms]
+    evidence = new.evidences(base, [whole, *without])
     effects = tuple(
-        _confirmed(t, whole, new.predicted(_without(diagnosis, t)), block)
-        for t in diagnosis.chosen.fit.chain.terms
-        if t.key in listed and t.name not in FRAMES
+        ConfirmedEffect(t.name, evidence[0] - value, new.errors(model.placed, whole.placed))
+        for t, model, value in zip(terms, without, evidence[1:], strict=True)
     )
-    models = (new.as_it_is(diagnosis.base.fit), new.predicted(diagnosis.base.fit), whole)
-    counted = np.logical_and.reduce([model.counted for model in models])
-    calibrated, before, after = (summary(model.distance_m[counted], block[counted]) for model in models)
-    file = data.file or ""
-    return Confirmation(file, data.sha256, new.data.count, count, calibrated, before, after, effects)
+    calibrated = new.as_it_is(diagnosis.base.fit)
+    models = calibrated, base.placed, whole.placed
+    as_it_is, before, after = (new.errors(one, *models) for one in models)
+    return Confirmation(data.file or "", data.sha256, new.data.count, as_it_is, before, after, effects)
 
 
-def _new(diagnosis: Diagnosis, data: Measurements, usable: NDArray[np.bool_]) -> _New:
-    """The poses to go by, of `usable` ones (K,), in blocks that last as long as can be where no memory is known."""
+def _new(diagnosis: Diagnosis, data: Measurements, usable: NDArray[np.bool_]) -> NewPoses:
+    """The poses to go by, of `usable` ones (K,)."""
     some = np.flatnonzero(usable)
-    chosen_poses = data.subset(some[:: max(1, -(-len(some) // MOST_POSES))] if data.is_stream else some)
-    if (
-        data.homing is not None or diagnosis.data.homing is not None
-    ):  # no run of these has the zeros of the first one there
-        chosen_poses = replace(chosen_poses, homing=data.homings + 1)
-    block = blocks(chosen_poses, math.inf if diagnosis.memory is None else diagnosis.memory)
-    count = len(np.unique(block))
-    if count < LEAST_BLOCKS:
-        rule = f"has {count} usable blocks of poses, too few to confirm anything: at least {LEAST_BLOCKS}"
-        raise InputError(rule, file=data.file)
-    return _New(chosen_poses, _noise(diagnosis), block)
-
-
-@dataclass(frozen=True, eq=False)
-class _Predicted:
-    loss: Array  # (K,) robust squares over the noise and the rest
-    distance_m: Array  # (K,)
-    counted: NDArray[np.bool_]  # (K,) with a solution
-
-
-def _confirmed(t: Term, whole: _Predicted, rest: _Predicted, block: NDArray[np.int_]) -> ConfirmedEffect:
-    counted = whole.counted & rest.counted
-    number = np.unique(block[counted], return_inverse=True)[1].ravel()
-    gains: Array = np.asarray(np.bincount(number, weights=(rest.loss - whole.loss)[counted] / 2), dtype=np.float64)
-    z = certainty(gains) if gains.sum() > 0 else -certainty(-gains)
-    verdict = "confirmed" if z > SURE else "contradicted" if z < -CERTAIN else "not confirmed"
-    return ConfirmedEffect(t.name, *summed(gains), z, summary(rest.distance_m[counted], block[counted]), verdict)
-
-
-def _noise(diagnosis: Diagnosis) -> Noise:
-    """That of the measurement, and of what remains, which counts as often as poses are independent: by block."""
-    rest = diagnosis.chosen.fit.noise.discrepancy
-    sizes = (np.hypot(1, rest.position), np.hypot(1, rest.tangent)) if rest else (1.0, 1.0)
-    return Noise(diagnosis.noise.position_m * float(sizes[0]), diagnosis.noise.tangent_rad * float(sizes[1]))
+    if not len(some):
+        raise InputError("has no usable pose to confirm anything by", file=data.file)
+    poses = data.subset(some[:: thinning(len(some))] if data.is_stream else some)
+    if data.homing is not None or diagnosis.data.homing is not None:  # no run has the zeros of the first one there
+        poses = replace(poses, homing=data.homings + 1)
+    return NewPoses.of(poses, diagnosis.chosen.fit, diagnosis.noise)
 
 
 def _without(diagnosis: Diagnosis, gone: Term) -> Fit:
@@ -172,51 +148,89 @@ def _without(diagnosis: Diagnosis, gone: Term) -> Fit:
 
 
 @dataclass(frozen=True, eq=False)
-class _New:
-    """Runs that a diagnosis has not read, with noise and blocks (K,)."""
+class _Model:
+    """A model in the frames of the new runs; its own parameters are as uncertain as the diagnosis left them."""
 
-    data: Measurements
-    noise: Noise
-    block: NDArray[np.int_]
+    placed: Fit
+    seen: Linearised  # one standard normal number for each combination of the parameters that were fitted
 
-    def as_it_is(self, result: Fit) -> _Predicted:
-        """By a model with nothing found anew."""
-        chain, p = self._chain(result, [t for t in result.chain.terms if t.name not in FRAMES])
-        prediction = chain.predict(p, derivatives=False)
-        distance = distances(prediction, self.data)
-        return _Predicted(robust_square(distance / self.noise.position_m), distance, ~excused(prediction.failed))
 
-    def predicted(self, result: Fit) -> _Predicted:
-        """Each block by a model in the frames that the other blocks show, to first order; tips are those there."""
-        placed = self.placed(result)
-        loss, distance, failed = np.empty(self.data.count), np.empty(self.data.count), np.zeros(self.data.count, bool)
-        for number, step in steps_without(linear(placed), self.block).items():
-            inside = self.block == number
-            part = ParametricChain(placed.chain.robot, self.data.subset(inside), placed.chain.terms)
-            if placed.chain.correction is not None:
-                shift, turn = placed.chain.correction
-                part.correction = shift[inside], turn[inside]
-            prediction = part.predict(np.clip(placed.p + step, part.lower, part.upper), derivatives=False)
-            left = residuals(part.data, prediction, self.noise, np.arange(part.data.count))
-            loss[inside], distance[inside] = robust_square(left.norm), distances(prediction, part.data)
-            failed[inside] = prediction.failed
-        return _Predicted(loss, distance, ~excused(failed))
+@dataclass(frozen=True, eq=False)
+class NewPoses:
+    """Runs that a diagnosis has not read, and their noise together with what remained of the diagnosis."""
+
+    bench: CorrelatedBench
+    rough: Noise
+
+    @classmethod
+    def of(cls, poses: Measurements, chosen: Fit, noise: Noise) -> NewPoses:
+        """Those of a diagnosis with a chosen fit and the noise of the measurement."""
+        bench = CorrelatedBench(chosen.chain.robot, poses, noise, groups(poses))
+        rest = chosen.noise.discrepancy
+        sizes = (np.hypot(1, rest.position), np.hypot(1, rest.tangent)) if rest else (1.0, 1.0)
+        return cls(bench, Noise(noise.position_m * float(sizes[0]), noise.tangent_rad * float(sizes[1])))
+
+    @property
+    def data(self) -> Measurements:
+        """The poses that are compared."""
+        return self.bench.data
+
+    def model(self, result: Fit) -> _Model:
+        """A model in the frames of these runs, to first order in its own parameters and those of the frames."""
+        placed, old = self.placed(result), _of_frames(result)
+        free = _of_frames(placed)
+        parts = fit_at(placed.chain, self.bench.noise, self.bench.whitening_group, placed.p).residuals
+        covariance = result.covariance[np.ix_(~old, ~old)]
+        scale = np.sqrt(np.diag(covariance))  # parameters have units of their own
+        values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+        known = parts.J[:, :, ~free] @ (scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)))
+        r = parts.r + parts.J[:, :, free] @ (placed.p - placed.chain.neutral)[free]
+        precision = np.concatenate([np.ones(known.shape[2]), placed.precision[free]])
+        return _Model(placed, Linearised(r, np.concatenate([known, parts.J[:, :, free]], axis=2), precision))
+
+    def evidences(self, base: _Model, models: Sequence[_Model]) -> list[float]:
+        """Log evidences of models beside everything unknown; of poses that all can predict, as the first has them."""
+        whole = models[0].placed
+        failed = np.any([_failed(model.placed) for model in (base, *models)], axis=0)
+        root = np.sqrt(np.where(failed, 0.0, whole.residuals.weight))
+        seen = [
+            Linearised(root[:, None] * m.seen.r, root[:, None, None] * m.seen.J, m.seen.precision)
+            for m in (base, *models)
+        ]
+        errors = UnknownErrors(self.bench, Scored((), base.placed), Scored((), whole), seen[:2], root)
+        return [errors.evidence(one)[0] for one in seen[1:]]
+
+    def errors(self, of: Fit, *others: Fit) -> Errors:
+        """Distances of the tips of poses for which these models all have solutions."""
+        counted = ~np.any([excused(_failed(one)) for one in (of, *others)], axis=0)
+        distance = distances(of.chain.predict(of.p, derivatives=False), self.data)
+        return summary(distance[counted], self.bench.group[counted])
+
+    def as_it_is(self, result: Fit) -> Fit:
+        """A model with nothing found anew."""
+        return self._fitted(result, [t for t in result.chain.terms if t.name not in FRAMES])
 
     def placed(self, result: Fit) -> Fit:
         """A model in the frames that these runs show."""
-        kept = [
-            fixed(t, result.p[place])
-            for t, place in zip(result.chain.terms, result.chain.slices(), strict=True)
-            if t.name not in FRAMES
-        ]
-        chain, p = self._chain(result, [*kept, *frames(result.chain.robot, self.data)])
-        return fit(chain, self.noise, np.arange(self.data.count), p)
+        kept = [t for t in result.chain.terms if t.name not in FRAMES]
+        return self._fitted(result, [*kept, *frames(result.chain.robot, self.data)])
 
-    def _chain(self, result: Fit, terms: Sequence[Term]) -> tuple[ParametricChain, Array]:
-        """The chain of terms with the values that they have in a fit, frames where nothing is displaced."""
+    def _fitted(self, result: Fit, terms: Sequence[Term]) -> Fit:
+        """The chain of terms with the values that they have in a fit; frames alone are fitted."""
+        places = dict(zip([t.key for t in result.chain.terms], result.chain.slices(), strict=True))
+        terms = [t if t.name in FRAMES else fixed(t, result.p[places[t.key]]) for t in terms]
         chain = ParametricChain(result.chain.robot, self.data, terms)
-        keys = [(t.name, q.name) for t in chain.terms for q in t.parameters]
-        known = {key: value for key, value in values_by_name(result).items() if key[0] not in FRAMES}
-        p = np.array([known.get(key, value) for key, value in zip(keys, chain.neutral.tolist(), strict=True)])
+        p = valued(chain, result, chain.neutral, but=FRAMES)
         chain.correction = friction_correction(chain, p)
-        return chain, p
+        return fit(chain, self.rough, self.bench.whitening_group, p)
+
+
+def _of_frames(result: Fit) -> NDArray[np.bool_]:
+    """(P,) parameters of frames, and zeros after another homing."""
+    return np.isin(result.chain.owners, FRAMES)
+
+
+def _failed(result: Fit) -> NDArray[np.bool_]:
+    """(K,) poses without a solution."""
+    failed: NDArray[np.bool_] = result.chain.predict(result.p, derivatives=False).failed
+    return failed

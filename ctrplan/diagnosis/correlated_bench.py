@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
 from ctrplan.calibration import discrepancy
-from ctrplan.calibration.discrepancy import Discrepancy, Linearised
+from ctrplan.calibration.discrepancy import Discrepancy
 from ctrplan.calibration.fit_warnings import PHYSICAL_POISSON
 from ctrplan.calibration.least_squares import Fit, fit, fit_at
 from ctrplan.calibration.residuals import Noise
-from ctrplan.diagnosis.cross_validation import left_out_residuals
+from ctrplan.diagnosis.linear_fit import left_out_residuals
 from ctrplan.diagnosis.workbench import Scored, Workbench, linear
 from ctrplan.effects.effect import CATALOGUE
 from ctrplan.measurement.approach import clock
@@ -61,11 +61,9 @@ USUAL_FRICTION = 0.2  # coefficient at which states are simulated while nobody k
 class CorrelatedBench(Workbench):
     """A workbench whose noise has a discrepancy besides. `plain` is the noise alone."""
 
-    def __init__(
-        self, robot: Robot, data: Measurements, noise: Noise, block: NDArray[np.int_], fold: NDArray[np.int_]
-    ) -> None:
-        """block, fold (K,): poses that count as one where gains are compared, and those left out together."""
-        super().__init__(robot, data, noise, block, fold)
+    def __init__(self, robot: Robot, data: Measurements, noise: Noise, group: NDArray[np.int_]) -> None:
+        """group (K,): poses that are left out together."""
+        super().__init__(robot, data, noise, group)
         self.plain, self.restarts = noise, 0
         self._phi: Array | None = None
         self._handed: dict[Scored, Fit] = {}
@@ -106,18 +104,16 @@ class CorrelatedBench(Workbench):
         return replace(scored, fit=fit_at(scored.fit.chain, self.plain, self.whitening_group, scored.fit.p))
 
     def left_out_m(self, scored: Scored, *lacking: Term) -> Array:
-        """(K, 3) [m] errors of the position when a pose's fold had not been fitted, of what is handed over.
+        """(K, 3) [m] errors of the position when a pose's group had not been fitted, of what is handed over.
 
         To first order without the terms that are `lacking`.
         """
         alike = self._alike(scored)
-        system, chain = linear(alike), alike.chain
+        system = linear(alike)
         if lacking:
-            names = {t.name for t in lacking}
-            mine = [t.name in names for t in chain.terms for _ in t.parameters]
-            system = system.without(np.array(mine)).refitted()
+            system = system.without(np.isin(alike.chain.owners, [t.name for t in lacking])).refitted()
         sigma_m = alike.noise.position_m * self.data.over_tip
-        errors: Array = left_out_residuals(system, self.fold)[:, :3] * sigma_m
+        errors: Array = left_out_residuals(system, self.group)[:, :3] * sigma_m
         return errors
 
     def _alike(self, scored: Scored) -> Fit:
@@ -133,21 +129,9 @@ class CorrelatedBench(Workbench):
     @property
     def noise_alike(self) -> Noise:
         """Noise as large as the discrepancy, every pose counting alike."""
-        result = self._discrepancy
+        result = self.noise.discrepancy
         sizes = (np.hypot(1, result.position), np.hypot(1, result.tangent)) if result else (1.0, 1.0)
         return Noise(self.plain.position_m * sizes[0], self.plain.tangent_rad * sizes[1])
-
-    @property
-    def _discrepancy(self) -> Discrepancy | None:
-        return self.noise.discrepancy
-
-    @property
-    def _run(self) -> NDArray[np.int_]:
-        return self.data.run
-
-    def coloured(self, values: Array) -> Array:
-        """Whitened numbers (K, 5, ...) as they are over the noise alone."""
-        return self._discrepancy.coloured(values) if self._discrepancy else values
 
     def _settled(self, scored: Scored) -> Scored:
         """States and discrepancy as a fit has them, and the set fitted again with both."""
@@ -159,20 +143,14 @@ class CorrelatedBench(Workbench):
         self._screened.clear()
         return self.scored(scored.terms, scored.fit)
 
-    def over_noise_at_priors(self, scored: Scored) -> Linearised:
-        """A fit at the centres of its priors, residuals and derivatives over the noise alone."""
-        parts, solved = scored.fit.residuals, ~scored.failed[:, None]
-        r, J = self.coloured(parts.r) * solved, self.coloured(parts.J) * solved[:, :, None]
-        return Linearised(r + J @ (scored.fit.p - scored.fit.chain.neutral), J, scored.fit.precision)
-
     def estimated(self, scored: Scored) -> Discrepancy:
         """The most probable discrepancy beside a fit."""
-        left = self.over_noise_at_priors(scored)
+        left = linear(scored.fit).centred(self.noise, (~scored.failed).astype(float))
         if not self.data.is_stream:
             return discrepancy.of_configurations(left, self.data.configuration)
         time = clock(self.data)
-        result = discrepancy.of_motion(left, time, self._run, float(np.ptp(time)))
-        stretch = np.unique(np.column_stack([self.group, self._run]), axis=0, return_inverse=True)[1].ravel()
+        result = discrepancy.of_motion(left, time, self.data.run, float(np.ptp(time)))
+        stretch = np.unique(np.column_stack([self.group, self.data.run]), axis=0, return_inverse=True)[1].ravel()
         poses = [np.flatnonzero(stretch == number) for number in np.unique(stretch)]
         return discrepancy.within(result, poses, lambda rows, memory: discrepancy.decay(time[rows], memory))
 

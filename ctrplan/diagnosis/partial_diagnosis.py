@@ -15,14 +15,12 @@ from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
 from ctrplan.calibration.residuals import Noise
-from ctrplan.diagnosis import remainder
 from ctrplan.diagnosis.adequacy import Adequacy, remains
 from ctrplan.diagnosis.correlated_bench import FRAMES, HOMED, SHIFT, CorrelatedBench, frames_beside
-from ctrplan.diagnosis.cross_validation import left_out_residuals
-from ctrplan.diagnosis.gap import localise
+from ctrplan.diagnosis.linear_fit import left_out_residuals
 from ctrplan.diagnosis.posterior import Compared, Report, SelectionStep, settled
-from ctrplan.diagnosis.remainder import Remainder
-from ctrplan.diagnosis.term_search import is_built
+from ctrplan.diagnosis.remainder import Remainder, localise, shares
+from ctrplan.diagnosis.term_pieces import is_built
 from ctrplan.diagnosis.usable_poses import block_split, blocks, on_one_branch, thinned, thinning
 from ctrplan.diagnosis.verdict import Judgement, Verdict, findings_of
 from ctrplan.diagnosis.workbench import Candidates, Scored, Workbench, linear
@@ -111,15 +109,15 @@ def diagnose_partially(
     if data.is_stream:
         first = _bench(robot, data, noise, parts, block)
         certain = on_one_branch(first, first.begun())
-        parts = Split(parts.selection[certain], parts.held_out_set, parts.fold[certain])
+        parts = Split(parts.selection[certain], parts.held_out_set)
     bench = _bench(robot, data, noise, parts, block)
-    base = Workbench(robot, bench.data, noise, bench.group, bench.fold).scored([])
+    base = Workbench(robot, bench.data, noise, bench.group).scored([])
     return most_probable(bench, bench.begun(), known, parts, block, base, tell)
 
 
 def _bench(robot: Robot, data: Measurements, noise: Noise, parts: Split, block: NDArray[np.int_]) -> CorrelatedBench:
     """The bench of the poses that choose."""
-    return CorrelatedBench(robot, data.subset(parts.selection), noise, block[parts.selection], parts.fold)
+    return CorrelatedBench(robot, data.subset(parts.selection), noise, block[parts.selection])
 
 
 def most_probable(
@@ -142,11 +140,10 @@ def most_probable(
     findings = findings_of(bench, here, listed, known, compared.posterior, compared.sets)
     beside, named = _by_name(bench, here)
     verdict: Verdict = "partial" if findings else "unexplained"
-    others = tuple(a for f in findings for a in f.alternatives)
-    judgement = Judgement(verdict, findings, left_by_names(beside, named), others)
-    shares = tuple(_part(bench, base, here, f.term) for f in findings)
+    judgement = Judgement(verdict, findings, left_by_names(beside, named))
+    closed = tuple(_part(bench, base, here, f.term) for f in findings)
     rest = remainder_beside(beside, named, bench.plain)
-    return PartialDiagnosis(bench, parts, block, base, here, judgement, shares, rest, path, known, compared)
+    return PartialDiagnosis(bench, parts, block, base, here, judgement, closed, rest, path, known, compared)
 
 
 def testable_beside(known: Candidates, bench: CorrelatedBench) -> Candidates:
@@ -157,7 +154,7 @@ def testable_beside(known: Candidates, bench: CorrelatedBench) -> Candidates:
 
 def _part(bench: CorrelatedBench, base: Scored, chosen: Scored, t: Term) -> Part:
     """The part of an effect in a set, where `base` is calibrated without effects and without free frames."""
-    whole = left_out_residuals(linear(base.fit), bench.fold)[:, :3] * bench.plain.position_m * bench.data.over_tip
+    whole = left_out_residuals(linear(base.fit), bench.group)[:, :3] * bench.plain.position_m * bench.data.over_tip
     before, after = _rms(whole), _rms(bench.left_out_m(chosen))
     gap = float(np.sqrt(max(before**2 - bench.plain.floor_m**2, 0.0)))
     none = bench.scored([])
@@ -191,7 +188,7 @@ def _by_name(bench: CorrelatedBench, chosen: Scored) -> tuple[CorrelatedBench, S
     names = [t for t in chosen.terms if not is_built(t)]
     if len(names) == len(chosen.terms):
         return bench, chosen
-    beside = CorrelatedBench(bench.robot, bench.data, bench.plain, bench.group, bench.fold)
+    beside = CorrelatedBench(bench.robot, bench.data, bench.plain, bench.group)
     return beside, beside.corrected(beside.scored(names, chosen.fit))
 
 
@@ -202,7 +199,7 @@ def _memory(robot: Robot, data: Measurements, usable: NDArray[np.bool_], noise: 
     some = np.flatnonzero(usable)
     some = some[:: thinning(len(some))]
     alone = np.arange(len(some))
-    bench = CorrelatedBench(robot, data.subset(some), noise, alone, alone)
+    bench = CorrelatedBench(robot, data.subset(some), noise, alone)
     return bench.estimated(bench.scored([])).memory
 
 
@@ -212,11 +209,10 @@ def remainder_beside(bench: CorrelatedBench, chosen: Scored, noise: Noise) -> Re
     error, floor = bench.left_out_m(chosen), noise.floor_m
     size = float(np.sqrt(max(mean_square(error) - floor**2, 0.0)))
     distance = np.linalg.norm(error, axis=1)
-    place = localise(data, bench.coloured(chosen.fit.residuals.r), bench.group, distance, floor, "With these effects")
+    r = linear(chosen.fit).coloured(bench.noise).r
+    place = localise(data, r, bench.group, distance, floor, "With these effects")
     if data.is_stream:
-        shares = remainder.shares_of_motion(error, data, bench.group, floor)
         memory = result.memory if result else 0.0
-        return Remainder(size, memory, *shares, place.sentence, memory_in_rows=data.time_s is None)
-    of_time = remainder.share_of_time(error, data, bench.group, floor)
-    shared = (result.memory if result else 0.0) * (1 - of_time)
-    return Remainder(size, None, shared, 1 - of_time - shared, of_time, place.sentence)
+        told = shares(error, data, floor, memory)
+        return Remainder(size, memory, *told, place.sentence, memory_in_rows=data.time_s is None)
+    return Remainder(size, None, *shares(error, data, floor, 0.0), place.sentence)

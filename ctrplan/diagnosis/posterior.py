@@ -26,14 +26,12 @@ from itertools import combinations
 import numpy as np
 from scipy.special import logsumexp
 
-from ctrplan.base.arrays import Array
 from ctrplan.calibration.discrepancy import Linearised
 from ctrplan.calibration.least_squares import Fit
 from ctrplan.calibration.residuals import Noise
 from ctrplan.diagnosis.correlated_bench import FRAMES
-from ctrplan.diagnosis.cross_validation import Linear
-from ctrplan.diagnosis.term_dictionary import pieces
-from ctrplan.diagnosis.term_search import is_built
+from ctrplan.diagnosis.linear_fit import STATED, Linear, Width, widths_of
+from ctrplan.diagnosis.term_pieces import is_built, pieces
 from ctrplan.diagnosis.unknown_errors import Peak, UnknownErrors, without_error
 from ctrplan.diagnosis.verdict import ACTS, UNKNOWN_ACTS, Posterior, log_odds, normalised
 from ctrplan.diagnosis.workbench import Candidates, Scored, Workbench, linear
@@ -41,7 +39,6 @@ from ctrplan.pipeline.term import Term
 
 MOST_EFFECTS = 4  # of a set
 REFITTED = 5  # different effects that are fitted for good beside a set
-MOST_ITERATIONS, SETTLED = 10, 0.1  # of widths, whose logarithm changes no more: a tenth of what they are known to
 ROUNDS = 3  # of a search, each with the friction states and the rest that the set before leaves
 
 Report = Callable[[str], None]
@@ -130,31 +127,6 @@ class _Set:
         return prior + float(np.logaddexp(self.alone, self.beside + log_odds(UNKNOWN_ACTS)))
 
 
-@dataclass(frozen=True)
-class Width:
-    """How wide an effect's prior most probably is, and the logarithm of what it costs to choose it."""
-
-    over_stated: float
-    cost: float
-
-    @classmethod
-    def of(cls, square: Array, unknown: Array) -> Width:
-        """From k parameters' expected squares (k,) over the stated variances, and the shares of these that poses leave.
-
-        The k numbers have the density w^-k exp(-S / 2 w^2), S their sum, and log w that of w / (1 + w^2). What the
-        prior alone says of k parameters is no knowledge of w: the curvature counts those that poses determine.
-        """
-        k, total = len(square), float(square.sum())
-        half = (total + 1 - k) / 2
-        variance = (half + np.sqrt(half**2 + (k + 1) * total)) / (k + 1)
-        curvature = 2 * (k - float(unknown.sum())) + 4 * variance / (1 + variance) ** 2
-        density = 2 / np.pi * np.sqrt(variance) / (1 + variance)
-        return cls(float(np.sqrt(variance)), -float(np.log(density * np.sqrt(2 * np.pi / curvature))))
-
-
-STATED = Width(1.0, 0.0)  # of what has no parameters, and of the base's
-
-
 class _Comparison:
     """What is the same for all sets of a search: poses, how much each counts, errors, and variants of effects."""
 
@@ -163,9 +135,9 @@ class _Comparison:
     ) -> None:
         self.bench, self.known = bench, known
         self.of_piece = float(np.log(len(pieces(bench.robot, bench.data, known.terms))))  # of which a term is built
-        self.root = np.sqrt(np.where(base.failed | chosen.failed, 0.0, chosen.fit.residuals.weight))[:, None]
+        self.root = np.sqrt(np.where(base.failed | chosen.failed, 0.0, chosen.fit.residuals.weight))
         ends = [self.as_fitted(scored) for scored in (base, chosen)]
-        self.errors = UnknownErrors(bench, base, chosen, ends, self.root[:, 0])
+        self.errors = UnknownErrors(bench, base, chosen, ends, self.root)
         self.known_sets: dict[Scored, _Set] = {}  # with all frames that are free
         self._weights: dict[Scored, float] = {}  # with some of them or none
         self._evidence: dict[frozenset[str], _Set] = {}  # of sets that were fitted
@@ -309,7 +281,7 @@ class _Comparison:
             terms = self.known.completed(here.terms, screened.term)
             added = [t for t in terms if t.name not in here.names]
             names = mine.names | {t.name for t in added}
-            widths = _widths(screened.linear, screened.owners, {*names, *here.names})
+            widths = widths_of(screened.linear, screened.owners, {*names, *here.names})
             fit = self._linearised(screened.linear, self.bench.noise, screened.owners, widths)
             cost = self._cost(names, widths) + self.of_piece * sum(map(is_built, here.terms))
             alone = -np.inf if np.isneginf(mine.alone) else without_error(fit) - cost
@@ -330,9 +302,9 @@ class _Comparison:
 
     def _of_fit(self, scored: Scored) -> tuple[dict[str, Width], tuple[str, ...]]:
         """How wide each effect's prior is, and the effect of each parameter."""
-        owners = tuple(t.name for t in scored.fit.chain.terms for _ in t.parameters)
+        owners = scored.fit.chain.owners
         named = {*(t.name for t in self._named(scored)), *scored.names}
-        return _widths(linear(scored.fit), owners, named), owners
+        return widths_of(linear(scored.fit), owners, named), owners
 
     def as_fitted(self, scored: Scored) -> Linearised:
         """A set at its own fit."""
@@ -348,40 +320,14 @@ class _Comparison:
         without: Collection[str] = (),
     ) -> Linearised:
         """Residuals at the priors' centres over the noise alone, as poses count; without some effects' parameters."""
-        r, J = fit.r, fit.J
-        if noise.discrepancy is not None:
-            r, J = noise.discrepancy.coloured(r), noise.discrepancy.coloured(J)
         precision = fit.precision / np.square([widths.get(name, STATED).over_stated for name in owners])
-        kept = [k for k, name in enumerate(owners) if name not in without]
-        centred = self.root * (r + J @ fit.offset)
-        return Linearised(centred, (self.root[:, :, None] * J)[:, :, kept], precision[kept])
+        kept, centred = [k for k, name in enumerate(owners) if name not in without], fit.centred(noise, self.root)
+        return Linearised(centred.r, centred.J[:, :, kept], precision[kept])
 
     def _cost(self, names: Iterable[str], widths: Mapping[str, Width]) -> float:
         """Logarithm of what the choice of one variant of each effect and of its width cost."""
         variants = (float(np.log(self.known.variants.get(name, 1))) for name in names)
         return sum(variants) + sum(widths.get(name, STATED).cost for name in names)
-
-
-def _widths(fit: Linear, owners: Sequence[str], named: Collection[str]) -> dict[str, Width]:
-    """How wide each effect's prior most probably is, its parameters integrated out.
-
-    By expectation and maximisation, which never lowers the posterior of the logarithms of the widths.
-    """
-    H, gradient = fit._system()
-    data = H - np.diag(fit.precision)
-    target, of = gradient + data @ fit.offset, np.array(owners)
-    places = {name: np.flatnonzero(of == name) for name in sorted(named) if name in owners}
-    widths = dict.fromkeys(places, STATED)
-    for _ in range(MOST_ITERATIONS):
-        precision = fit.precision / np.square([widths.get(name, STATED).over_stated for name in owners])
-        scale = 1 / np.sqrt(np.diag(data) + precision)
-        covariance = np.linalg.inv((data + np.diag(precision)) * np.outer(scale, scale)) * np.outer(scale, scale)
-        variance = np.diag(covariance)
-        square, unknown = ((covariance @ target) ** 2 + variance) * fit.precision, variance * precision
-        before, widths = widths, {name: Width.of(square[own], unknown[own]) for name, own in places.items()}
-        if all(abs(np.log(widths[name].over_stated / before[name].over_stated)) < SETTLED for name in widths):
-            break
-    return widths
 
 
 def _note(known: dict[frozenset[str], _Set], terms: Sequence[Term], new: _Set) -> None:

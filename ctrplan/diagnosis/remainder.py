@@ -1,39 +1,36 @@
-"""What remains beside the effects that are supported: how large it is, how long it lasts, along which joints it is
-smooth.
+"""What remains beside a model: how large it is, how long it lasts, and what it goes along with.
 
-At rest an error goes along with the joints, or it is smooth in time. On a continuous motion it is forgotten with time,
-exponentially or as a smooth function does, or it goes along with the joints. The error of a tangent is a small rotation
-whose axes stay where they are: a tangent that turns shows other components of it.
+An error that goes along with a quantity is a zero-mean Gaussian process of it. Residuals R (K, D) are compared over
+such processes by their evidence, the size of the noise being unknown,
+
+    -K D / 2 log |C^-1/2 R|^2 - D / 2 log |C|,  C = (1 - a) I + a G + s^2 k,
+
+G one for two poses of the same configuration, k the process, and all shares a and sizes s as probable as each other.
+How much of a remainder belongs to each of several processes, their most probable variances say.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import product
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
+from scipy.special import logsumexp
 
 from ctrplan.base.arrays import Array
-from ctrplan.calibration.discrepancy import (
-    POSITION,
-    TANGENT,
-    Block,
-    Linearised,
-    Numbered,
-    Spectrum,
-    block_of,
-    decay,
-)
-from ctrplan.measurement.approach import clock, friction_state, last_directions
+from ctrplan.calibration.discrepancy import SHARES, SIZES, decay
+from ctrplan.diagnosis.unknown_errors import QUARTERS, input_distances, kernel_modes
+from ctrplan.diagnosis.usable_poses import thinning
+from ctrplan.diagnosis.verdict import shown
+from ctrplan.measurement.approach import clock, friction_state
 from ctrplan.measurement.measurements import Measurements
 
-SCALES = (0.5, 1.0, 2.0)  # of a kernel, in rad of relative rotation or what counts as much
-RIDGES = (0.1, 0.5, 2.0)  # noise of a kernel fit, over what it explains
-ROOM_M = 0.05  # of translation, that counts as much as a radian, or as a friction state or direction
-QUARTERS = 4.0  # of the experiment that count as much as a radian each
+ROUNDS = 100  # in which variances of a remainder's parts come nearer to the most probable ones: a budget
+WILD = 3.0  # times the median norm of residuals: longer ones are shortened to it, for a few wild poses are no trend
+ROUNDED_RAD = 1e-9  # by which an angle may fall short of zero without coming out as a full turn
+JOINTS = "joints together"
 
 
 @dataclass(frozen=True)
@@ -66,180 +63,174 @@ class Remainder:
         return f"{self.rms_m * 1e3:.2f} mm remain (rms, noise taken out){lasting}. {fixed}"
 
 
-def shares_of_motion(
-    error_m: Array, data: Measurements, block: NDArray[np.int_], floor_m: float
-) -> tuple[float, float, float]:
-    """Shares of configuration, history and time in errors (K, 3), by what each adds when blocks (K,) are left out."""
-    wanted = max(float((error_m**2).sum()) - len(error_m) * floor_m**2, 1e-12)
-    features, explained = list[Array](), [0.0]
-    for more in (_configuration(data), _history(data), _time(data)):
-        features.append(more)
-        explained.append(max(explained[-1], _explained(error_m, np.hstack(features), block)))
-    configuration, history, time = (float(min(1.0, step / wanted)) for step in np.diff(explained))
+def shares(error_m: Array, data: Measurements, floor_m: float, memory: float) -> tuple[float, float, float]:
+    """Shares of configuration, history and time in errors (K, 3) of poses, beside noise of a size floor_m.
+
+    On a continuous motion what is forgotten after a `memory`, in s or in rows, is a fourth part beside these.
+    """
+    some = np.arange(data.count)[:: thinning(data.count)]
+    data, error_m = data.subset(some), error_m[some]
+    kernels = {name: np.exp(-square / 2) for name, square in input_distances(data)}
+    if data.is_stream:
+        same_run = data.run[:, None] == data.run
+        forgotten = [decay(clock(data), max(memory, np.finfo(float).tiny)) * same_run]
+        parts = [kernels["joints"], kernels["history"], kernels["time"], *forgotten]
+    else:
+        same = (data.configuration[:, None] == data.configuration).astype(float)
+        parts = [(same + kernels["joints"]) / 2, np.eye(data.count), kernels["time"]]
+    variances = most_probable_variances(error_m * np.sqrt(3) / floor_m, parts)
+    configuration, history, time = (variances[:3] / max(float(variances.sum()), np.finfo(float).tiny)).tolist()
     return configuration, history, time
 
 
-def share_of_time(error_m: Array, data: Measurements, block: NDArray[np.int_], floor_m: float) -> float:
-    """The share of time in errors (K, 3) of poses at rest."""
-    wanted = max(float((error_m**2).sum()) - len(error_m) * floor_m**2, 1e-12)
-    return float(min(1.0, max(0.0, _explained(error_m, _time(data), block)) / wanted))
+def most_probable_variances(r: Array, correlations: Sequence[Array]) -> Array:
+    """(P,) variances of processes with correlations (K, K) each, beside noise of variance 1, in residuals (K, D).
+
+    By minorisation and maximisation of the evidence (Zhou and others 2019), which never lowers it.
+    """
+    variances = np.full(len(correlations), float(np.mean(r**2)) / len(correlations))
+    for _ in range(ROUNDS):
+        inverse = np.linalg.inv(np.eye(len(r)) + sum(v * one for v, one in zip(variances, correlations, strict=True)))
+        seen = inverse @ r
+        drawn = np.array([(seen * (one @ seen)).sum() for one in correlations])
+        spread = r.shape[1] * np.array([(inverse * one).sum() for one in correlations])
+        variances = variances * np.sqrt(drawn / np.maximum(spread, np.finfo(float).tiny))
+    return variances
 
 
-def _configuration(data: Measurements) -> Array:
-    turns = np.diff(data.theta_commanded[data.rows], axis=1)
-    return np.hstack([np.sin(turns), np.cos(turns), data.l_commanded[data.rows] / ROOM_M])
+@dataclass(frozen=True)
+class Trend:
+    """How probable it is that residuals go along with a quantity, and the share of their variance that then does."""
 
-
-def _history(data: Measurements) -> Array:
-    states: Array = np.hstack([friction_state(data), last_directions(data)])
-    return states
-
-
-def _time(data: Measurements) -> Array:
-    time = clock(data)
-    since: Array = (time - time.min())[:, None] / max(float(np.ptp(time)), 1e-9) * QUARTERS
-    return since
-
-
-def _explained(error: Array, features: Array, block: NDArray[np.int_]) -> float:
-    """Sum of squares that a smooth function of the features predicts of blocks it has not seen, the best of a few."""
-    total = float((error**2).sum())
-    square = ((features[:, None] - features[None]) ** 2).sum(axis=2)
-    best: float = 0.0
-    for scale in SCALES:
-        kernel = np.exp(-square / (2 * scale**2 * features.shape[1]))
-        for ridge in RIDGES:
-            best = max(best, total - float(((error - _left_out(kernel, ridge, error, block)) ** 2).sum()))
-    return best
-
-
-def _left_out(kernel: Array, ridge: float, error: Array, block: NDArray[np.int_]) -> Array:
-    """(K, 3) predictions of each block from the others: one inversion, (I - H_bb)^-1 per block."""
-    smoother = kernel @ np.linalg.inv(kernel + ridge * np.eye(len(kernel)))
-    predicted = smoother @ error
-    for number in np.unique(block):
-        rows = np.flatnonzero(block == number)
-        own = np.eye(len(rows)) - smoother[np.ix_(rows, rows)]
-        predicted[rows] = error[rows] - np.linalg.solve(own, error[rows] - predicted[rows])
-    left: Array = predicted
-    return left
-
-
-JOINT_LENGTHS = (0.3, 0.6, 1.0, 1.5, 2.5)  # [rad]; longer ones are what frames and offsets are
-
-
-def square_distances(data: Measurements, poses: Sequence[int]) -> Array:
-    """(B, B) [rad^2] of configurations, each given by a pose: a chord for a rotation, 50 mm count as a radian."""
-    rows = data.rows[list(poses)]
-    theta, l = data.theta_commanded[rows], data.l_commanded[rows]  # noqa: E741
-    turns = np.hstack([theta[:, :1], np.diff(theta, axis=1)])
-    place = np.hstack([np.sin(turns), np.cos(turns), l / ROOM_M])
-    square: Array = ((place[:, None] - place[None]) ** 2).sum(axis=2)
-    return square
-
-
-SMOOTH = (0.7, 1.0)  # share of what configurations differ by that goes along with the joints
-MEMORIES = 6  # forgotten ones from a step of the poses to half of the motion, smooth ones from four to twice of it
-
-Along = Literal["configuration", "joints", "time"]  # poses with like errors have the same of these, or are near in it
+    quantity: str
+    share: float
+    probability: float
 
 
 @dataclass(frozen=True, eq=False)
-class SmoothError:
-    """How the errors of poses go along with each other; numbers of a fit that do so, of position and of tangent."""
+class Place:
+    """Where the disagreement is."""
 
-    along: Along
-    position: tuple[Numbered, ...]
-    tangent: tuple[Numbered, ...]
-
-    def spectrum(self, fit: Linearised) -> Spectrum:
-        """The spectrum of a fit of these poses beside the error, at every size."""
-        return Spectrum.apart(fit, self.position, self.tangent)
-
-    def at(self, fit: Linearised, position: float, tangent: float) -> Spectrum:
-        """The fit beside the error at one size of each, over the noise."""
-        return Spectrum.apart(fit, self.position, self.tangent, (np.array([position]), np.array([tangent])))
+    trends: tuple[Trend, ...]  # of quantities, the most probable first
+    sentence: str
+    rms_m: float  # of the model's errors
 
 
-def at_rest(data: Measurements, share: float, axes: Array) -> list[SmoothError]:
-    """Smooth errors of poses at rest, first of configurations that have nothing in common; share: of a
-    configuration's approaches.
+def quantities(data: Measurements) -> Mapping[str, Array]:
+    """What each pose comes with, (K,) each."""
+    rows, n = data.rows, data.n
+    results: dict[str, Array] = {}
+    for i in range(1, n):
+        turn = data.theta_commanded[rows, i] - data.theta_commanded[rows, i - 1]
+        results[f"{ANGLE}tube {i + 1} against tube {i}"] = np.mod(turn + ROUNDED_RAD, 2 * np.pi)
+        results[f"direction of approach of tubes {i} and {i + 1}"] = friction_state(data)[:, i - 1]
+    for i in range(n):
+        results[f"translation of tube {i + 1}"] = data.l_commanded[rows, i]
+        results[f"{ROTATION}tube {i + 1}"] = data.theta_commanded[rows, i]
+    for k, axis in enumerate("xyz"):
+        results[f"{axis} of the tip"] = data.position_m[:, k]
+    if data.time_s is not None:
+        results["time"] = data.time_s[rows]
+    results |= {name: values[rows] for name, values in data.more.items()}
+    return {name: values for name, values in results.items() if _differs(values)}
 
-    axes (K, 2, 3) are those about which rotations are the two numbers of a tangent.
+
+ANGLE, ROTATION = "angle of ", "commanded rotation of "  # how quantities begin that come again after a turn
+
+
+def localise(
+    data: Measurements,
+    r: Array,
+    group: NDArray[np.int_],
+    error_m: Array,
+    floor_m: float,
+    opening: str = "After calibration",
+) -> Place:
+    """From whitened residuals (K, 5) and distances (K,) of the calibrated model, or of another that `opening` names.
+
+    That residuals go along with nothing is as probable a priori as that they go along with a quantity or with all
+    joints together, which are as probable as each other.
     """
-    number, first, which = np.unique(data.configuration, return_index=True, return_inverse=True)
-    square, own = square_distances(data, first.tolist()), np.eye(len(number))
-    results = [own]
-    kernels = [np.exp(-square / (2 * length**2)) for length in JOINT_LENGTHS[1:]]
-    results += [(1 - q) * own + q * kernel for q, kernel in product(SMOOTH, kernels)]
-    of_poses = [one[np.ix_(which.ravel(), which.ravel())] for one in results]
-    of_poses = [share * one + (1 - share) * np.eye(data.count) for one in of_poses]
-    one_by_one = _error("configuration", data, of_poses[0], axes)
-    along_joints = [_error("joints", data, one, axes) for one in of_poses[1:]]
-    slow = _smooth_in_time(clock(data), 0.5)  # what changes still more slowly is a drift
-    in_time = [_error("time", data, one, axes) for one in slow]
-    return [one_by_one, *along_joints, *in_time]
+    known, some = quantities(data), np.arange(len(r))[:: thinning(len(r))]
+    squares = {name: _square(values[some], name.startswith((ANGLE, ROTATION))) for name, values in known.items()}
+    squares[JOINTS] = next(square for name, square in input_distances(data) if name == "joints")[np.ix_(some, some)]
+    same = group[some, None] == group[some]
+    roots = [np.linalg.cholesky(a * same + (1 - a) * np.eye(len(some))) for a in SHARES[:-1]]  # the last has no noise
+    measured = _bounded(r)[some][:, r.any(axis=0)]
+    alone = np.array([_evidences(measured, np.zeros((len(some), 0)), root)[0] for root in roots])
+    weights, amounts = [float(_mean(alone))], [0.0]
+    for square in squares.values():
+        values = np.array([_evidences(measured, kernel_modes(square), root) for root in roots])
+        size = SIZES[np.unravel_index(int(values.argmax()), values.shape)[1]]
+        weights.append(float(_mean(values.ravel())) - np.log(len(squares)))
+        amounts.append(float(size**2 / (1 + size**2)))
+    nothing, *probabilities = np.exp(np.array(weights) - logsumexp(weights)).tolist()
+    trends = [Trend(*told) for told in zip(squares, amounts[1:], probabilities, strict=True)]
+    ranked = sorted(trends, key=lambda trend: -trend.probability)
+    rms_m = float(np.sqrt(np.mean(error_m**2)))
+    start = f"{opening} tips are {rms_m * 1e3:.2f} mm off (rms, noise {floor_m * 1e3:.2f} mm)"
+    if not ranked or nothing >= ranked[0].probability:
+        sentence = f"{start}; the rest goes along with none of {len(known)} quantities looked at."
+    else:
+        is_shared = SHARES[int(alone.argmax())] > 0.5
+        kind = "is shared by all approaches of a configuration" if is_shared else "differs between approaches"
+        sentence = f"{start}; the error goes along with {_along(ranked, known, error_m)}, and mostly {kind}."
+    return Place(tuple(trend for trend in ranked if trend.quantity != JOINTS), sentence, rms_m)
 
 
-def of_motion(data: Measurements, axes: Array) -> list[SmoothError]:
-    """Smooth errors of a continuous motion; axes (K, 2, 3) as of poses at rest."""
-    return [_error(kind, data, one, axes) for kind, one in _correlations(data)]
+def _along(ranked: Sequence[Trend], known: Mapping[str, Array], error_m: Array) -> str:
+    """The most probable quantities, of which one goes along with probability 1/2 at least, and errors over each."""
+    parts, total = list[str](), 0.0
+    for trend in ranked:
+        parts.append(f"the {trend.quantity}, {shown(trend.probability)}")
+        if trend.quantity != JOINTS:
+            values = known[trend.quantity]
+            quarters = np.array_split(np.argsort(values)[: np.isfinite(values).sum()], 4)
+            sizes = [float(np.sqrt(np.mean(error_m[part] ** 2))) * 1e3 for part in quarters if len(part)]
+            parts[-1] += f" ({min(sizes):.2f} to {max(sizes):.2f} mm rms over its range)"
+        total += trend.probability
+        if total >= 1 / 2:
+            break
+    return " or ".join(parts)
 
 
-def _error(along: Along, data: Measurements, correlation: Array, axes: Array) -> SmoothError:
-    """With a correlation (K, K) of poses."""
-    return SmoothError(along, tuple(_of_coordinates(data, correlation)), tuple(_of_rotations(data, correlation, axes)))
+def _differs(values: Array) -> bool:
+    """Whether a quantity (K,), blank where NaN, tells poses apart."""
+    given = values[np.isfinite(values)]
+    return len(given) > 0 and (len(given) < len(values) or bool(np.ptp(given) > 1e-6))
 
 
-def _correlations(data: Measurements) -> Iterator[tuple[Along, Array]]:
-    """What goes along, and (K, K) of the poses of a continuous motion."""
-    time, together = clock(data), data.run[:, None] == data.run
-    step, whole = _spans(time)
-    for memory in np.geomspace(step, max(whole / 2, step), MEMORIES):
-        yield "time", decay(time, memory) * together
-    for one in _smooth_in_time(time, 2.0):
-        yield "time", one * together
-    square = square_distances(data, range(data.count))
-    for length in JOINT_LENGTHS:
-        yield "joints", np.exp(-square / (2 * length**2))
+def _square(values: Array, is_angle: bool) -> Array:
+    """(K, K) [rad^2] squares of distances in a quantity (K,): chords of angles, and as many radians a range.
+
+    Blanks are as near to each other, and as far from all else, as can be.
+    """
+    apart = values[:, None] - values
+    given = values[np.isfinite(values)]
+    square = 4 * np.sin(apart / 2) ** 2 if is_angle else (QUARTERS * apart / max(float(np.ptp(given)), 1e-12)) ** 2
+    blank = ~np.isfinite(values)
+    return np.where(np.isfinite(square), square, np.where(blank[:, None] & blank, 0.0, np.inf))
 
 
-def _smooth_in_time(time: Array, longest: float) -> Iterator[Array]:
-    """(K, K) of memories from four steps of the poses to `longest` times the whole."""
-    step, whole = _spans(time)
-    for memory in np.geomspace(4 * step, max(longest * whole, 4 * step), MEMORIES):
-        yield np.exp(-((time[:, None] - time) ** 2) / (2 * memory**2))
+def _evidences(r: Array, modes: Array, root: Array) -> Array:
+    """(S,) their logarithms with a process of modes (K, m) of every size, beside noise with a root (K, K)."""
+    white, over = (solve_triangular(root, values, lower=True) for values in (r, modes))
+    values, vectors = np.linalg.eigh(over.T @ over)
+    along = (((over @ vectors).T @ white) ** 2).sum(axis=1)
+    square = SIZES[:, None] ** 2
+    left = (white**2).sum() - (square * along / (1 + square * values)).sum(axis=1)
+    volume = np.log1p(square * np.maximum(values, 0.0)).sum(axis=1) / 2 + np.log(np.diag(root)).sum()
+    evidences: Array = -r.size / 2 * np.log(np.maximum(left, np.finfo(float).tiny)) - r.shape[1] * volume
+    return evidences
 
 
-def _spans(time: Array) -> tuple[float, float]:
-    """The usual step between poses, and from the first to the last."""
-    steps = np.diff(np.sort(time))
-    return (float(np.median(steps[steps > 0])), float(np.ptp(time))) if steps.any() else (1.0, 1.0)
+def _mean(logarithms: Array) -> float:
+    """Logarithm of a mean."""
+    return float(logsumexp(logarithms) - np.log(len(logarithms)))
 
 
-def _of_coordinates(data: Measurements, correlation: Array) -> Iterator[Numbered]:
-    """Every coordinate of a position alike; those that were measured of the same poses at once."""
-    given, numbers = data.given[:, POSITION], _numbers(data)[:, POSITION]
-    masks, which = np.unique(given, axis=1, return_inverse=True)
-    for k, mask in enumerate(masks.T):
-        rows = np.flatnonzero(mask)
-        if len(rows):
-            yield numbers[np.ix_(rows, np.flatnonzero(which.ravel() == k))], _block(correlation[np.ix_(rows, rows)])
-
-
-def _of_rotations(data: Measurements, correlation: Array, axes: Array) -> Iterator[Numbered]:
-    """A rotation with its own axes, seen about those of each tangent."""
-    seen: NDArray[np.bool_] = data.given[:, TANGENT]
-    pose = np.nonzero(seen)[0]
-    if len(pose):
-        along = axes[seen]
-        yield _numbers(data)[:, TANGENT][seen][:, None], _block((along @ along.T) * correlation[np.ix_(pose, pose)])
-
-
-def _numbers(data: Measurements) -> NDArray[np.int_]:
-    """(K, 5) where the numbers of the poses are in a fit's."""
-    return np.arange(5 * data.count).reshape(-1, 5)
-
-
-def _block(correlation: Array) -> Block:
-    return block_of(np.arange(len(correlation)), correlation)
+def _bounded(r: Array) -> Array:
+    """Residuals (K, 5) none of which is much longer than most."""
+    norm = np.linalg.norm(r, axis=1)
+    bounded: Array = r * np.minimum(1.0, WILD * np.median(norm) / np.maximum(norm, 1e-12))[:, None]
+    return bounded

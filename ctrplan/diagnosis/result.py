@@ -17,12 +17,12 @@ from ctrplan.calibration.robot_content import calibrated_content, model_error_m
 from ctrplan.diagnosis.adequacy import ChiSquare
 from ctrplan.diagnosis.built_term import Built
 from ctrplan.diagnosis.correlated_bench import FRAMES
-from ctrplan.diagnosis.gap import Gap, Place
+from ctrplan.diagnosis.gap import Gap
 from ctrplan.diagnosis.next_experiment import Decision, Proposal
 from ctrplan.diagnosis.partial_diagnosis import PartialDiagnosis
 from ctrplan.diagnosis.posterior import SelectionStep
 from ctrplan.diagnosis.reading import MisreadError, Reading
-from ctrplan.diagnosis.remainder import Remainder
+from ctrplan.diagnosis.remainder import Place, Remainder
 from ctrplan.diagnosis.slips import Slip
 from ctrplan.diagnosis.verdict import Judgement, Posterior, Verdict, names_of
 from ctrplan.diagnosis.workbench import Scored
@@ -72,7 +72,6 @@ class Diagnosis:
     partly: PartialDiagnosis | None = None  # what remains beside the effects, where that is the verdict
     built: Built | None = None  # a term of what the effects leave; of `chosen` too, and no cause
     named_gap: Gap | None = None  # the gap without the built term, where there is one
-    memory: float | None = None  # of what remains, s or rows of a continuous motion, whatever the verdict
     framed_gap: Gap | None = None  # the gap with free frames alone, where something remains
     confirmations: tuple[ConfirmationResult, ...] = ()  # on other runs, asked once
     reading: tuple[Reading, ...] = ()  # how the columns should be read, where the file does not mean what it says
@@ -188,15 +187,6 @@ class Diagnosis:
             "alternative_probabilities": {a.term.name: self._probability(a.term.name) for a in finding.alternatives},
             "stage": finding.term.effect.stage,
             "parameters": {name: {"value": e.value, "ci95": list(e.ci95)} for name, e in result.items()},
-            "evidence": [
-                {
-                    "instead": a.term.name,
-                    "log_likelihood_behind": round(a.behind, 2),
-                    "standard_error": round(a.error, 2),
-                }
-                for a in self.judgement.compared
-                if finding.term.key not in {t.key for t in a.scored.terms}
-            ],
             **(self.partly.shares_json(finding.term) if self.partly else {}),
         }
 

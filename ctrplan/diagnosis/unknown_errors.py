@@ -1,6 +1,8 @@
 """What may act besides on some poses that the catalogue lacks: errors of tips, and processes of the stages.
 
-An unknown error of tips belongs to the configuration, or is smooth in the joints or in time. One of a stage is a
+An unknown error of tips belongs to the configuration, or is smooth in the joints or in time; on a continuous motion it
+is forgotten with time, exponentially or as a smooth function does. The error of a tangent is a small rotation whose
+axes stay where they are: a tangent that turns shows other components of it. One of a stage is a
 zero-mean Gaussian process of an angle, a travel, a precurvature, a stiffness or the tilt of the plate, seen through the
 chain's derivatives: of its own joint, of all joints, of all joints and the way they were reached, or of time; or the
 sensor or the robot was pushed between two configurations. Either acts alone, or both do; kinds and sizes, alike in
@@ -19,6 +21,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,12 +30,20 @@ from scipy.special import logsumexp
 
 from ctrplan.base.arrays import Array
 from ctrplan.calibration import residuals
-from ctrplan.calibration.discrepancy import SIZES, Linearised, of_configurations
-from ctrplan.diagnosis import remainder
+from ctrplan.calibration.discrepancy import (
+    POSITION,
+    SIZES,
+    TANGENT,
+    Block,
+    Linearised,
+    Numbered,
+    Spectrum,
+    block_of,
+    decay,
+    of_configurations,
+)
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
-from ctrplan.diagnosis.remainder import QUARTERS, SmoothError, square_distances
-from ctrplan.diagnosis.term_dictionary import TermPiece, pieces
-from ctrplan.diagnosis.term_search import wide_linearisation
+from ctrplan.diagnosis.term_pieces import TermPiece, pieces, wide_linearisation
 from ctrplan.diagnosis.workbench import Scored, Workbench
 from ctrplan.effects.learned.inputs import Target
 from ctrplan.measurement.approach import clock, friction_state, last_directions
@@ -43,9 +55,131 @@ IN_WORDS = {
     "time": "goes along with the time",
     "history": "goes along with the way poses were reached",
 }
+ROOM_M = 0.05  # of translation, that counts as much as a radian, or as a friction state or direction
+QUARTERS = 4.0  # of the experiment, or of a quantity's range, that count as much as a radian each
 LENGTHS = (0.4, 1.0)  # [rad] over which a process changes: three waves a turn, and one
 SENSOR = Target("sensor")
 LEAST_MODE = 0.02  # of the largest: modes of a process that are smaller are left out
+
+
+JOINT_LENGTHS = (0.3, 0.6, 1.0, 1.5, 2.5)  # [rad]; longer ones are what frames and offsets are
+
+
+def square_distances(data: Measurements, poses: Sequence[int]) -> Array:
+    """(B, B) [rad^2] of configurations, each given by a pose: a chord for a rotation, 50 mm count as a radian."""
+    rows = data.rows[list(poses)]
+    theta, l = data.theta_commanded[rows], data.l_commanded[rows]  # noqa: E741
+    turns = np.hstack([theta[:, :1], np.diff(theta, axis=1)])
+    place = np.hstack([np.sin(turns), np.cos(turns), l / ROOM_M])
+    square: Array = ((place[:, None] - place[None]) ** 2).sum(axis=2)
+    return square
+
+
+SMOOTH = (0.7, 1.0)  # share of what configurations differ by that goes along with the joints
+MEMORIES = 6  # forgotten ones from a step of the poses to half of the motion, smooth ones from four to twice of it
+
+Along = Literal["configuration", "joints", "time"]  # poses with like errors have the same of these, or are near in it
+
+
+@dataclass(frozen=True, eq=False)
+class SmoothError:
+    """How the errors of poses go along with each other; numbers of a fit that do so, of position and of tangent."""
+
+    along: Along
+    position: tuple[Numbered, ...]
+    tangent: tuple[Numbered, ...]
+
+    def spectrum(self, fit: Linearised) -> Spectrum:
+        """The spectrum of a fit of these poses beside the error, at every size."""
+        return Spectrum.apart(fit, self.position, self.tangent)
+
+    def at(self, fit: Linearised, position: float, tangent: float) -> Spectrum:
+        """The fit beside the error at one size of each, over the noise."""
+        return Spectrum.apart(fit, self.position, self.tangent, (np.array([position]), np.array([tangent])))
+
+
+def at_rest(data: Measurements, share: float, axes: Array) -> list[SmoothError]:
+    """Smooth errors of poses at rest, first of configurations that have nothing in common; share: of a
+    configuration's approaches.
+
+    axes (K, 2, 3) are those about which rotations are the two numbers of a tangent.
+    """
+    number, first, which = np.unique(data.configuration, return_index=True, return_inverse=True)
+    square, own = square_distances(data, first.tolist()), np.eye(len(number))
+    results = [own]
+    kernels = [np.exp(-square / (2 * length**2)) for length in JOINT_LENGTHS[1:]]
+    results += [(1 - q) * own + q * kernel for q, kernel in product(SMOOTH, kernels)]
+    of_poses = [one[np.ix_(which.ravel(), which.ravel())] for one in results]
+    of_poses = [share * one + (1 - share) * np.eye(data.count) for one in of_poses]
+    one_by_one = _error("configuration", data, of_poses[0], axes)
+    along_joints = [_error("joints", data, one, axes) for one in of_poses[1:]]
+    slow = _smooth_in_time(clock(data), 0.5)  # what changes still more slowly is a drift
+    in_time = [_error("time", data, one, axes) for one in slow]
+    return [one_by_one, *along_joints, *in_time]
+
+
+def of_motion(data: Measurements, axes: Array) -> list[SmoothError]:
+    """Smooth errors of a continuous motion; axes (K, 2, 3) as of poses at rest."""
+    return [_error(kind, data, one, axes) for kind, one in _correlations(data)]
+
+
+def _error(along: Along, data: Measurements, correlation: Array, axes: Array) -> SmoothError:
+    """With a correlation (K, K) of poses."""
+    return SmoothError(along, tuple(_of_coordinates(data, correlation)), tuple(_of_rotations(data, correlation, axes)))
+
+
+def _correlations(data: Measurements) -> Iterator[tuple[Along, Array]]:
+    """What goes along, and (K, K) of the poses of a continuous motion."""
+    time, together = clock(data), data.run[:, None] == data.run
+    step, whole = _spans(time)
+    for memory in np.geomspace(step, max(whole / 2, step), MEMORIES):
+        yield "time", decay(time, memory) * together
+    for one in _smooth_in_time(time, 2.0):
+        yield "time", one * together
+    square = square_distances(data, range(data.count))
+    for length in JOINT_LENGTHS:
+        yield "joints", np.exp(-square / (2 * length**2))
+
+
+def _smooth_in_time(time: Array, longest: float) -> Iterator[Array]:
+    """(K, K) of memories from four steps of the poses to `longest` times the whole."""
+    step, whole = _spans(time)
+    for memory in np.geomspace(4 * step, max(longest * whole, 4 * step), MEMORIES):
+        yield np.exp(-((time[:, None] - time) ** 2) / (2 * memory**2))
+
+
+def _spans(time: Array) -> tuple[float, float]:
+    """The usual step between poses, and from the first to the last."""
+    steps = np.diff(np.sort(time))
+    return (float(np.median(steps[steps > 0])), float(np.ptp(time))) if steps.any() else (1.0, 1.0)
+
+
+def _of_coordinates(data: Measurements, correlation: Array) -> Iterator[Numbered]:
+    """Every coordinate of a position alike; those that were measured of the same poses at once."""
+    given, numbers = data.given[:, POSITION], _numbers(data)[:, POSITION]
+    masks, which = np.unique(given, axis=1, return_inverse=True)
+    for k, mask in enumerate(masks.T):
+        rows = np.flatnonzero(mask)
+        if len(rows):
+            yield numbers[np.ix_(rows, np.flatnonzero(which.ravel() == k))], _block(correlation[np.ix_(rows, rows)])
+
+
+def _of_rotations(data: Measurements, correlation: Array, axes: Array) -> Iterator[Numbered]:
+    """A rotation with its own axes, seen about those of each tangent."""
+    seen: NDArray[np.bool_] = data.given[:, TANGENT]
+    pose = np.nonzero(seen)[0]
+    if len(pose):
+        along = axes[seen]
+        yield _numbers(data)[:, TANGENT][seen][:, None], _block((along @ along.T) * correlation[np.ix_(pose, pose)])
+
+
+def _numbers(data: Measurements) -> NDArray[np.int_]:
+    """(K, 5) where the numbers of the poses are in a fit's."""
+    return np.arange(5 * data.count).reshape(-1, 5)
+
+
+def _block(correlation: Array) -> Block:
+    return block_of(np.arange(len(correlation)), correlation)
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,9 +335,9 @@ def _smooth(data: Measurements, axes: Array, ends: Sequence[Linearised]) -> list
     axes (K, 2, 3) are those about which rotations are the two numbers of a tangent.
     """
     if data.is_stream:
-        return remainder.of_motion(data, axes)
+        return of_motion(data, axes)
     shares = sorted({of_configurations(fit, data.configuration).memory for fit in ends})
-    first, *others = (remainder.at_rest(data, share, axes) for share in shares)
+    first, *others = (at_rest(data, share, axes) for share in shares)
     return first + [error for more in others for error in more if error.along != "time"]
 
 
@@ -212,9 +346,11 @@ def _processes(bench: Workbench, base: Scored, counts: Array) -> Iterator[tuple[
     data = bench.data
     targets = {piece.on: None for piece in pieces(bench.robot, data) if piece.on.kind_name != "sensor"} | {SENSOR: None}
     constants = {on: TermPiece(on, ("constant",)) for on in targets if not on.of_way}
-    plain = CorrelatedBench(bench.robot, data, replace(base.fit.noise, discrepancy=None), bench.group, bench.fold)
+    plain = CorrelatedBench(bench.robot, data, replace(base.fit.noise, discrepancy=None), bench.group)
     table = wide_linearisation(plain, base, list(constants.values()))
-    modes = {(name, length): _modes(square / length**2) for name, square in _distances(data) for length in LENGTHS}
+    modes = {
+        (name, length): kernel_modes(square / length**2) for name, square in input_distances(data) for length in LENGTHS
+    }
     seen = {on: table.whole.J[:, :, table.places[piece]] * counts[:, None, None] for on, piece in constants.items()}
     at_sensor = seen.pop(SENSOR)
     pushed = [at_sensor * later[:, None, None] for later in _since_each_configuration(data)]
@@ -245,7 +381,7 @@ def _since_each_configuration(data: Measurements) -> list[NDArray[np.bool_]]:
     return [np.arange(data.count) >= pose for pose in later]
 
 
-def _distances(data: Measurements) -> Iterator[tuple[str, Array]]:
+def input_distances(data: Measurements) -> Iterator[tuple[str, Array]]:
     """Squares (K, K) of distances of poses in the inputs of a process, in radians or what counts as much."""
     joints, time = square_distances(data, range(data.count)), clock(data)
     yield "joints", joints
@@ -255,10 +391,10 @@ def _distances(data: Measurements) -> Iterator[tuple[str, Array]]:
     theta, l = data.theta_commanded[data.rows], data.l_commanded[data.rows]  # noqa: E741
     for i in range(data.n):
         yield f"theta_{i + 1}", 4 * np.sin((theta[:, i, None] - theta[:, i]) / 2) ** 2
-        yield f"l_{i + 1}", ((l[:, i, None] - l[:, i]) / remainder.ROOM_M) ** 2
+        yield f"l_{i + 1}", ((l[:, i, None] - l[:, i]) / ROOM_M) ** 2
 
 
-def _modes(square: Array) -> Array:
+def kernel_modes(square: Array) -> Array:
     """(K, m) of a process that changes over a radian, or what counts as much."""
     values, vectors = np.linalg.eigh(np.exp(-square / 2))
     kept = values > LEAST_MODE * values[-1]

@@ -22,7 +22,7 @@ from ctrplan.diagnosis.correlated_bench import CorrelatedBench
 from ctrplan.diagnosis.workbench import Scored, Workbench
 from ctrplan.errors import InputError
 from ctrplan.measurement.approach import clock
-from ctrplan.measurement.measurements import FOLDS, LONGEST_LAG_S, SEED, VAULT_SHARE, Measurements, Split, groups, split
+from ctrplan.measurement.measurements import LONGEST_LAG_S, SEED, VAULT_SHARE, Measurements, Split, groups, split
 from ctrplan.mechanics.shapes import Status
 from ctrplan.pipeline.followed_runs import followed
 from ctrplan.pipeline.parametric_chain import ParametricChain
@@ -53,13 +53,11 @@ def blocks(data: Measurements, memory: float) -> NDArray[np.int_]:
 
 
 def block_split(data: Measurements, usable: NDArray[np.bool_], block: NDArray[np.int_]) -> Split:
-    """A quarter of the blocks, (K,) by number, is kept aside; every other one is a fold, or part of one of six."""
+    """A quarter of the blocks, (K,) by number, is kept aside."""
     numbers = np.random.default_rng(SEED).permutation(np.unique(block[usable]))
     aside = int(round(VAULT_SHARE * len(numbers)))
     held_out = np.isin(block, numbers[:aside]) & usable
-    selection = np.flatnonzero(usable & ~held_out)
-    order = {number: k % FOLDS for k, number in enumerate(numbers[aside:].tolist())}
-    return Split(selection, np.flatnonzero(held_out), np.array([order[n] for n in block[selection].tolist()]))
+    return Split(np.flatnonzero(usable & ~held_out), np.flatnonzero(held_out))
 
 
 def _kin_pairs(data: Measurements) -> NDArray[np.int_]:
@@ -147,7 +145,7 @@ def checked_split(data: Measurements, usable: NDArray[np.bool_]) -> Split:
 
 def bench_of(robot: Robot, data: Measurements, parts: Split, noise: Noise) -> Workbench:
     """A workbench of the poses that choose."""
-    return Workbench(robot, data.subset(parts.selection), noise, groups(data)[parts.selection], parts.fold)
+    return Workbench(robot, data.subset(parts.selection), noise, groups(data)[parts.selection])
 
 
 def without_outliers(
@@ -170,7 +168,7 @@ def thinned(parts: Split, data: Measurements) -> Split:
     step = thinning(len(parts.selection))
     if not data.is_stream or step == 1:
         return parts
-    return Split(parts.selection[::step], parts.held_out_set, parts.fold[::step])
+    return Split(parts.selection[::step], parts.held_out_set)
 
 
 def thinning(count: int) -> int:

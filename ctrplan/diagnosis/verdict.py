@@ -1,7 +1,7 @@
 """From the most probable set of effects to a verdict: named, ambiguous, unexplained, or nothing missing.
 
-A name is given only when what remains looks like noise, on the poses of the selection and in the held-out set. Where
-it does not, the best of the wrong names would be given with confidence.
+A name is given only where something unknown besides is less probable than not, and the held-out set agrees. Else the
+best of the wrong names would be given with confidence.
 
 How probable a verdict is, a posterior over sets of effects says.
 """
@@ -33,8 +33,6 @@ class Alternative:
 
     term: Term
     scored: Scored
-    behind: float  # log-likelihood, of the chosen set over this one
-    error: float  # standard error of that
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +50,6 @@ class Judgement:
     verdict: Verdict
     findings: tuple[Finding, ...]
     adequacy: Adequacy
-    compared: tuple[Alternative, ...]  # everything that was tried in the place of something chosen
     notes: tuple[str, ...] = ()
 
 
@@ -62,20 +59,19 @@ def judge(
     """The verdict on the most probable of the `sets` that were fitted, before the held-out set is opened."""
     left = remains(bench, chosen)
     if not chosen.terms:
-        return Judgement("no_missing_effect" if left.is_adequate else "unexplained", (), left, ())
+        return Judgement("no_missing_effect" if posterior.of_unknown < 1 / 2 else "unexplained", (), left)
     findings = findings_of(bench, chosen, chosen.terms, known, posterior, sets)
-    compared = tuple(a for f in findings for a in f.alternatives)
     if posterior.of_unknown > 1 / 2:
         note = f"Something unknown acts beside {' and '.join(chosen.names)}, {shown(posterior.of_unknown)}."
-        return Judgement("unexplained", (), left, compared, (note,))
-    if not left.is_adequate or _is_strained(bench, chosen) or len(findings) < len(chosen.terms):
-        return Judgement("unexplained", (), left, compared)
+        return Judgement("unexplained", (), left, (note,))
+    if _is_strained(bench, chosen) or len(findings) < len(chosen.terms):
+        return Judgement("unexplained", (), left)
     shared = [f for f in findings if not f.alternatives and _is_shared(bench, chosen, f.term)]
     if shared:
         rest = tuple(f for f in findings if f not in shared)
-        return Judgement("unexplained", rest, left, compared, tuple(_disbelieved(f.term) for f in shared))
+        return Judgement("unexplained", rest, left, tuple(_disbelieved(f.term) for f in shared))
     verdict: Verdict = "ambiguous" if any(f.alternatives for f in findings) else "named"
-    return Judgement(verdict, findings, left, compared)
+    return Judgement(verdict, findings, left)
 
 
 def findings_of(
@@ -121,13 +117,12 @@ def _instead(
     rest = [other for other in chosen.terms if other is not t]
     free = next((one for one in chosen.fit.chain.terms if one.name == name and name not in chosen.names), None)
     if free:
-        without = bench.scored(rest, chosen.fit)
-        return Alternative(free, without, *bench.difference(chosen, without))
+        return Alternative(free, bench.scored(rest, chosen.fit))
     seen = [one for fitted in sets if name in fitted.names for one in fitted.terms if one.name == name]
     variants = seen[:1] or [one for one in known.terms if one.name == name]
     fits = [bench.scored([*rest, one], chosen.fit) for one in variants]
     best = min(fits, key=lambda one: one.fit.loss)
-    return Alternative(best.terms[-1], best, *bench.difference(chosen, best))
+    return Alternative(best.terms[-1], best)
 
 
 def _is_strained(bench: Workbench, chosen: Scored) -> bool:
@@ -146,12 +141,6 @@ def _is_enlarged(bench: Workbench) -> bool:
     return stated is not None and bench.noise.position_m > stated.position_sigma_m
 
 
-def _is_close(a: Alternative, chosen: Scored) -> bool:
-    """Whether neither predictions nor fit tell it; badly determined parameters predict badly, true or not."""
-    worse_fit = (a.scored.fit.residuals.loss - chosen.fit.residuals.loss) / 2
-    return min(a.behind, worse_fit) < max(log_odds(NAMED), a.error)
-
-
 def _is_shared(bench: Workbench, chosen: Scored, t: Term) -> bool:
     """Whether a part of the effect by which other causes act as well explains as much as all of it."""
     names = t.effect.shared([parameter.name for parameter in t.parameters])
@@ -159,8 +148,8 @@ def _is_shared(bench: Workbench, chosen: Scored, t: Term) -> bool:
         return False
     part = term(t.effect, names, bench.robot)
     scored = bench.scored([part if other is t else other for other in chosen.terms], chosen.fit)
-    alone = Alternative(part, scored, *bench.difference(chosen, scored))
-    return _is_close(alone, chosen) and remains(bench, scored).is_adequate
+    worse_fit = (scored.fit.residuals.loss - chosen.fit.residuals.loss) / 2
+    return worse_fit < log_odds(NAMED)
 
 
 def _disbelieved(t: Term) -> str:

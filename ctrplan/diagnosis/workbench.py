@@ -1,11 +1,9 @@
-"""Fits of the base with sets of effects, each with its cross-validation score, and the effects that the data can
-test.
-"""
+"""Fits of the base with sets of effects, their linearisations, and the effects that the data can test."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -16,8 +14,8 @@ from ctrplan.base.arrays import Array
 from ctrplan.calibration.least_squares import Fit, fit, fit_at
 from ctrplan.calibration.parameters import ABSOLUTE_STIFFNESS, BaseParameters
 from ctrplan.calibration.residuals import UNSOUND, Noise, residuals, robust_square
-from ctrplan.diagnosis.cross_validation import Linear, cross_validation_loss
-from ctrplan.effects.effect import CATALOGUE, Effect
+from ctrplan.diagnosis.linear_fit import Linear, widths_of
+from ctrplan.effects.effect import CATALOGUE, Effect, Values
 from ctrplan.errors import InputError
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.pipeline.followed_runs import friction_correction
@@ -74,26 +72,16 @@ def candidates(
     return Candidates(tuple(terms), reasons, {**Counter(t.name for t in terms), **(more or {})})
 
 
-CERTAIN = 2.0  # standard errors over groups or blocks by which a gain exceeds zero that is taken for one
-SURE = 3.0  # of the same, where much was asked or something remains
-MOST_WIDENINGS = 3
-WIDENED_FROM = 1.1  # standard deviations of a prior
 WORTH_ANOTHER = 2.0  # of the loss, to fit a set again from another place
 CORRECTIONS = {False: 1, True: 2}  # rounds, of poses at rest and of a continuous motion
 
 
 @dataclass(frozen=True, eq=False)
 class Scored:
-    """A fit and what it says of poses it has not seen."""
+    """A set of effects and its fit together with the base."""
 
     terms: tuple[Term, ...]  # without the base
     fit: Fit
-    held_out: Array  # (K,) robust squares
-
-    @property
-    def score(self) -> float:
-        """Held-out log-likelihood, up to a constant."""
-        return float(-self.held_out.sum() / 2)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -122,7 +110,6 @@ class Linearisation:
 
     keys: tuple[tuple[str, str], ...]
     whole: Linear
-    variants: tuple[Term, ...]  # that were asked for besides the fit's own terms
 
     def of(self, terms: Sequence[Term]) -> Linear:
         """The linearisation in the parameters of some terms; the others stay where they are."""
@@ -136,26 +123,13 @@ class Linearisation:
         wanted = {(t.name, q.name) for t in terms for q in t.parameters}
         return [k for k, key in enumerate(self.keys) if key in wanted]
 
-    def without(self, gone: Term) -> Linearisation:
-        """With one of its effects taken back to where it does nothing, and none of its parameters."""
-        mine: NDArray[np.bool_] = np.array([name == gone.name for name, _ in self.keys])
-        keys = tuple(key for key, gone in zip(self.keys, mine, strict=True) if not gone)
-        return Linearisation(keys, self.whole.without(mine), self.variants)
-
-    def others(self, among: Sequence[Term]) -> list[Term]:
-        """Variants of effects that are not among the terms."""
-        names = {t.name for t in among}
-        return [t for t in self.variants if t.name not in names]
-
 
 class Workbench:
     """Everything that stays the same while sets of effects are compared."""
 
-    def __init__(
-        self, robot: Robot, data: Measurements, noise: Noise, group: NDArray[np.int_], fold: NDArray[np.int_]
-    ) -> None:
-        """group (K,): poses that count as one where gains are compared; fold (K,): those left out together."""
-        self.robot, self.data, self.noise, self.group, self.fold = robot, data, noise, group, fold
+    def __init__(self, robot: Robot, data: Measurements, noise: Noise, group: NDArray[np.int_]) -> None:
+        """group (K,): poses that are left out together."""
+        self.robot, self.data, self.noise, self.group = robot, data, noise, group
         self.pause: Callable[[], None] = lambda: None  # called between fits; may raise to stop
         self._correction: tuple[Array, Array] | None = None
         self._done: dict[frozenset[str], Scored] = {}
@@ -183,10 +157,6 @@ class Workbench:
         """What is fitted besides `terms`, whatever they are."""
         return [self.base(terms)]
 
-    def loss(self, system: Linear) -> Array:
-        """(K,) of poses whose fold had not been fitted."""
-        return cross_validation_loss(system, self.fold)
-
     def scored(self, terms: Sequence[Term], *near: Fit | None) -> Scored:
         """The base and `terms` fitted together, from the values of a fit in `near` where it has them.
 
@@ -203,19 +173,15 @@ class Workbench:
             chain = self.chain([*self.basis(terms), *terms])
             start, promised = self._start(chain, places, compared=known is not None)
             if known is None or promised < known.fit.residuals.loss - WORTH_ANOTHER:
-                result = self._fitted(tuple(terms), chain, start)
+                result = Scored(tuple(terms), fit(chain, self.noise, self.whitening_group, start))
                 known = result if known is None or result.fit.loss < known.fit.loss else known
                 self._done[key] = known
         return known
 
-    def _fitted(self, terms: tuple[Term, ...], chain: ParametricChain, start: Array) -> Scored:
-        best = fit(chain, self.noise, self.whitening_group, start)
-        return Scored(terms, best, self.loss(linear(best)))
-
     def continued(self, scored: Scored) -> Scored:
         """A set whose fit has used up its steps, fitted on from there until it converges or gets no better."""
         while not scored.fit.converged:
-            further = self._fitted(scored.terms, scored.fit.chain, scored.fit.p)
+            further = replace(scored, fit=fit(scored.fit.chain, self.noise, self.whitening_group, scored.fit.p))
             if further.fit.loss > scored.fit.loss - WORTH_ANOTHER:
                 break
             scored = self._done[frozenset(t.key for t in scored.terms)] = further
@@ -258,48 +224,31 @@ class Workbench:
 
     def _starts(self, chain: ParametricChain, near: Fit | None) -> list[Array]:
         """Known values of the parameters, and the effects' own suggestions for those not known yet."""
-        known = values_by_name(near) if near else {}
-        keys = [(t.name, p.name) for t in chain.terms for p in t.parameters]
-        plain = np.array([known.get(key, start) for key, start in zip(keys, chain.start, strict=True)])
-        starts = [plain]
+        known = near.chain.keys if near else ()
+        starts = [valued(chain, near, chain.start)]
         for t in chain.terms:
-            new = [key for key in keys if key[0] == t.name and key not in known]
-            suggestions = t.effect.starts([p.name for p in t.parameters]) if new else [{}]
+            if all((t.name, q.name) in known for q in t.parameters):
+                continue
+            suggestions = t.effect.starts([q.name for q in t.parameters])
             if suggestions != [{}]:
-                starts = [self._with(start, t, values, keys, chain.si) for start in starts for values in suggestions]
+                starts = [_suggested(start, chain, t, values) for start in starts for values in suggestions]
         return starts
 
-    @staticmethod
-    def _with(start: Array, t: Term, values: object, keys: Sequence[tuple[str, str]], si: Array) -> Array:
-        changed = start.copy()
-        for name, value in dict(values).items():  # type: ignore[call-overload]
-            place = keys.index((t.name, name))
-            changed[place] = value * si[place]
-        return changed
-
     def sized(self, scored: Scored) -> Scored:
-        """The set with priors of its effects as wide as their estimates are large.
+        """The set with priors of its effects as wide as is most probable, where that is wider than stated.
 
         Priors say where to look. The size of an effect that is there is for the data to say: a prior that it exceeds
         would draw it in and make its interval too narrow.
         """
         key = scored, self.noise
         if key not in self._sized:
-            self._sized[key] = self._freed(scored)
+            chain = scored.fit.chain
+            widths = widths_of(linear(scored.fit), chain.owners, scored.names)
+            wide = {name: width.over_stated for name, width in widths.items()}
+            terms = [_widened(t, max(1.0, wide.get(t.name, 1.0))) for t in chain.terms]
+            freed = fit(chain.with_terms(terms), self.noise, self.whitening_group, scored.fit.p)
+            self._sized[key] = replace(scored, fit=freed) if max(wide.values(), default=1.0) > 1 else scored
         return self._sized[key]
-
-    def _freed(self, scored: Scored) -> Scored:
-        for _ in range(MOST_WIDENINGS):
-            chain, p = scored.fit.chain, scored.fit.p
-            terms = [
-                t if t.name not in scored.names else _widened(t, p[s])
-                for t, s in zip(chain.terms, chain.slices(), strict=True)
-            ]
-            if all(a is b for a, b in zip(terms, chain.terms, strict=True)):
-                break
-            wide = chain.with_terms(terms)
-            scored = replace(scored, fit=fit(wide, self.noise, self.whitening_group, p))
-        return scored
 
     def screened(
         self, here: Scored, others: Sequence[Term], completed: Callable[[Sequence[Term], Term], Sequence[Term]]
@@ -334,14 +283,11 @@ class Workbench:
         """A fit linearised in its own parameters and those of other variants, which vanish there."""
         merged = _merged([*here.terms, *others], self.robot)
         chain = self.chain([*self.basis(merged), *merged])
-        known = values_by_name(here.fit)
-        keys = [(t.name, p.name) for t in chain.terms for p in t.parameters]
-        neutral = [_vanishing(p.start, p.neutral) * p.si for p in chain.parameters]
-        p = np.array([known.get(key, value) for key, value in zip(keys, neutral, strict=True)])
+        p = valued(chain, here.fit, np.array([_vanishing(q.start, q.neutral) * q.si for q in chain.parameters]))
         result = residuals(self.data, chain.predict(p), self.noise, self.whitening_group)
         weight = here.fit.residuals.weight
         whole = Linear(result.r, result.J, weight, 1 / chain.prior**2, p - chain.neutral, result.given)
-        return Linearisation(tuple(keys), whole, tuple(others))
+        return Linearisation(chain.keys, whole)
 
     def _tried_out(
         self, here: Scored, other: Term, completed: Callable[[Sequence[Term], Term], Sequence[Term]]
@@ -351,40 +297,12 @@ class Workbench:
         chain = self.chain([*self.basis(terms), *terms])
         start, _ = self._start(chain, [here.fit])
         there = linear(fit_at(chain, self.noise, self.whitening_group, start)).refitted()
-        return Screened(other, there, tuple(t.name for t in chain.terms for _ in t.parameters))
-
-    def by_group(self, gain: Array) -> Array:
-        """(B,) sums over poses that count as one, of values (K,)."""
-        number = np.unique(self.group, return_inverse=True)[1].ravel()
-        return np.asarray(np.bincount(number, weights=gain), dtype=np.float64)
-
-    def difference(self, a: Scored, b: Scored) -> tuple[float, float]:
-        """How much better `a` predicts than `b` (log-likelihood), and the standard error of that over groups."""
-        return summed(self.by_group((b.held_out - a.held_out) / 2))
+        return Screened(other, there, chain.owners)
 
 
-def summed(gains: Array) -> tuple[float, float]:
-    """The sum over blocks (B,) and its standard error."""
-    return float(gains.sum()), float(np.sqrt(len(gains)) * gains.std(ddof=1))
-
-
-def certainty(gains: Array) -> float:
-    """How many standard errors blocks' gains (B,) lie above zero on average, themselves or their signed roots.
-
-    A gain is half the square of how far an effect stands out: where it stands out much in few blocks, roots are nearer
-    to Gaussian.
-    """
-    roots = np.sign(gains) * np.sqrt(np.abs(gains))
-    return max(float(np.sqrt(len(x)) * x.mean() / max(float(x.std(ddof=1)), 1e-9)) for x in (gains, roots))
-
-
-def _widened(t: Term, p: Array) -> Term:
-    """Priors in proportion to the largest parameter, where that exceeds its own."""
-    sizes = [abs(value / q.si - q.neutral) / q.prior for q, value in zip(t.parameters, p.tolist(), strict=True)]
-    largest = max(sizes)
-    if largest < WIDENED_FROM:
-        return t
-    return Term(t.effect, tuple(replace(q, prior=q.prior * largest) for q in t.parameters))
+def _widened(t: Term, factor: float) -> Term:
+    """With priors so many times as wide."""
+    return Term(t.effect, tuple(replace(q, prior=factor * q.prior) for q in t.parameters))
 
 
 def linear(result: Fit) -> Linear:
@@ -393,10 +311,20 @@ def linear(result: Fit) -> Linear:
     return Linear(parts.r, parts.J, parts.weight, result.precision, result.p - result.chain.neutral, parts.given)
 
 
-def values_by_name(result: Fit) -> dict[tuple[str, str], float]:
-    """(effect, parameter) -> value, SI."""
-    keys = [(t.name, p.name) for t in result.chain.terms for p in t.parameters]
-    return dict(zip(keys, result.p.tolist(), strict=True))
+def valued(chain: ParametricChain, near: Fit | None, otherwise: Array, but: Collection[str] = ()) -> Array:
+    """(P,) SI values of a chain's parameters: those of a fit `near`, else `otherwise` (P,), as for effects in `but`."""
+    known = dict(zip(near.chain.keys, near.p.tolist(), strict=True)) if near else {}
+    known = {key: value for key, value in known.items() if key[0] not in but}
+    return np.array([known.get(key, value) for key, value in zip(chain.keys, otherwise.tolist(), strict=True)])
+
+
+def _suggested(start: Array, chain: ParametricChain, t: Term, values: Values) -> Array:
+    """A start (P,) with values of a term, in the units of their names, that its effect suggests."""
+    changed = start.copy()
+    for name, value in values.items():
+        place = chain.keys.index((t.name, name))
+        changed[place] = value * chain.si[place]
+    return changed
 
 
 def _merged(terms: Sequence[Term], robot: Robot) -> list[Term]:

@@ -20,16 +20,16 @@ from ctrplan.calibration.fit_warnings import excused, outlier_sentences, symptom
 from ctrplan.calibration.residuals import Residuals
 from ctrplan.calibration.robot_content import within_file
 from ctrplan.diagnosis.adequacy import Adequacy, ignored, left_out_probability, noise_floor, remains
-from ctrplan.diagnosis.built_term import MOST_WORSE, Built, worse_in
 from ctrplan.diagnosis.conclusion import HELD_OUT_SHARE, Conclusion, Teller, conclude
-from ctrplan.diagnosis.gap import Gap, Place, contradiction, localise, open_test_set
+from ctrplan.diagnosis.gap import Gap, contradiction, open_test_set
 from ctrplan.diagnosis.next_experiment import decision, next_experiment
 from ctrplan.diagnosis.partial_diagnosis import PartialDiagnosis, left_by_names
 from ctrplan.diagnosis.posterior import compared
 from ctrplan.diagnosis.reading import MisreadError, read_again
+from ctrplan.diagnosis.remainder import Place, localise
 from ctrplan.diagnosis.result import Diagnosis
 from ctrplan.diagnosis.slips import Slip, after_slip, found_slip
-from ctrplan.diagnosis.term_search import is_built
+from ctrplan.diagnosis.term_pieces import is_built
 from ctrplan.diagnosis.usable_poses import checked_split, usable_poses
 from ctrplan.diagnosis.verdict import Judgement, Posterior, Verdict, names_of
 from ctrplan.diagnosis.workbench import Candidates, Scored, candidates, reduced
@@ -40,6 +40,7 @@ from ctrplan.measurement.measurements import Measurements
 from ctrplan.pipeline.term import Term
 from ctrplan.robot.robot import Robot
 
+MOST_WORSE = 1.05  # rms error of poses kept aside with an effect, over that without it, for chance allows for so much
 HELD_OUT_REJECTED = 1e-4  # probability of the held-out set's residuals that takes a name back
 
 
@@ -58,7 +59,7 @@ class Opened:
 
 
 def opened(answer: Conclusion, data: Measurements) -> Opened:
-    """What the poses kept aside say of an answer; a built term that makes any region worse is taken back.
+    """What the poses kept aside say of an answer; a built term that brings them no nearer is taken back.
 
     Names that hold beside it stay. An effect without which tips are nearer there is taken back.
     """
@@ -112,28 +113,12 @@ def _framed(answer: Conclusion, data: Measurements) -> Gap:
 def _with_or_without_built(answer: Conclusion, data: Measurements) -> Opened:
     if answer.built is None or answer.otherwise is None:
         return _opened(answer, data)
-    result, without = _opened(answer, data), _opened(_only_named(answer, answer.built), data)
-    if where := _worse(result.gap, without.gap, data.subset(answer.split.held_out_set)):
-        less = without if without.judgement.findings else _opened(answer.otherwise, data)
-        return replace(less, notes=(*less.notes, f"A term was built and taken back: it is not good enough on {where}."))
-    return replace(result, named_gap=without.gap)
-
-
-def _only_named(answer: Conclusion, built: Built) -> Conclusion:
-    return replace(answer, chosen=built.named, built=None)
-
-
-def _worse(result: Gap, without: Gap, aside: Measurements) -> str:
-    """Where the poses kept aside are further off with a built term than without; empty if nowhere."""
-    if result.after.rms_m >= without.after.rms_m:
-        return "the poses kept aside"
-    both = ~(excused(result.failed) | excused(without.failed) | result.outlying | without.outlying)
-    errors = []
-    for gap in (without, result):
-        every = np.full(aside.count, np.nan)
-        every[~(excused(gap.failed) | gap.outlying)] = gap.after_m
-        errors.append(every[both])
-    return worse_in(aside.subset(both), errors[0], errors[1])
+    result, without = _opened(answer, data), _opened(replace(answer, chosen=answer.built.named, built=None), data)
+    if result.gap.after.rms_m < without.gap.after.rms_m:
+        return replace(result, named_gap=without.gap)
+    less = without if without.judgement.findings else _opened(answer.otherwise, data)
+    note = "A term was built and taken back: the poses kept aside are not nearer with it."
+    return replace(less, notes=(*less.notes, note))
 
 
 def _opened(answer: Conclusion, data: Measurements) -> Opened:
@@ -330,7 +315,6 @@ def diagnose(
         partly=result.partly if judgement.verdict == "partial" else None,
         built=result.built,
         named_gap=outcome.named_gap,
-        memory=_memory(result),
         framed_gap=outcome.framed_gap,
         reading=reading,
         posterior=None if result.interrupted else _posterior(result, known),
@@ -376,13 +360,6 @@ def decide(
     said = _left_out(again.without)
     notes = [*_left_out(diagnosis.without), f"Left out, as new poses decided against it: {', '.join(others)}."]
     return replace(again, decisions=decisions, notes=(*(n for n in again.notes if n not in said), *notes))
-
-
-def _memory(conclusion: Conclusion) -> float | None:
-    """The memory of what remains of the model that is handed over."""
-    if conclusion.built:
-        return conclusion.built.rest.memory
-    return conclusion.partly.rest.memory if conclusion.partly else None
 
 
 @dataclass(frozen=True, eq=False)

@@ -234,18 +234,16 @@ def _is_dense(position_m: Array) -> bool:
 
 
 VAULT_SHARE = 0.25
-FOLDS = 6
 BLOCK_POSES = 10  # of a continuous motion: neighbours are not independent evidence
 SEED = 20190417  # the split depends on the data's order alone
 
 
 @dataclass(frozen=True, eq=False)
 class Split:
-    """Numbers of poses, and which fold of the cross-validation each of the selection belongs to."""
+    """Numbers of the poses that choose, and of those that are kept aside."""
 
     selection: NDArray[np.int_]  # (S,)
     held_out_set: NDArray[np.int_]  # (V,)
-    fold: NDArray[np.int_]  # (S,)
 
 
 def groups(data: Measurements) -> NDArray[np.int_]:
@@ -256,12 +254,9 @@ def groups(data: Measurements) -> NDArray[np.int_]:
 
 
 def split(data: Measurements, usable: NDArray[np.bool_]) -> Split:
-    """A quarter of the configurations for the held-out set, folds of whole configurations from the rest."""
+    """A quarter of the configurations for the held-out set, the others for the selection."""
     group = groups(data)
     numbers = np.random.default_rng(SEED).permutation(np.unique(group[usable]))
     sealed = int(round(VAULT_SHARE * len(numbers)))
     held_out = np.isin(group, numbers[:sealed]) & usable
-    selection = np.flatnonzero(usable & ~held_out)
-    order = {number: k % FOLDS for k, number in enumerate(numbers[sealed:].tolist())}
-    fold = np.array([order[number] for number in group[selection].tolist()])
-    return Split(selection, np.flatnonzero(held_out), fold)
+    return Split(np.flatnonzero(usable & ~held_out), np.flatnonzero(held_out))

@@ -66,11 +66,17 @@ class TermValues:
         """terms: effects, with the parameters that vary."""
         self.terms = tuple(terms)
         self.parameters = tuple(p for t in self.terms for p in t.parameters)
+        self.keys = tuple((t.name, p.name) for t in self.terms for p in t.parameters)
         self.si = np.array([p.si for p in self.parameters])
         self.neutral = np.array([p.neutral for p in self.parameters]) * self.si
         self.prior = np.array([p.prior for p in self.parameters]) * self.si
         self.lower = np.array([p.lower for p in self.parameters]) * self.si
         self.upper = np.array([p.upper for p in self.parameters]) * self.si
+
+    @property
+    def owners(self) -> tuple[str, ...]:
+        """Name of the effect of each parameter, (P,)."""
+        return tuple(name for name, _ in self.keys)
 
     @property
     def start(self) -> Array:

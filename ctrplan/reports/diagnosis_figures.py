@@ -13,7 +13,7 @@ from plotly.subplots import make_subplots
 from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.calibration.estimates import distances
 from ctrplan.calibration.fit_warnings import excused
-from ctrplan.diagnosis.gap import quantities
+from ctrplan.diagnosis.remainder import quantities
 from ctrplan.diagnosis.result import Diagnosis
 from ctrplan.pipeline.term import Term
 from ctrplan.reports import looks

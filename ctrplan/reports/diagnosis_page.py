@@ -76,9 +76,9 @@ def _estimated(diagnosis: Diagnosis, t: Term) -> Iterator[tuple[str, str, str]]:
 
 
 def _effects(diagnosis: Diagnosis, errors: SelectionErrors) -> Iterator[dict[str, Any]]:
-    """Each effect of the verdict: drawn, its parameters, and what fits worse in its place."""
+    """Each effect of the verdict: drawn, with its parameters."""
     for number, signature in enumerate(errors.signatures):
-        t, drawn, compared = signature.term, signature_figure(signature), diagnosis.judgement.compared
+        t, drawn = signature.term, signature_figure(signature)
         values = estimates(diagnosis.chosen.fit, t).items()
         yield {
             "term": t,
@@ -86,7 +86,6 @@ def _effects(diagnosis: Diagnosis, errors: SelectionErrors) -> Iterator[dict[str
             "probable": probabilities(diagnosis, number),
             "figure": plot(drawn, f"signature_{number}", with_library=number == 0, kind="plot twin"),
             "parameters": [(n, e.shown, f"{e.shown_ci95}{', at its bound' if e.at_bound else ''}") for n, e in values],
-            "rivals": [a for a in compared if t.key not in {other.key for other in a.scored.terms}],
         }
 
 

@@ -57,5 +57,3 @@ def test_mirrored_and_turned_configurations_are_kin_and_never_parted() -> None:
     assert len(np.unique(found)) == count - 2
     parts = block_split(data, np.ones(data.count, bool), found)
     assert not set(found[parts.selection]) & set(found[parts.held_out_set])
-    for number in np.unique(found[parts.selection]):
-        assert len(np.unique(parts.fold[found[parts.selection] == number])) == 1

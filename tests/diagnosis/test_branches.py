@@ -41,11 +41,11 @@ WAY = np.concatenate([np.arange(0.0, 150.0, 5.0), np.arange(150.0, 0.0, -5.0), n
 def asked(robot: Robot, data: Measurements) -> NDArray[np.bool_]:
     """(K,) where there is one branch, by the robot as it is."""
     number = np.arange(data.count) // 5
-    bench = CorrelatedBench(robot, data, Noise(1e-4, 1e-2), number, number)
+    bench = CorrelatedBench(robot, data, Noise(1e-4, 1e-2), number)
     there = bench.chain([])
     seen = there.predict(there.neutral, derivatives=False)
     own = replace(data, position_m=seen.position_m, tangent=seen.tangent)
-    bench = CorrelatedBench(robot, own, Noise(1e-4, 1e-2), number, number)
+    bench = CorrelatedBench(robot, own, Noise(1e-4, 1e-2), number)
     return on_one_branch(bench, bench.scored([]))
 
 

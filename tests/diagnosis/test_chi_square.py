@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ctrplan.diagnosis.adequacy import adequacy
-from ctrplan.diagnosis.cross_validation import Linear
+from ctrplan.diagnosis.linear_fit import Linear
 
 
 @pytest.mark.parametrize("weight", [1.0, 1e-2, 1e-6])

@@ -46,7 +46,7 @@ def explained(data: Measurements, first: str, second: str) -> tuple[Scored, Find
         for effect in (CATALOGUE[first], CATALOGUE[second])
     ]
     chosen, other = (bench.scored([t]) for t in terms)
-    return chosen, Finding(terms[0], (Alternative(terms[1], other, 0.0, 1.0),))
+    return chosen, Finding(terms[0], (Alternative(terms[1], other),))
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -18,7 +18,7 @@ from packed_page import library
 
 from ctrplan.__main__ import main
 from ctrplan.diagnosis import CATALOGUE, Diagnosis, diagnose
-from ctrplan.diagnosis.gap import localise
+from ctrplan.diagnosis.remainder import localise
 from ctrplan.errors import InputError
 from ctrplan.files.robot_file import load_robot, write_robot
 from ctrplan.measurement.measurements import Measurements, split
@@ -89,7 +89,7 @@ def test_an_effect_outside_the_catalogue_gets_no_name() -> None:
     data = measured(ROBOT, PLAN, BASE | {"eccentricity": {"sin_2_deg": 9.0, "cos_2_deg": 5.0}})
     found = diagnose(ROBOT, data, catalogue=QUICK)
     assert found.verdict == "unexplained" and not found.listed
-    assert found.judgement.adequacy.within.is_noise and not found.judgement.adequacy.between.is_noise
+    assert found.judgement.adequacy.within.p > 1e-3 > found.judgement.adequacy.between.p
 
 
 @pytest.mark.usefixtures("without_building")
@@ -199,7 +199,7 @@ def test_a_blank_does_not_hide_what_the_error_goes_along_with() -> None:
     assert place.trends[0].quantity == "temperature_C" and place.trends[0].share > 0.6
     warmth[:] = np.where(np.arange(len(warmth)) > np.median(PLAN.rows), 20.0, np.nan)  # blank or not says it all
     place = localise(replace(PLAN, time_s=None, more={"temperature_C": warmth}), r, group, np.ones(len(r)), 0.1)
-    assert place.trends[0].quantity == "temperature_C" and place.trends[0].p < 0.05
+    assert place.trends[0].quantity == "temperature_C" and place.trends[0].probability > 0.95
 
 
 TIP_LOAD = BASE | {"tip_load": {"force_x_N": 0.15, "force_y_N": -0.12, "force_z_N": 0.0}}
@@ -213,7 +213,7 @@ def test_poses_without_a_solution_are_left_out_and_told(monkeypatch: pytest.Monk
     rows = without_solutions(PLAN, configurations, monkeypatch)
     found = diagnose(ROBOT, data, catalogue=FEW)
     assert found.verdict == "named" and names(found) == [{"tip_load"}]
-    assert found.judgement.adequacy.is_adequate and found.gap.after.rms_m < 1.3 * found.gap.floor_m
+    assert found.judgement.adequacy.total.p > 1e-3 and found.gap.after.rms_m < 1.3 * found.gap.floor_m
     assert (
         found.gap.before.poses == found.gap.after.poses == len(parts.held_out_set) - 3 and found.gap.failed.sum() == 3
     )

@@ -10,7 +10,7 @@ from measured_data import pair_robot, waypoints
 
 from ctrplan.base.arrays import Array
 from ctrplan.diagnosis.conclusion import HELD_OUT_SHARE, Teller
-from ctrplan.diagnosis.gap import localise, quantities
+from ctrplan.diagnosis.remainder import localise, most_probable_variances, quantities
 from ctrplan.measurement.measurements import Measurements
 
 DATA = waypoints(pair_robot(), 18)
@@ -42,7 +42,44 @@ def test_few_levels_are_classes_of_their_own_however_near() -> None:
     levels = np.array([0.1, 0.1002, 0.1003])[np.arange(len(DATA.sequence)) % 3]
     data = measured_with({"stage": levels})
     size = np.array([1.0, -2.0, 1.0])[(np.arange(len(DATA.sequence)) % 3)[data.rows]]
-    assert share(data, "stage", size) == pytest.approx(1.0)
+    assert share(data, "stage", size) > 0.999
+
+
+@pytest.mark.parametrize("shared", [0.0, 1.0])
+def test_noise_goes_along_with_nothing(shared: float) -> None:
+    """Whether or not approaches of a configuration have a part of it in common, and whatever its size."""
+    data, named = measured_with({"temperature_C": np.linspace(20.0, 21.0, len(DATA.sequence))}), 0
+    for seed in range(20):
+        rng, group = np.random.default_rng(seed), data.configuration
+        r = rng.standard_normal((data.count, 5)) + shared * rng.standard_normal((group.max() + 1, 5))[group]
+        found = localise(data, 3.0 * r, group, np.ones(data.count), 1e-4)
+        named += "goes along with none" not in found.sentence
+        assert sum(trend.probability for trend in found.trends) <= 1.0
+    assert named <= 1
+
+
+def test_an_angle_that_residuals_go_along_with_is_told_and_that_configurations_share_them() -> None:
+    data, rng = measured_with({}), np.random.default_rng(2)
+    turn = np.diff(data.theta_commanded[data.rows])[:, 0]
+    r = rng.standard_normal((data.count, 5)) + 4 * np.cos(turn - 1.0)[:, None] * np.array([1.0, -1.0, 0.5, 0.0, 0.0])
+    found = localise(data, r, data.configuration, np.linalg.norm(r, axis=1), 1e-4)
+    same = [trend for trend in found.trends if trend.quantity.endswith(("tube 2 against tube 1", "rotation of tube 2"))]
+    assert sum(trend.probability for trend in same) > 0.5  # tube 1 stands still
+    assert same[0].probability == pytest.approx(same[1].probability, rel=1e-3)
+    assert "shared by all approaches" in found.sentence
+
+
+def test_variances_of_processes_are_found_again() -> None:
+    rng, count = np.random.default_rng(5), 90
+    place, group = rng.uniform(0, 6, count), np.repeat(np.arange(30), 3)
+    smooth = np.exp(-((place[:, None] - place) ** 2) / 2)
+    alike, alone = (group[:, None] == group).astype(float), np.eye(count)
+    roots = [np.linalg.cholesky(one + 1e-9 * alone) for one in (smooth, alike)]
+    drawn = [root @ rng.standard_normal((count, 60)) for root in roots]
+    r = 2.0 * drawn[0] + drawn[1] + rng.standard_normal((count, 60))
+    assert most_probable_variances(r, [smooth, alike]) == pytest.approx([4.0, 1.0], rel=0.25)
+    nothing = most_probable_variances(rng.standard_normal((count, 60)), [smooth, alike])
+    assert nothing.max() < 0.1
 
 
 def test_an_angle_rounded_below_zero_is_no_full_turn() -> None:

@@ -172,7 +172,7 @@ def test_a_frame_and_what_may_stand_for_it_are_told_apart_by_an_experiment() -> 
     (frame,) = frames(ROBOT, found.data)
     distortion = CATALOGUE["sensor_distortion"]
     other = term(distortion, [q.name for q in distortion.parameters(ROBOT)][:3], ROBOT)
-    beside = Alternative(other, bench.scored([*chosen.terms, other], chosen.fit), 0.0, 1.0)
+    beside = Alternative(other, bench.scored([*chosen.terms, other], chosen.fit))
     judgement = replace(found.judgement, findings=(Finding(frame, (beside,)),))
     said, proposed = next_experiment(chosen, judgement, found.data, bench.plain, ())
     assert {one.between for one in proposed} == {("base_misalignment", "sensor_distortion")}
@@ -201,12 +201,14 @@ def test_other_runs_confirm_what_is_there_and_not_what_is_not() -> None:
     there = confirm(partial(), there_data)
     assert [(e.name, e.verdict) for e in there.effects] == [("backlash", "confirmed")]
     assert there.after.rms_m < there.before.rms_m and "backlash confirmed" in there.sentence
+    fewer = confirm(partial(), there_data.subset(np.arange(3))).effects[0]
+    assert abs(fewer.log_bayes_factor) < there.effects[0].log_bayes_factor and there.effects[0].probability > 0.99
     moved = replace(there_data, position_m=there_data.position_m + [4e-3, -2e-3, 1e-3])
     elsewhere = confirm(partial(), moved)
     assert elsewhere.calibrated.rms_m > 4e-3 > 3 * elsewhere.after.rms_m  # the tracker was set up anew
     assert elsewhere.after.rms_m == pytest.approx(there.after.rms_m, rel=0.1)
     gone = confirm(partial(), beside_a_rest({}, OTHERS, seed=9))
-    assert gone.effects[0].verdict == "contradicted" and gone.effects[0].gain < 0
+    assert gone.effects[0].verdict == "contradicted" and gone.effects[0].log_bayes_factor < 0
     same = replace(partial().data, sha256="1" * 64)
     with pytest.raises(InputError, match="has not read"):
         confirm(replace(partial(), data=same), same)
@@ -222,4 +224,5 @@ def test_the_command_confirms(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert main(given) == 0
     assert "backlash confirmed" in capsys.readouterr().out
     (written,) = json.loads((tmp_path / "out" / "diagnosis.json").read_text())["confirmations"]
-    assert written["effects"][0]["verdict"] == "confirmed" and written["after_rms_mm"] < written["before_rms_mm"]
+    assert written["effects"][0]["verdict"] == "confirmed" and written["effects"][0]["probability"] > 0.99
+    assert written["after_rms_mm"] < written["before_rms_mm"]

@@ -29,7 +29,7 @@ LARGE = [("shaft_torsion", {"compliance_2_rad_per_Nm": 60.0}), ("tip_load", {"fo
 
 def bench_of(values: Mapping[str, Mapping[str, float]]) -> Workbench:
     data = measured(ROBOT, PLAN, BASE | values)
-    return Workbench(ROBOT, data, noise_floor(ROBOT, data)[0], data.configuration, data.configuration % 6)
+    return Workbench(ROBOT, data, noise_floor(ROBOT, data)[0], data.configuration)
 
 
 def whole(name: str) -> Term:
@@ -85,7 +85,7 @@ def test_beside_enlarged_noise_no_effect_is_larger_than_is_plausible(play_deg: f
         "tangent_sigma_deg": float(np.degrees(noise.tangent_rad)) / 2,
     }
     for robot, told in ((ROBOT, "named"), (pair_robot(measurement=half), verdict)):
-        bench = Workbench(robot, data, noise, data.configuration, data.configuration % 6)
+        bench = Workbench(robot, data, noise, data.configuration)
         found, chosen, _ = settled(bench, bench.scored([]), few)
         assert judge(bench, chosen, few, found.posterior, found.sets).verdict == told
 

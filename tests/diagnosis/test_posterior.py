@@ -15,8 +15,8 @@ from ctrplan.calibration.discrepancy import Linearised
 from ctrplan.calibration.residuals import Noise
 from ctrplan.diagnosis import CATALOGUE, partial_diagnosis
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
-from ctrplan.diagnosis.cross_validation import Linear
-from ctrplan.diagnosis.posterior import _widths, compared
+from ctrplan.diagnosis.linear_fit import Linear, widths_of
+from ctrplan.diagnosis.posterior import compared
 from ctrplan.diagnosis.unknown_errors import UnknownErrors, without_error
 from ctrplan.diagnosis.verdict import Hypothesis, Posterior, normalised, shown
 from ctrplan.diagnosis.workbench import Workbench, candidates
@@ -107,13 +107,13 @@ def bench_of(hidden: str, seed: int = 4) -> tuple[Workbench, Measurements]:
     values = {"sensor_offset": offset, "pair": offset | {"joint_scale": {"theta_2": 0.05}}, "": {}}[hidden]
     data = measured(ROBOT, waypoints(ROBOT, 16, seed=seed), values)
     group = data.configuration
-    return Workbench(ROBOT, data, Noise(SIGMA_M, SIGMA_RAD), group, group % 4), data
+    return Workbench(ROBOT, data, Noise(SIGMA_M, SIGMA_RAD), group), data
 
 
 def test_acting_effect_has_nearly_all_and_nothing_else_any() -> None:
     bench, data = bench_of("sensor_offset")
     known = candidates(ROBOT, data, QUICK)
-    best = max((bench.scored([t]) for t in known.terms if t.name == "sensor_offset"), key=lambda one: one.score)
+    best = max((bench.scored([t]) for t in known.terms if t.name == "sensor_offset"), key=lambda one: -one.fit.loss)
     told = compared(bench, best, known).posterior
     assert told.probabilities.sum() == pytest.approx(1)
     assert told.of_effect("sensor_offset") > 0.99 and told.of_verdict("named", [{"sensor_offset"}]) > 0.8
@@ -212,7 +212,7 @@ HOMED = {name: CATALOGUE[name] for name in ("tip_load", "homing_shift", "base_mi
 
 def posterior_of(data: Measurements, bench_is: type[Workbench], more: dict[str, int] | None = None) -> Posterior:
     """What the most probable sets say, on a bench of this kind."""
-    bench = bench_is(ROBOT, data, Noise(SIGMA_M, SIGMA_RAD), data.configuration, data.configuration % 4)
+    bench = bench_is(ROBOT, data, Noise(SIGMA_M, SIGMA_RAD), data.configuration)
     known = candidates(ROBOT, data, HOMED, more)
     if isinstance(bench, CorrelatedBench):
         bench.begun()
@@ -243,7 +243,7 @@ def test_an_effect_far_below_its_prior_pays_for_that_once_and_not_for_each_param
     few = {name: CATALOGUE[name] for name in ("base_misalignment", "sensor_offset", "tip_load")}
     odds = []
     for factor in (1.0, 0.25):
-        bench = Workbench(ROBOT, data, Noise(SIGMA_M, SIGMA_RAD), data.configuration, data.configuration % 4)
+        bench = Workbench(ROBOT, data, Noise(SIGMA_M, SIGMA_RAD), data.configuration)
         known, base = candidates(ROBOT, data, few), CATALOGUE["base_misalignment"]
         wide = [
             Term(base, tuple(replace(q, prior=factor * q.prior) for q in t.parameters)) if t.effect is base else t
@@ -265,7 +265,7 @@ def test_the_evidence_of_an_unknown_width_is_its_integral_over_the_half_cauchy_p
         r = J @ (size * rng.standard_normal(count)) + rng.standard_normal((8, 5))
         ones = np.ones(count)
         fit = Linear(r, J, np.ones(8), ones, np.zeros(count), np.ones((8, 5), bool))
-        width = _widths(fit, ("a",) * count, {"a"})["a"]
+        width = widths_of(fit, ("a",) * count, {"a"})["a"]
         ours = without_error(Linearised(r, J, ones / width.over_stated**2)) - width.cost
         grid = np.linspace(-12, 8, 2001)  # of the logarithm
         prior = np.log(2 / np.pi) + grid - np.log1p(np.exp(2 * grid))

@@ -14,7 +14,7 @@ import ctrplan
 from ctrplan.base.arrays import Array
 from ctrplan.calibration.residuals import Noise
 from ctrplan.diagnosis import CATALOGUE
-from ctrplan.diagnosis.gap import localise
+from ctrplan.diagnosis.remainder import localise
 from ctrplan.diagnosis.sentences import headline, verdict_sentence
 from ctrplan.diagnosis.slips import LEAST_POSES, after_slip, found_slip
 from ctrplan.measurement.measurements import Measurements

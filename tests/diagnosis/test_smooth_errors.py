@@ -13,7 +13,7 @@ from scipy.stats import multivariate_normal
 from ctrplan.base.arrays import Array
 from ctrplan.calibration.discrepancy import Linearised, Spectrum
 from ctrplan.calibration.residuals import Noise, compared, residuals
-from ctrplan.diagnosis.remainder import SmoothError, at_rest, of_motion
+from ctrplan.diagnosis.unknown_errors import SmoothError, at_rest, of_motion
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.pipeline.term import SensorPrediction
 

@@ -10,7 +10,7 @@ from measured_data import measured, pair_robot, waypoints
 
 from ctrplan.calibration.calibrate import calibrate
 from ctrplan.diagnosis import CATALOGUE, diagnose
-from ctrplan.diagnosis.term_dictionary import pieces
+from ctrplan.diagnosis.term_pieces import pieces
 from ctrplan.diagnosis.workbench import candidates
 from ctrplan.measurement.measurements import Measurements
 

@@ -17,7 +17,7 @@ from ctrplan.calibration.residuals import Noise
 from ctrplan.diagnosis import CATALOGUE, partial_diagnosis
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
 from ctrplan.diagnosis.posterior import Compared, compared
-from ctrplan.diagnosis.term_search import built_term
+from ctrplan.diagnosis.term_pieces import built_term
 from ctrplan.diagnosis.unknown_errors import Peak
 from ctrplan.diagnosis.usable_poses import block_split, blocks
 from ctrplan.diagnosis.verdict import Posterior, normalised, standing_for
@@ -58,7 +58,7 @@ def told_of(data: Measurements, *beside: object) -> Compared:
     block = blocks(data, 0.0)
     parts = block_split(data, np.ones(data.count, bool), block)
     chosen = parts.selection
-    bench = CorrelatedBench(ROBOT, data.subset(chosen), Noise(SIGMA_M, SIGMA_RAD), block[chosen], parts.fold)
+    bench = CorrelatedBench(ROBOT, data.subset(chosen), Noise(SIGMA_M, SIGMA_RAD), block[chosen])
     known = partial_diagnosis.testable_beside(candidates(ROBOT, data, QUICK), bench)
     return compared(bench, bench.corrected(bench.scored(beside)), known, search=True)  # type: ignore[arg-type]
 

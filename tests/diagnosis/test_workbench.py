@@ -31,7 +31,7 @@ def data() -> Measurements:
 
 def bench_of(data: Measurements) -> Workbench:
     group = data.configuration
-    return Workbench(ROBOT, data, noise_floor(ROBOT, data)[0], group, group % 6)
+    return Workbench(ROBOT, data, noise_floor(ROBOT, data)[0], group)
 
 
 def whole(name: str) -> Term:

@@ -40,7 +40,7 @@ from hidden_effects.score import wilson
 
 from ctrplan.calibration.estimates import distances
 from ctrplan.diagnosis.adequacy import noise_floor
-from ctrplan.diagnosis.built_term import refusals, tried
+from ctrplan.diagnosis.built_term import build
 from ctrplan.diagnosis.partial_diagnosis import PartialDiagnosis, diagnose_partially
 from ctrplan.diagnosis.usable_poses import usable_poses
 from ctrplan.diagnosis.workbench import Scored, candidates
@@ -195,7 +195,7 @@ def asked(folder: Path) -> dict[str, Any]:
     result: dict[str, Any] = {"named": names(found), "seconds": [round(halfway - began, 1)], "first": probable(found)}
     result["before_mm"] = gap_mm(found.base, aside, noise.floor_m)
     result["named_mm"] = gap_mm(bench.handed_over(bench.sized(found.chosen)), aside, noise.floor_m)
-    built = tried(found, lambda _: None)
+    built = build(found, lambda _: None)
     result["seconds"].append(round(time.process_time() - halfway, 1))
     if built is None:
         return result | {"built": False}
@@ -203,9 +203,8 @@ def asked(folder: Path) -> dict[str, Any]:
     result["names"] = names(built.partly)
     result["probable"] = probable(built.partly)
     result["built_mm"] = gap_mm(bench.handed_over(bench.sized(built.scored)), aside, noise.floor_m)
-    refused = refusals(bench, built)
     terms = [t.effect.stated({})["acts_on"] + ": " + ", ".join(t.effect.parts) for t in built.terms]
-    return result | {"built": True, "refused": refused, "terms": terms, "share": built.share, "gain": built.gain}
+    return result | {"built": True, "terms": terms, "share": built.share, "gain": built.gain}
 
 
 def probable(found: PartialDiagnosis) -> dict[str, float]:
@@ -252,9 +251,9 @@ def read(folder: Path) -> list[tuple[dict[str, Any], dict[str, Any]]]:
     sets = []
     for path in sorted(folder.glob("w*_*/found.json")):
         if found := json.loads(path.read_text()):
+            beside = found["built"] and bool(found["names"] or is_handed_over(found))
             found["built"] = is_handed_over(found)
             found["left_mm"] = found["built_mm"] if found["built"] else found["named_mm"]
-            beside = found["built"] or (passes(found) and found["names"])
             found["names"] = [set(part) for part in found["names" if beside else "named"]]
             sets.append((json.loads(path.with_name("truth.json").read_text()), found))
     return sets
@@ -287,13 +286,8 @@ def known(truth: dict[str, Any]) -> set[str]:
 
 
 def is_handed_over(found: dict[str, Any]) -> bool:
-    """Whether a term was built and passes: on blocks left out, and once on the poses kept aside."""
-    return passes(found) and found["built_mm"] < found["beside_mm"]
-
-
-def passes(found: dict[str, Any]) -> bool:
-    """Whether a term was built and passes on blocks left out: the names beside it stay then."""
-    return found.get("refused") == []
+    """Whether a term was built and brings the poses kept aside nearer."""
+    return bool(found["built"]) and found["built_mm"] < found["beside_mm"]
 
 
 def left(found: dict[str, Any]) -> float:

@@ -45,7 +45,7 @@ def standing_out(folder: Path) -> tuple[float, float]:
     block = blocks(data, 0.0)
     chosen = block_split(data, usable, block)
     some = chosen.selection
-    bench = CorrelatedBench(robot, data.subset(some), noise, block[some], chosen.fold)
+    bench = CorrelatedBench(robot, data.subset(some), noise, block[some])
     base = bench.scored([])
     predicted, group = base.fit.chain.predict(base.fit.p), bench.whitening_group
     seen = [
