@@ -52,8 +52,8 @@ def test_doubtful_clearances_are_warned_about() -> None:
     )
     wide = pair("outer_diameter_mm = 1.3\ninner_diameter_mm = 1.1", "outer_diameter_mm = 9\ninner_diameter_mm = 8")
     assert robot_from_dict(wide, file="a.toml").warnings == (
-        "a.toml: tube.2.outer_diameter_mm = 1.0 mm: leaves 3.5 mm on every side, room for a tube twice as wide: are its "
-        "diameters radii?",
+        "a.toml: tube.2.outer_diameter_mm = 1.0 mm: leaves 3.5 mm on every side, room for a tube twice as wide: are "
+        "its diameters radii?",
         "a.toml: contact.1: radial clearance 3.5 mm is above 2 % of the smallest radius of curvature (153.846 mm), "
         "the model is less accurate there.",
     )
