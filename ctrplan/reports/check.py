@@ -246,8 +246,9 @@ def _of_scenario(scenario: Scenario) -> Check:
         role = "to stay inside" if part.role == "inside" else "to avoid"
         margin = f"margin {part.margin_m * 1e3:.3g} mm"
         lines.append(f"anatomy.{k}: {part.shape.name}, {_point(size / MM_PER_M)} mm across, {role}, {margin}")
-    lines += [f"start: {_shown(scenario.robot, scenario.start)}", *_start(scenario)]
-    flags = doubtful_sizes(scenario)
+    start, fault = _start(scenario)
+    lines += [f"start: {_shown(scenario.robot, scenario.start)}", *([start] if start else [])]
+    flags = [*doubtful_sizes(scenario), *([f"{scenario.path or scenario.name}: start: {fault}"] if fault else [])]
     notes = [text for text in scenario.warnings if text not in (*scenario.robot.warnings, *flags) and MORE not in text]
     return Check(
         name=scenario.name,
@@ -261,20 +262,22 @@ def _of_scenario(scenario: Scenario) -> Check:
     )
 
 
-def _start(scenario: Scenario) -> list[str]:
-    """Whether the start can be: nesting, stability, clearance of the body."""
+def _start(scenario: Scenario) -> tuple[str, str]:
+    """What the start is like, and what makes it impossible: nesting, or a body in the anatomy; empty if nothing."""
     space = JointSpace.of(scenario)
     if not space.allowed(scenario.start):
-        return [f"       {space.violation(scenario.start)}"]
-    from ctrplan.motion.checker import MotionChecker, path_limits  # with its own solver
+        return "", space.violation(scenario.start)
+    from ctrplan.motion.checker import MotionChecker  # with its own solver
 
-    checker = MotionChecker(scenario)
-    checker.limits = path_limits(scenario)
     status = scenario.robot.mechanics.bound(*scenario.robot.drive.collars(scenario.start))
-    return [
+    room_m = float(MotionChecker(scenario).clearance(scenario.start).clearance_m[0])
+    line = (
         f"       stability {status.frictionless.stability:.2g}, strain {100 * status.frictionless.max_strain:.2g} %, "
         f"friction may move the tip by {status.position_m * 1e3:.3g} mm there"
-    ]
+    )
+    if np.isfinite(room_m):
+        line += f"; {room_m * MM_PER_M:.3g} mm are left beyond the margins"
+    return line, f"the body is {-room_m * MM_PER_M:.3g} mm too near to the anatomy, or in it" if room_m < 0 else ""
 
 
 def _point(point_m: Array) -> str:

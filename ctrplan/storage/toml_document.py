@@ -192,6 +192,7 @@ def _parse(data: bytes, file: str) -> dict[str, Any]:
     except tomllib.TOMLDecodeError as error:
         message, _, place = str(error).rstrip(")").partition(" (at ")
         hint = " (text needs quotes, and numbers a point for the comma)" if "value" in message.lower() else ""
+        hint = " (it is a table: are two files exchanged?)" if file.lower().endswith(".csv") else hint
         raise InputError(f"is not valid TOML at {place or 'an unknown place'}: {message}{hint}", file=file) from None
     except ValueError:
         raise InputError("holds a number with thousands of digits", file=file) from None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from pathlib import Path
 
@@ -144,3 +145,88 @@ def test_columns_are_guessed_as_laboratories_call_them(header: str, tmp_path: Pa
     said = read_document(tmp_path / "map.toml").content
     assert [*said["columns"]["theta"], *said["columns"]["l"], *said["columns"]["position"]] == columns[1:]
     assert said["columns"]["sequence"] == columns[0] and said["units"] == {"theta": "deg", "l": "mm", "position": "mm"}
+
+
+BARE = """
+name = "no joints and no home"
+[[tube]]
+outer_diameter_mm = 2.5
+inner_diameter_mm = 2.2
+youngs_modulus_GPa = 60
+poisson_ratio = 0.3
+section = [{ length_mm = 60 }, { length_mm = 60, radius_mm = 250 }]
+[[tube]]
+outer_diameter_mm = 2.1
+inner_diameter_mm = 1.85
+youngs_modulus_GPa = 60
+poisson_ratio = 0.3
+collar_length_mm = 20
+section = [{ length_mm = 120 }, { length_mm = 80, radius_mm = 90 }]
+[[contact]]
+friction_coefficient = 0.2
+"""
+
+
+def test_a_start_keeps_its_limits_in_the_digits_that_are_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Drawn back to its limits a robot had nothing in front of the plate, its start once written with six digits."""
+    robot, task = tmp_path / "robot.toml", tmp_path / "task.toml"
+    robot.write_text(BARE)
+    assert main(["init", "scenario", str(task), "--robot", str(robot)]) == 0
+    assert main(["check", str(task)]) == 0 and "Nothing is in doubt" in capsys.readouterr().out
+    scenario = ctrplan.load_scenario(task)
+    assert ctrplan.MotionChecker(scenario).check(scenario.start[None])[0].valid
+
+
+@pytest.mark.parametrize(
+    ("start", "phrase"),
+    [
+        ((-120.0, -180.0), "nothing of it is in front"),
+        ((-60.0, -80.0), "the body is .* mm too near to the anatomy, or in it"),
+    ],
+)
+def test_a_start_that_cannot_be_is_marked(
+    start: tuple[float, float], phrase: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It was a traceback, and a body in the anatomy was in no doubt."""
+    (tmp_path / "robot.toml").write_text(BARE)
+    (tmp_path / "task.toml").write_text(
+        'robot = "robot.toml"\ngoal = {tip_mm = [30, 10, 120]}\n'
+        f'start = {{"rotate 1" = 0, "rotate 2" = 0, "translate 1" = {start[0]}, "translate 2" = {start[1]}}}\n'
+        'anatomy = [{kind = "sphere", center_mm = [0, 0, 50], radius_mm = 8}]\n'
+    )
+    main(["check", str(tmp_path / "task.toml")])
+    assert re.search(rf"! .*task.toml: start: .*{phrase}", capsys.readouterr().out)
+
+
+def test_a_table_in_the_place_of_a_robot_is_called_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    table = tmp_path / "m.csv"
+    table.write_text("theta_1_rad,l_1_m\n0,0\n")
+    assert main(["diagnose", str(table), str(tmp_path / "robot.toml")]) == 2
+    assert "it is a table: are two files exchanged?" in capsys.readouterr().err
+
+
+def test_what_code_gets_wrong_is_said(tmp_path: Path) -> None:
+    """Lists are read; other shapes, kinds and numbers that are none were AttributeErrors and ValueErrors."""
+    (tmp_path / "robot.toml").write_text(BARE)
+    robot = load_robot(tmp_path / "robot.toml")
+    start = np.array([0.0, 0.0, -0.06, -0.08])
+    given = dict(name="code", robot=robot, start=start, goal=ctrplan.Goal(None, np.array([0.03, 0.01, 0.12]), 1e-3))
+    checker = ctrplan.MotionChecker(ctrplan.Scenario(**given))
+    assert checker.motion(start.tolist(), (start + [0, 0.1, 0, 0]).tolist()).valid
+    with pytest.raises(InputError, match="must be a list of 4 finite numbers"):
+        checker.motion(np.zeros(3), np.zeros(3))
+    assert "must be finite" in checker.motion(start, np.full(4, np.nan)).reason
+    unnested = np.array([[0, 0, 0, -0.18], [0, 0, -0.06, 0], [0, 0, -0.02, 0.01]])
+    tip, base, limit = (motion.reason for motion in checker.check(unnested))
+    assert tip == "the tubes are not nested: the tip of tube 1 is 120 mm ahead of that of tube 2, which is in it"
+    assert base == "the tubes are not nested: the base of tube 2 is 60 mm too near to that of tube 1, or in front of it"
+    assert limit == "translate 2 = 10 mm: must be within -180 and 0 mm"
+    ball = ctrplan.Anatomy(ctrplan.Sphere([0, 0, 0.3], 0.01))
+    for changed, phrase in (
+        ({"anatomy": ball}, "must be a list of"),
+        ({"goal": {"tip_m": [0, 0, 0.1]}}, "ctrplan.Goal"),
+    ):
+        with pytest.raises(InputError, match=phrase):
+            ctrplan.Scenario(**given | changed)
