@@ -139,7 +139,7 @@ class Robot:
     content: Mapping[str, Any] = field(default_factory=dict)  # of the file after overrides, or of one that says this
     path: str | None = None
     warnings: tuple[str, ...] = ()
-    guide: Guide | None = None  # shapes of the branch that it stands on; None: that of a robot never wound up
+    guide: Guide | None = field(default=None, repr=False)  # shapes of its branch; None: of a robot never wound up
 
     def __post_init__(self) -> None:
         """Checks what was made in code. Raises InputError unless neighbouring tubes have a contact each."""
