@@ -77,7 +77,7 @@ def nesting_violation(robot: Robot, theta_b: ArrayLike, l_b: ArrayLike) -> str |
             raise InputError(f"must have one value per tube, shape ({robot.n},), not {shape}", key=key)
     G, h = nesting_inequalities(robot.tubes)
     broken = np.flatnonzero(~(G @ l <= h + ROUNDING_M))
-    return _sentence(robot, int(broken[0]), l) if broken.size else None
+    return nesting_sentence(robot, int(broken[0]), l) if broken.size else None
 
 
 def never_nests(robot: Robot) -> str | None:
@@ -88,23 +88,23 @@ def never_nests(robot: Robot) -> str | None:
     at_lower, at_upper = slope * drive.lower[moved], slope * drive.upper[moved]
     least = G @ drive.home_l_m + np.minimum(at_lower, at_upper).sum(axis=1)
     broken = np.flatnonzero(least > h + ROUNDING_M)
-    return _sentence(robot, int(broken[0]), drive.home_l_m) if broken.size else None
+    return nesting_sentence(robot, int(broken[0]), drive.home_l_m) if broken.size else None
 
 
-def _sentence(robot: Robot, row: int, l_b: Array) -> str:
-    """What is wrong in row `row` of the inequalities at base translations `l_b`."""
+def nesting_sentence(robot: Robot, row: int, l_b: Array) -> str:
+    """What is wrong in a row of `nesting_inequalities` at base translations (n,) [m]."""
     if row == 0:
         return f"{_base(robot, 0, l_b)} must be at or behind the plate, l_1b <= 0"
     i = (row - 1) % (robot.n - 1)
-    outer, inner = robot.tubes[i], robot.tubes[i + 1]
     bases = f"{_base(robot, i + 1, l_b)} and {_base(robot, i, l_b)}"
     if row < robot.n:
-        apart_m = least_distance_m(outer, inner)
-        is_collar = apart_m == inner.collar_length_m
+        apart_m = least_distance_m(robot.tubes[i], robot.tubes[i + 1])
+        is_collar = apart_m == robot.tubes[i + 1].collar_length_m
         needed = f"the collar of tube {i + 2}" if is_collar else f"room for the compliant shaft of tube {i + 1}"
         return f"{bases} must be at least {apart_m * 1e3:.6g} mm apart, {needed}"
-    ends = [f"{(l + tube.length_m) * 1e3:.6g} mm" for l, tube in zip(l_b[i : i + 2], (outer, inner), strict=True)]  # noqa: E741
-    return f"{bases} must keep the tips in order, but tube {i + 2} ends at {ends[1]} and tube {i + 1} at {ends[0]}"
+    ends_mm = [round((l_b[k] + robot.tubes[k].length_m) * 1e3, 6) + 0.0 for k in (i, i + 1)]
+    order = f"tube {i + 2} ends at {ends_mm[1]:.6g} mm and tube {i + 1} at {ends_mm[0]:.6g} mm"
+    return f"{bases} must keep the tips in order, but {order}"
 
 
 def _base(robot: Robot, i: int, l_b: Array) -> str:

@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Literal
 
 import numpy as np
@@ -19,7 +20,7 @@ from ctrplan.base.arrays import MM_PER_M, ROUNDING_M, Array, numbers, read_only
 from ctrplan.drive.drive import Drive
 from ctrplan.errors import InputError
 from ctrplan.mechanics.tube import reach_inequalities
-from ctrplan.robot.robot import Robot
+from ctrplan.robot.robot import Robot, nesting_sentence
 from ctrplan.scenario.scenario import CATALOGUE, DEFAULT, Goal, Margins, Scenario
 
 MotionStyle = Literal["rotations before translations", "simultaneous"]
@@ -37,6 +38,7 @@ class JointSpace:
     weights_mm: Array  # (m,) mm of joint length per rad or m
     nesting_G: Array  # (r, n)
     nesting_h: Array  # (r,) base translations are allowed where nesting_G @ l_b <= nesting_h
+    rule_in_words: Callable[[int, Array], str]  # what breaks a row of them at base translations (n,) [m]
 
     @classmethod
     def of(cls, scenario: Scenario) -> JointSpace:
@@ -47,7 +49,8 @@ class JointSpace:
     def of_robot(cls, robot: Robot, mm_per_rad: float = MM_PER_RAD) -> JointSpace:
         """The joint space of a robot, 1 rad counted as `mm_per_rad`."""
         G, h = reach_inequalities(robot.tubes)
-        return cls(robot.drive, np.where(robot.drive.is_rotation, mm_per_rad, MM_PER_M), G, h)
+        weights_mm = np.where(robot.drive.is_rotation, mm_per_rad, MM_PER_M)
+        return cls(robot.drive, weights_mm, G, h, partial(nesting_sentence, robot))
 
     def difference(self, a: Array, b: Array) -> Array:
         """(m,) motion from a to b; unlimited rotations take the shorter way."""
@@ -124,16 +127,10 @@ class JointSpace:
     def _unnested(self, values: Array) -> str:
         """Which tubes do not nest at joint values (m,), by the worst rule of `reach_inequalities`."""
         l_b = self.drive.collars(values[None])[1][0]
-        n, over_m = len(l_b), self.nesting_G @ l_b - self.nesting_h
-        rule = int(np.argmax(over_m))
-        by = f"{max(over_m[rule], 0.0) * MM_PER_M:.3g} mm"
-        if rule == 0:
-            return f"tube 1 begins {by} in front of the plate"
-        if rule < n:
-            return f"the base of tube {rule + 1} is {by} too near to that of tube {rule}, or in front of it"
-        if rule < 2 * n - 1:
-            return f"the tip of tube {rule - n + 1} is {by} ahead of that of tube {rule - n + 2}, which is in it"
-        return "tube 1 is drawn back to the plate, so that nothing of it is in front"
+        rule = int(np.argmax(self.nesting_G @ l_b - self.nesting_h))
+        if rule == len(self.nesting_h) - 1:
+            return "tube 1 is drawn back to the plate, so that nothing of it is in front"
+        return self.rule_in_words(rule, l_b)
 
     def projected(self, q: Array, fallback: Array) -> Array:
         """q (K, m) moved into limits and nesting, by turns; rows of `fallback` where that did not succeed."""

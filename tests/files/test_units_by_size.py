@@ -1,4 +1,4 @@
-"""Numbers in another unit are named by the robot's own length, and by what they would mean."""
+"""Numbers of robots and measurements in another unit are named by what they would mean."""
 
 from __future__ import annotations
 
@@ -6,14 +6,12 @@ import re
 import warnings
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-import trimesh
 from made_up_input import FUZZ
 from measured_data import measured, pair_robot, waypoints, write_csv
-from places import ROBOTS, SCENARIOS
+from places import ROBOTS
 
 import ctrplan
 from ctrplan.__main__ import main
@@ -21,18 +19,10 @@ from ctrplan.base.arrays import are_degrees, are_radians
 from ctrplan.errors import InputError
 from ctrplan.files.measurement_file import load_measurements
 from ctrplan.files.robot_file import load_robot
-from ctrplan.files.scenario_file import load_scenario, scenario_from_dict
 from ctrplan.robot.magnitudes import likely_unit
 
 THREE = ROBOTS / "three_tube.toml"
 IN_NO_DOUBT = "youngs_modulus_GPa=60,poisson_ratio=0.3"
-START = {"rotate outer": 20, "rotate middle": -60, "rotate inner": 80, "translate inner": -86.4}
-
-
-@pytest.mark.parametrize("file", sorted(SCENARIOS.glob("*.toml")), ids=lambda file: file.stem)
-def test_no_shipped_scenario_is_in_doubt(file: Path) -> None:
-    told = load_scenario(file, allow_outside=True).warnings
-    assert not [text for text in told if "robot is" in text or "?" in text]
 
 
 @pytest.mark.parametrize(
@@ -145,117 +135,9 @@ def test_a_tube_that_is_straight_in_any_unit_is_in_no_doubt() -> None:
     assert load_robot(THREE, ["tube.1.section.1.curvature_y_per_m=0"]).warnings == ()
 
 
-@pytest.mark.parametrize(
-    ("start", "phrase"),
-    [
-        (
-            {"rotate outer": 0.349, "rotate middle": -1.047, "rotate inner": 1.396},
-            "start.rotate outer = 0.349: is a whole",
-        ),
-        (
-            {"rotate outer": 0.0, "rotate middle": 3.1416, "rotate inner": 0.0},
-            "start.rotate middle = 3.1416: is a whole",
-        ),
-        ({"translate inner": -0.0864}, "start.translate inner = -0.0864: moves by 0.0864 mm, .*are these in metres"),
-        ({"rotate outer": 3.0, "rotate middle": -1.5, "rotate inner": 0.5}, ""),
-        ({"translate inner": -0.5}, ""),
-    ],
-)
-def test_a_start_in_radians_or_metres_is_named(start: dict[str, float], phrase: str, tmp_path: Path) -> None:
-    told = scenario(tmp_path, start=START | start).warnings
-    assert len(told) == bool(phrase) and all(re.search(phrase, text) for text in told)
-    there = scenario(tmp_path, goal={"joints": START | start}).warnings
-    assert len(there) == bool(phrase) and all(re.search(phrase.replace("start", "goal.joints"), t) for t in there)
-
-
 def test_many_doubts_are_one_line_that_says_how_many_more_there_are() -> None:
     (warning,) = load_robot(THREE, [f"tube.{i}.bending_stiffness_Nm2=50700" for i in (1, 2, 3)]).warnings
     assert f"(2 more numbers in doubt: ctrplan check {THREE})" in warning
-
-
-def test_a_goal_in_another_unit_is_refused_by_name(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"goal.tip_mm = .*: lies 0.176 mm from the base.*: are these in metres"):
-        load_scenario(SCENARIOS / "vessel.toml", ["goal.tip_mm=[0.051, 0.002, 0.168]"])
-    with pytest.raises(InputError, match=r"goal.tip_mm = .*: lies .* mm from the base.*: are these in micrometres"):
-        scenario(tmp_path, goal={"tip_mm": [3e4, 1e4, 9e4]})
-
-
-def scenario(tmp_path: Path, **keys: Any) -> Any:
-    content = {"robot": str(THREE), "start": START, "goal": {"tip_mm": [30.0, 10.0, 150.0]}} | keys
-    return scenario_from_dict(content, file=str(tmp_path / "s.toml"), allow_outside=True)
-
-
-def test_several_targets_a_line_and_a_base_in_metres(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"target.2.tip_mm = .*are these in metres"):
-        scenario(tmp_path, goal=None, target=[{"tip_mm": [30, 10, 150]}, {"tip_mm": [0.03, 0.01, 0.15]}])
-    with pytest.raises(InputError, match=r"goal.line_mm.1.*are these in metres"):
-        scenario(tmp_path, goal={"line_mm": [[0.03, 0.01, 0.14], [0.03, 0.01, 0.15]]})
-    with pytest.raises(InputError, match=r"base.position_mm = .*: lies 1.02e\+03 mm .*: is the base in metres"):
-        scenario(tmp_path, base={"position_mm": [0.5, 0.2, 0.7]}, goal={"tip_mm": [530.0, 210.0, 850.0]})
-    assert scenario(tmp_path, goal={"tip_mm": [500.0, 10.0, 850.0]}).warnings == ()  # merely out of reach
-
-
-def tunnel(folder: Path, size_mm: float, factor: float) -> str:
-    box = trimesh.creation.box((size_mm, size_mm, 400)).apply_translation((0, 0, 100)).apply_scale(factor)
-    box.export(folder / "lumen.stl")
-    return "lumen.stl"
-
-
-@pytest.mark.parametrize(
-    ("factor", "name"),
-    [(1e-3, "1000 times too small (m read as mm)"), (1 / 25.4, "25.4 times too small (inches read as mm)")]
-    + [(0.1, "25.4 times too small (inches read as mm) or 10 times too small (cm read as mm)"), (4.99, "")],
-)
-def test_a_lumen_that_holds_no_goal_is_named_with_the_factor_that_would(
-    factor: float, name: str, tmp_path: Path
-) -> None:
-    lumen = {"kind": "mesh", "file": tunnel(tmp_path, 80, factor), "unit": "mm", "role": "inside"}
-    if not name:
-        assert scenario(tmp_path, anatomy=[lumen]).warnings == ()
-        return
-    if factor == 1e-3:
-        with pytest.raises(InputError) as caught:
-            scenario(tmp_path, anatomy=[lumen])
-        told = str(caught.value)
-    else:  # such a lumen may be, and the goals be elsewhere
-        (told,) = scenario(tmp_path, anatomy=[lumen]).warnings
-    assert "anatomy.1.unit = 'mm': is " in told and f"none of the goals is in it: is it {name}?" in told
-
-
-def sphere(center_mm: list[float], radius_mm: float) -> dict[str, Any]:
-    return {"anatomy": [{"kind": "sphere", "center_mm": center_mm, "radius_mm": radius_mm, "margin_mm": 1.0}]}
-
-
-def test_an_obstacle_out_of_all_proportion_is_warned_about(tmp_path: Path) -> None:
-    part = {"kind": "mesh", "file": tunnel(tmp_path, 30, 1e-3), "unit": "mm", "margin_mm": 0.0}
-    (warning,) = scenario(tmp_path, anatomy=[part]).warnings
-    assert "anatomy.1.unit = 'mm': is 0.4 mm across, the robot 270 mm long: is it 1000 times too small" in warning
-
-
-@pytest.mark.parametrize(
-    ("keys", "phrase"),
-    [
-        (sphere([19, 2, 108], 0.006), r"anatomy.1.radius_mm = 0.006 mm: is 0.012 mm across.*: is it in metres\?"),
-        (sphere([30000, -40000, 14000], 5), r"anatomy.1.center_mm = .*: lies 51.* m from the base"),
-        (sphere([30, -40, 14], 5), ""),
-        ({"base": {"position_mm": [0.01, 0, -0.02]}}, "base.position_mm = .*: moves the base by 0.022 mm"),
-        ({"base": {"quaternion_wxyz": [0, 0, 0, 1]}}, "base.quaternion_wxyz = .*: turns the base by 180 deg"),
-        ({"base": {"direction": [0, 0, 1], "roll_deg": 1.5708}}, r"base.roll_deg = 1.5708 deg: .* is it in radians\?"),
-        ({"base": {"direction": [0, 0, 1], "roll_deg": 1.5, "position_mm": [0, 0, -20]}}, ""),
-    ],
-)
-def test_places_of_obstacles_and_of_the_base(keys: dict[str, Any], phrase: str, tmp_path: Path) -> None:
-    """Each was certified without a word."""
-    warned = scenario(tmp_path, **keys).warnings
-    assert len(warned) == bool(phrase) and all(re.search(phrase, text) for text in warned)
-
-
-def test_obstacles_in_millimetres_in_code() -> None:
-    given = scenario(Path())
-    far = ctrplan.Anatomy(ctrplan.Capsule([30, -40, 115], [30, 8, 115], 4), margin_m=1e-3)
-    with pytest.warns(UserWarning, match="lies 1.* m from the base"):
-        made = given.with_(anatomy=(far,))
-    assert any("from the base" in text for text in made.warnings)
 
 
 def test_radii_of_an_inner_tube_alone() -> None:
@@ -390,32 +272,6 @@ def test_intervals_in_other_units_are_refused_by_name(ends: str, phrase: str) ->
 
 
 @pytest.mark.parametrize(
-    ("said", "phrase"),
-    [
-        ("goal.tolerance_mm=0.001", r"goal.tolerance_mm = 0.001 mm: .*: is it in metres\?"),
-        ("goal.tolerance_mm=500", r"goal.tolerance_mm = 500 mm: .*: is it in micrometres\?"),
-        (
-            "goal.direction=[0,0,1];goal.direction_tolerance_deg=0.0873",
-            r"direction_tolerance_deg = .*: is it in radians\?",
-        ),
-        ("anatomy.1.margin_mm=0.0005", r"anatomy.1.margin_mm = 0.0005 mm: .*: is it in metres\?"),
-        ("cost.max_error_goal_mm=0.002", r"cost.max_error_goal_mm = 0.002 mm: .*: is it in metres\?"),
-        ("base.position_sigma_mm=0.0005", r"base.position_sigma_mm = 0.0005 mm: .*: is it in metres\?"),
-        ("base.rotation_sigma_deg=0.0087", r"base.rotation_sigma_deg = 0.0087 deg: .*: is it in radians\?"),
-        ("goal.tolerance_mm=0.1", ""),
-        ("base.rotation_sigma_deg=0.5", ""),
-    ],
-)
-def test_tolerances_and_margins_of_a_scenario_by_what_they_would_mean(said: str, phrase: str) -> None:
-    file = SCENARIOS / "vessel.toml"
-    scenario = load_scenario(file, said.split(";"))
-    told = [text for text in scenario.warnings if text not in load_scenario(file).warnings]
-    flags = ctrplan.check(scenario).flags
-    assert len(told) == len(flags) == bool(phrase)
-    assert all(re.search(phrase, text) for text in (*told, *flags))
-
-
-@pytest.mark.parametrize(
     ("joint", "change", "phrase"),
     [
         (
@@ -442,10 +298,3 @@ def test_units_of_files_given_in_code_are_named(joint: int, change: dict[str, fl
     joints[joint] = replace(joints[joint], **change)
     with pytest.warns(UserWarning, match=phrase):
         robot.with_(drive=replace(robot.drive, joints=tuple(joints)))
-
-
-def test_a_start_in_degrees_given_in_code_is_named() -> None:
-    scenario = load_scenario(SCENARIOS / "vessel.toml")
-    start = np.array([0.0, 90.0, -60.0, scenario.start[3]])
-    with pytest.warns(UserWarning, match=r"start.rotate middle = 5156.6.*: are these degrees given for radians\?"):
-        scenario.with_(start=start)

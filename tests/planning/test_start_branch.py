@@ -75,7 +75,7 @@ def beyond_m(robot: Robot, certificate: Certificate, start: Array, rng: np.rando
 
 @pytest.mark.parametrize("at", WOUND)
 def test_a_wound_start_is_certified_on_its_branch(at: list[float]) -> None:
-    """The same joints by themselves have another shape, tens of mm away."""
+    """Joints of a wound robot have another shape by themselves, tens of mm away."""
     robot = rvim()
     start = in_si(robot, at)
     path = l_shaped(robot, start, in_si(robot, MOVED))
@@ -135,7 +135,7 @@ def test_an_independent_simulator_that_is_turned_there_stands_in_the_same_shape(
 
 
 def test_a_sphere_counts_where_the_robot_stands() -> None:
-    """Of the wound robot's own shape; one around the shape that it would have unwound is no obstacle."""
+    """An obstacle at the wound robot's own shape counts; one around the shape that it would have unwound does not."""
     robot = rvim()
     start = in_si(robot, WOUND[1])
     path = l_shaped(robot, start, in_si(robot, MOVED))
