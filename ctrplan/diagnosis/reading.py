@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
 from ctrplan.errors import InputError, NoAnswerError
+from ctrplan.measurement.approach import clock
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.pipeline.tip_table import nested
 from ctrplan.robot.robot import Robot
@@ -27,7 +28,7 @@ from ctrplan.robot.robot import Robot
 BETTER = 2.0  # times the error as read over that of another reading: 12 log 2 = 8.3 against prior odds of 4000 to 1
 MOST_POSES = 60  # that are read again: gross faults show in every one
 LEAST_POSES = 6  # of which a frame of six numbers leaves something
-REGISTERED_RAD, REGISTERED_M = np.radians(15.0), 15e-3  # that a base may be off by as an effect, not as a reading
+BASE_RAD, BASE_M = np.radians(15.0), 15e-3  # by which a base is off, or drifts in an experiment, as an effect (prior)
 ALIKE = 1.3  # times the error of the best reading, with which a plainer one is told instead
 ORDERS, SEED = 100, 3  # of the rows, none of which fits as well where tips heed the joints: chance is 1 in 100
 SAME = 0.02  # of the error, by which readings differ that no data tell apart, as mirrored tips and mirrored rotations
@@ -192,12 +193,12 @@ def _best(file: _File, before: float) -> tuple[_Again, float] | None:
         return replace(alike[0][0], what=", or ".join([alike[0][0].what, *same])), alike[0][1]
     if len(file.kept) < LEAST_POSES:
         return None
-    framed = [(one, *file.registered(one)) for one in (_Again("", ()), *_readings(file.robot))]
-    _, own, is_far, where = framed[0]
-    if is_far and own * BETTER < before:
-        least = min(e for _, e, *_ in framed)
+    own, where = file.registered(_Again("", ()))
+    if own * BETTER < min(before, file.displaced_m(own)):
+        framed = [own, *(file.registered(one)[0] for one in _readings(file.robot))]
+        least = min(framed)
         if least * BETTER < own:  # both: another frame and another reading, of which the frame is told first
-            own = next(e for _, e, *_ in framed if e <= ALIKE * least)
+            own = next(e for e in framed if e <= ALIKE * least)
         moved = _Again(
             f"positions are in another frame than the robot's, {where}",
             ("x_m", "y_m", "z_m"),
@@ -334,7 +335,7 @@ class _File:
             model = self._tips(read, theta_b, inside)
         except InputError:  # no tube stands there
             return position[:0], position[:0]
-        good = np.isfinite(model).all(axis=1) & (np.abs(l_b - inside).max(axis=1) < REGISTERED_M)
+        good = np.isfinite(model).all(axis=1) & (np.abs(l_b - inside).max(axis=1) < BASE_M)
         return position[kept][good], model[good]
 
     def _tips(self, read: Robot, theta_b: Array, l_b: Array) -> Array:
@@ -353,17 +354,31 @@ class _File:
             return np.inf
         return float(np.sqrt(np.mean(np.sum((measured - model) ** 2, axis=1))))
 
-    def registered(self, one: _Again) -> tuple[float, bool, str]:
-        """Rms error [m] in the best frame, whether that is farther off than an effect, and how far."""
+    def displaced_m(self, noise_m: float) -> float:
+        """Rms error [m] as read beside what effects do to the base: a turn, a shift, and a shift that grows with time.
+
+        Their priors hold them to what effects are, against errors of the size noise_m.
+        """
+        measured, model = self.pairs(_Again("", ()))
+        time = clock(self.data)[self.kept[: len(model)]] if len(model) == len(self.kept) else np.zeros(len(model))
+        late = (time - time.min()) / (np.ptp(time) or 1.0)
+        cross = np.cross(np.eye(3)[None], model[:, None])  # (M, axis, 3) by which a small turn about an axis moves tips
+        shift = np.broadcast_to(np.eye(3), (len(model), 3, 3))
+        moves = np.concatenate([BASE_RAD * cross, BASE_M * shift, BASE_M * late[:, None, None] * shift], axis=1)
+        J, r = moves.transpose(0, 2, 1).reshape(-1, 9), (measured - model).ravel()
+        by = np.linalg.solve(J.T @ J + noise_m**2 / 3 * np.eye(9), J.T @ r)
+        return float(np.sqrt(np.sum((r - J @ by) ** 2) / len(model)))
+
+    def registered(self, one: _Again) -> tuple[float, str]:
+        """Rms error [m] in the best frame, and where that is."""
         measured, model = self.pairs(one)
         if len(model) < max(LEAST_POSES, 0.8 * len(self.kept)):
-            return np.inf, False, ""
+            return np.inf, ""
         turn, shift = _motion(measured, model)
         angle = float(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1)))
         off = _registered_m(measured, model)
         moved = float(np.linalg.norm(shift))
-        words = f"turned by {np.degrees(angle):.0f} deg and shifted by {1e3 * moved:.0f} mm"
-        return off, angle > REGISTERED_RAD or moved > REGISTERED_M, words
+        return off, f"turned by {np.degrees(angle):.0f} deg and shifted by {1e3 * moved:.0f} mm"
 
     def mover(self) -> Callable[[Array], Array]:
         """Positions in the best frame."""

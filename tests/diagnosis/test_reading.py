@@ -73,6 +73,20 @@ def test_a_base_that_is_turned_as_far_as_an_effect_has_it_is_no_fault_of_reading
     assert read_again(ROBOT, places(Rotation.from_rotvec([0.05, -0.08, 0.02]).apply(P) + [0.004, -0.005, 0.003])) == ()
 
 
+def test_a_base_that_drifts_on_a_short_motion_is_no_other_frame() -> None:
+    """Where tips stay in one corner, the frame that suits a drift best is turned about a far place."""
+    rng = np.random.default_rng(8)
+    gone = np.linspace(0, 1, len(THETA))[:, None]
+    near = joints(np.hstack([0.2 * gone, 1 + 0.5 * gone]), L.mean(axis=0) - 4e-3 * gone)
+    collars = ROBOT.collars(near.theta_commanded[near.rows], near.l_commanded[near.rows])
+    position = ROBOT.mechanics.tips(*collars)[0]
+    late = np.linspace(0, 1, len(position))[:, None]
+    for _ in range(20):
+        by = 12e-3 * (v := rng.normal(size=3)) / np.linalg.norm(v)
+        noise = 3e-4 * rng.normal(size=position.shape)
+        assert read_again(ROBOT, replace(near, position_m=position + late * by + noise)) == ()
+
+
 def test_tips_that_heed_no_joint_are_told_and_read_in_no_other_way() -> None:
     rng = np.random.default_rng(3)
     spread = np.sqrt(np.mean(np.sum((P - P.mean(axis=0)) ** 2, axis=1)) / 3)
