@@ -90,23 +90,27 @@ class CellClearance:
 def cell_clearances(
     cells: Sequence[Cell],
     bodies: Array,
+    lengths: NDArray[np.int_],
     distance: Distance,
     enough_m: Array,
     is_least_asked: NDArray[np.bool_],
 ) -> list[CellClearance]:
     """The clearances of L cells, for each of which `enough_m` (L,) is required.
 
-    Bodies (L, 2^P + 1, N, 4) of corners and middle: points, and radii that have to be clear. Of cells that have less
-    than enough the least is found where it is asked for (L,), else some clearance that is not enough.
+    Bodies (L, 2^P + 1, N, 4) of corners and middle: points, and radii that have to be clear; each cell's own points are
+    the first `lengths` (L,) of them. Of cells that have less than enough the least is found where it is asked for (L,),
+    else some clearance that is not enough.
     """
     middles = bodies[:, -1]
     count, points = middles.shape[:2]
     apart, reach = cell_spread(bodies, BEYOND)
     error = ERROR_FACTOR * apart
     away = reach + error + middles[..., 3]
-    asked = (enough_m[:, None] + away + HALF_M).ravel()
-    far = clearance_of_segments(distance(middles[..., :3].reshape(-1, 3), asked), HALF_M).reshape(count, points)
-    bound = far - away  # clearance is 1-Lipschitz
+    asked = enough_m[:, None] + away + HALF_M
+    own = np.arange(points) < lengths[:, None]
+    bound = np.full((count, points), np.inf)
+    far = clearance_of_segments(distance(middles[own][:, :3], asked[own]), HALF_M)
+    bound[own] = far - away[own]  # clearance is 1-Lipschitz
     rest = np.where(bound >= enough_m[:, None], bound, np.inf)
     spare = (bound - enough_m[:, None]).ravel()
     suspects, others = _by_suspicion(np.flatnonzero(spare < 0), spare, points)
@@ -195,7 +199,8 @@ def _clearances(asked: Sequence[CellQuery], distance: Distance | None) -> list[C
         these, bodies = [asked[k] for k in rows], _bodies([asked[k] for k in rows])
         enough = np.array([one.enough_m for one in these])
         least = np.array([one.is_least_asked for one in these])
-        clear = cell_clearances([one.cell for one in these], bodies, distance, enough, least)
+        lengths = np.array([max(len(state.body_m) for state in one.solved) for one in these])
+        clear = cell_clearances([one.cell for one in these], bodies, lengths, distance, enough, least)
         for k, clearance in zip(rows, clear, strict=True):
             results[k] = clearance
     return results

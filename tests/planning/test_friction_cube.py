@@ -84,7 +84,7 @@ def test_a_state_without_an_equilibrium_is_no_clearance_at_all() -> None:
 
 
 def test_configurations_that_are_looked_at_together_are_found_as_alone() -> None:
-    """Bodies of several lengths, what is asked of them differs too."""
+    """Bodies of several lengths, what is asked of them differs too; and no more distances are asked for."""
     rng = np.random.default_rng(3)
     spheres = Spheres(rng.uniform([-0.02, -0.02, 0.03], [0.02, 0.02, 0.1], (6, 3)), 2e-3)
     states = [(0.0, 0.0), *corner_states(2)]
@@ -96,10 +96,20 @@ def test_configurations_that_are_looked_at_together_are_found_as_alone() -> None
         known = dict(zip(states, cut(states), strict=True))
         return CubeQuery(known, np.full(count, 1e-3), cut, Needed(float(rng.uniform(-4e-3, 4e-3))))
 
+    points = list[int]()
+
+    def counted(point_m: Array, enough_m: Array) -> Array:
+        points.append(len(point_m))
+        return spheres(point_m, enough_m)
+
     asked = [shorter(int(count)) for count in rng.integers(20, 60, 12)]
-    for one, found in zip(asked, minima_of_cubes(asked, spheres), strict=True):
-        alone = cube_minima(one, spheres)
+    together = minima_of_cubes(asked, counted)
+    of_all = sum(points)
+    points.clear()
+    for one, found in zip(asked, together, strict=True):
+        alone = cube_minima(one, counted)
         assert (found.clearance_m, found.phi, found.solves) == (alone.clearance_m, alone.phi, alone.solves)
+    assert of_all <= sum(points)
 
 
 def test_cells_that_are_too_near_are_so_whether_their_least_is_asked_or_not() -> None:
@@ -110,7 +120,8 @@ def test_cells_that_are_too_near_are_so_whether_their_least_is_asked_or_not() ->
     bodies = np.concatenate([shapes, np.full((*shapes.shape[:3], 1), 1e-3)], axis=3)
     enough = rng.uniform(-3e-3, 6e-3, len(cells))
     least, some = (
-        cell_clearances(cells, bodies, spheres, enough, np.full(len(cells), asked)) for asked in (True, False)
+        cell_clearances(cells, bodies, np.full(len(cells), 60), spheres, enough, np.full(len(cells), asked))
+        for asked in (True, False)
     )
     is_enough = [one.clearance_m >= limit for one, limit in zip(least, enough, strict=True)]
     assert 0 < sum(is_enough) < len(cells)
