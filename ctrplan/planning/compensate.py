@@ -17,7 +17,8 @@ from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.base.long_work import Progress, part_of
 from ctrplan.certificate.arrival import Arrival, beside_nominal, friction_variants
 from ctrplan.certificate.certificate import Certificate, CertificateSamples
-from ctrplan.certificate.certify import certify, frictionless_arrives
+from ctrplan.certificate.certify import finished, frictionless_arrives
+from ctrplan.certificate.walked_legs import walk_legs
 from ctrplan.mechanics.history import HistoryState
 from ctrplan.motion.checker import MotionChecker
 from ctrplan.planning.endings import settled_again
@@ -122,9 +123,10 @@ def _corrected_once(
             is_beyond_limits = True
             continue
         told = part_of(progress, k, MOST_WAYS)
-        checked = certify(
-            checker.scenario, moved, goal_test=predicted_arrives, starts=starts, restart=False, progress=told
-        )
+        walk = walk_legs(checker.scenario, moved, progress=told)
+        if walk.problems:  # no history makes it valid
+            continue
+        checked = finished(walk, predicted_arrives, starts)
         error = arrival_error(checked)
         if checked.valid and error < best.compensation.error_with_m:
             if settling := before.certificate.settling:
@@ -337,9 +339,10 @@ def _correction(
         else:
             miss = aim - ends_m
         distance = float(np.linalg.norm(miss))
+        is_nearer = distance < best[0] - CLOSE_M / 2  # else the joints that may move bring the tip no farther
         if distance < best[0]:
             best = (distance, delta)
-        if not CLOSE_M / 2 < distance < np.inf:
+        if not is_nearer or not CLOSE_M / 2 < distance < np.inf:
             break
         movable = ~is_rotation if place.slides_alone else np.ones(len(delta), bool)
         step = _newton_step(checker, path[-1], miss, tangent, movable)
