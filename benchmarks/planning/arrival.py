@@ -102,7 +102,7 @@ def compared(cases: list[tuple[str, Scenario]]) -> list[Compared]:
         for number, (goal, at, before) in enumerate(targets, start=1):
             if at.arrival is None or before.arrival is None or goal.tip_m is None:
                 continue
-            causes = ", ".join(f"{1e3 * share:.2f} {words}" for words, share in at.arrival.by_cause.told[:2])
+            causes = ", ".join(f"{1e3 * share:.2f} {words}" for words, share in at.arrival.by_cause.main[:2])
             lengths = (goal.tolerance_m, at.bound_m, before.arrival.error_m, at.arrival.error_m)
             longer = plan.certificate.length_mm - bare.certificate.length_mm
             place = number if len(scenario.targets) > 1 else 0

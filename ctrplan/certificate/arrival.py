@@ -80,7 +80,7 @@ class ArrivalCauses:
         return sorted(((words, share) for words, share in named if not share <= 0), key=lambda pair: -pair[1])
 
     @property
-    def told(self) -> list[tuple[str, float]]:
+    def main(self) -> list[tuple[str, float]]:
         """The largest of them: those that matter beside the first."""
         ranked = self.ranked
         return [(words, share) for words, share in ranked if share >= MATTERS * ranked[0][1]]
@@ -192,10 +192,10 @@ def arrival(
     )
 
 
-def with_steps(found: Arrival, steps_m: float) -> Arrival:
+def with_steps(before: Arrival, steps_m: float) -> Arrival:
     """An arrival whose histories may be off by so much [m], by the steps that they were followed in."""
-    by_cause = replace(found.by_cause, mesh_m=found.by_cause.mesh_m + steps_m)
-    return replace(found, error_m=by_cause.total_m, by_cause=by_cause)
+    by_cause = replace(before.by_cause, mesh_m=before.by_cause.mesh_m + steps_m)
+    return replace(before, error_m=by_cause.total_m, by_cause=by_cause)
 
 
 def rows_to_keep(leg: NDArray[np.int_]) -> list[int]:

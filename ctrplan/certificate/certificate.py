@@ -83,12 +83,12 @@ class Difference:
 
     figure: str  # its name, "samples.bound_m" for the worst sample of a column
     stated: float | str
-    found: float | str
+    recomputed: float | str
 
     @property
     def sentence(self) -> str:
         """Figure and both values, without a full stop."""
-        stated, result = (x if isinstance(x, str) else f"{x:.6g}" for x in (self.stated, self.found))
+        stated, result = (x if isinstance(x, str) else f"{x:.6g}" for x in (self.stated, self.recomputed))
         return f"{self.figure} is stated as {stated} and found to be {result}"
 
 

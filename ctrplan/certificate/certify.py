@@ -127,11 +127,11 @@ def finished(
     starts: Sequence[FrictionStart] | None = None,
 ) -> Certificate:
     """The certificate of walked legs, histories simulated; of as much clearance as the walk asked for."""
-    scenario, begun = walk.scenario, start_states(walk.scenario) if starts is None else starts
+    scenario, start_friction = walk.scenario, start_states(walk.scenario) if starts is None else starts
     bodies = SimulatedBodies.of(scenario)
     with ThreadPoolExecutor(1) as beside:  # of few histories one ends last
         places = beside.submit(_places, walk)
-        history = _simulated(walk, begun, bodies)
+        history = _simulated(walk, start_friction, bodies)
         closest = places.result()
     prediction, samples = history.prediction, history.samples
     problems = (
@@ -204,10 +204,12 @@ def with_restart(
     if certificate.arrival is None or not certificate.valid:
         return certificate
     rows, _ = simulated_rows(scenario, samples.joints, samples.leg)
-    begun = start_states(scenario) if starts is None else starts
+    start_friction = start_states(scenario) if starts is None else starts
     path = samples.joints[rows], samples.leg[rows], certificate.goal_predicted_tip_m
-    steps_m = step_error(scenario.robot, path[0], certificate.end_states, begun, accuracy)
-    arrival = replace(with_steps(certificate.arrival, steps_m), restart=restart_waypoint(scenario, *path, begun))
+    steps_m = step_error(scenario.robot, path[0], certificate.end_states, start_friction, accuracy)
+    arrival = replace(
+        with_steps(certificate.arrival, steps_m), restart=restart_waypoint(scenario, *path, start_friction)
+    )
     *before, last = certificate.targets
     return replace(certificate, arrival=arrival, targets=(*before, replace(last, arrival=arrival)))
 

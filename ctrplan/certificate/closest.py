@@ -151,7 +151,7 @@ def _closest(
     located = scenario.located(points[near])
     radius = bodies.radius_m[near % count]
     apart, part = _nearest_part(scenario, located, radius)
-    margins = np.array([one.margin_m for one in scenario.anatomy])
+    margins = np.array([part.margin_m for part in scenario.anatomy])
     k = int(np.argmin(apart - margins[part]))
     state = np.array(list(dict.fromkeys(states)))[bodies.solved][near[k] // count]
     return Closest(

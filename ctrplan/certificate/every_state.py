@@ -68,11 +68,11 @@ def in_every_friction_state(scenario: Scenario, pieces: Sequence[Piece], spare_m
     with ThreadPoolExecutor(cores()) as pool:
         places = _narrowest(pieces)
         first = list(pool.map(lambda place: looks[place[0]].least([place[1]])[0], places))
-        if any(not one.keeps(limited) for one in first):  # no other sample makes the path valid again
+        if any(not minima.keeps(limited) for minima in first):  # no other sample makes the path valid again
             for look in looks:
                 look.remember(known)
             return [look.ended(_with(look.piece, *_of_piece(k, places, first))) for k, look in enumerate(looks)]
-        enough = max(limits.clearance_m, min([enough, *(one.clearance_m for one in first)]))
+        enough = max(limits.clearance_m, min([enough, *(minima.clearance_m for minima in first)]))
         for look in looks:
             look.needed = replace(needed, clearance_m=enough)
             look.recall(known)
@@ -92,8 +92,8 @@ def _of_piece(
     piece: int, places: Sequence[tuple[int, int]], results: Sequence[StateMinima]
 ) -> tuple[list[int], list[StateMinima]]:
     """Samples of one piece among `places`, and what was found there."""
-    rows = [(sample, one) for (p, sample), one in zip(places, results, strict=True) if p == piece]
-    return [sample for sample, _ in rows], [one for _, one in rows]
+    rows = [(sample, minima) for (p, sample), minima in zip(places, results, strict=True) if p == piece]
+    return [sample for sample, _ in rows], [minima for _, minima in rows]
 
 
 def _every_sample(pool: Executor, looks: Sequence[_PieceView], limited: Needed) -> list[Piece]:
@@ -111,7 +111,7 @@ def _every_sample(pool: Executor, looks: Sequence[_PieceView], limited: Needed) 
             if result is None:  # and all after it
                 break
             piece = _with(piece, samples, result)
-            if not all(one.keeps(limited) for one in result):
+            if not all(minima.keeps(limited) for minima in result):
                 break
         for _, future in work[k]:
             future.result()
@@ -123,11 +123,11 @@ def _with(piece: Piece, samples: Sequence[int], results: Sequence[StateMinima]) 
     """The piece with what was found of all states of some of its samples."""
     clearance, stability, strain = piece.clearance_m.copy(), piece.stability.copy(), piece.max_strain.copy()
     phi = piece.phi.copy()
-    for k, one in zip(samples, results, strict=True):
-        if one.clearance_m < clearance[k]:
-            clearance[k], phi[k] = one.clearance_m, one.phi
-        stability[k] = min(stability[k], one.stability)
-        strain[k] = max(strain[k], one.max_strain)
+    for k, minima in zip(samples, results, strict=True):
+        if minima.clearance_m < clearance[k]:
+            clearance[k], phi[k] = minima.clearance_m, minima.phi
+        stability[k] = min(stability[k], minima.stability)
+        strain[k] = max(strain[k], minima.max_strain)
     return replace(piece, clearance_m=clearance, stability=stability, max_strain=strain, phi=phi)
 
 
@@ -186,7 +186,7 @@ class _PieceView:
         if samples[0] > self._broken:
             return None
         result = self.least(samples)
-        if not all(one.keeps(limited) for one in result):
+        if not all(minima.keeps(limited) for minima in result):
             with self._lock:
                 self._broken = min(self._broken, samples[-1])
         return result
@@ -202,7 +202,7 @@ class _PieceView:
     def least(self, samples: Sequence[int]) -> list[StateMinima]:
         """The minima of each sample; all allowances taken off the clearance."""
         tries = {sample: self._tries(sample) for sample in samples if sample not in self._found}
-        while going := {sample: asked for sample, one in tries.items() if (asked := next(one, None))}:
+        while going := {sample: attempt for sample, attempts in tries.items() if (attempt := next(attempts, None))}:
             for sample, result in zip(going, self._least(going), strict=True):
                 self._found[sample], self._asked_m[sample] = result, self.needed.clearance_m
                 if result.keeps(self.needed):
@@ -214,10 +214,10 @@ class _PieceView:
 
     def _least(self, going: Mapping[int, _Try]) -> list[StateMinima]:
         """What the tries find, one of each sample."""
-        result = minima_of_cubes([self._cube(sample, one) for sample, one in going.items()], self.distance)
+        result = minima_of_cubes([self._cube(sample, attempt) for sample, attempt in going.items()], self.distance)
         return [
-            replace(least, clearance_m=least.clearance_m - self._offset_m(sample, one))
-            for (sample, one), least in zip(going.items(), result, strict=True)
+            replace(least, clearance_m=least.clearance_m - self._offset_m(sample, attempt))
+            for (sample, attempt), least in zip(going.items(), result, strict=True)
         ]
 
     def _tries(self, sample: int) -> Generator[_Try]:
@@ -235,19 +235,19 @@ class _PieceView:
             yield _Try("certificate", DEPTH, is_between=True)
         yield _Try("certificate", DEPTH, is_last=True)
 
-    def _cube(self, sample: int, one: _Try) -> CubeQuery:
+    def _cube(self, sample: int, attempt: _Try) -> CubeQuery:
         """Only what is solved for itself is looked at in all cells, whatever is found in some."""
-        states = self._of(sample, one.accuracy)
+        states = self._of(sample, attempt.accuracy)
         return CubeQuery(
             self._known(states),
             states.known.radius_m,
-            self._between(sample, one.accuracy) if one.is_between else states,
-            replace(self.needed, clearance_m=self.needed.clearance_m + self._offset_m(sample, one)),
-            one.depth,
+            self._between(sample, attempt.accuracy) if attempt.is_between else states,
+            replace(self.needed, clearance_m=self.needed.clearance_m + self._offset_m(sample, attempt)),
+            attempt.depth,
             self._least_depth(sample),
-            is_attempt=one.is_between,
+            is_attempt=attempt.is_between,
             pairs=self.piece.pairs if self.scenario.robot.friction.any() else 0,
-            floor_m=self.limit_m + self._offset_m(sample, one) if one.is_last else np.inf,
+            floor_m=self.limit_m + self._offset_m(sample, attempt) if attempt.is_last else np.inf,
         )
 
     def _known(self, states: SampleStates) -> dict[State, Solved]:
@@ -255,10 +255,10 @@ class _PieceView:
         solved, variants = states.known.solved, self.piece.variants
         if not variants.large or variants.has_middle:
             return solved
-        return {state: one for state, one in solved.items() if any(state)}
+        return {state: solved_state for state, solved_state in solved.items() if any(state)}
 
-    def _offset_m(self, sample: int, one: _Try) -> float:
-        return float(self.piece.offset_m(self.scenario, one.accuracy)[sample])
+    def _offset_m(self, sample: int, attempt: _Try) -> float:
+        return float(self.piece.offset_m(self.scenario, attempt.accuracy)[sample])
 
     def _between(self, sample: int, accuracy: Accuracy) -> StatesBetween:
         first = sample - sample % LOOK_EVERY

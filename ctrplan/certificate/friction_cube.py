@@ -106,10 +106,10 @@ def cell_clearances(
     apart, reach = cell_spread(bodies, BEYOND)
     error = ERROR_FACTOR * apart
     away = reach + error + middles[..., 3]
-    asked = enough_m[:, None] + away + HALF_M
+    far_enough = enough_m[:, None] + away + HALF_M
     own = np.arange(points) < lengths[:, None]
     bound = np.full((count, points), np.inf)
-    far = clearance_of_segments(distance(middles[own][:, :3], asked[own]), HALF_M)
+    far = clearance_of_segments(distance(middles[own][:, :3], far_enough[own]), HALF_M)
     bound[own] = far - away[own]  # clearance is 1-Lipschitz
     rest = np.where(bound >= enough_m[:, None], bound, np.inf)
     spare = (bound - enough_m[:, None]).ravel()
@@ -173,47 +173,48 @@ class CellQuery:
     @property
     def has_bodies(self) -> bool:
         """Whether all of its states have an equilibrium."""
-        return all(one.has_body for one in self.solved)
+        return all(state.has_body for state in self.solved)
 
 
-def cell_minima(asked: Sequence[CellQuery], distance: Distance | None) -> list[StateMinima]:
+def cell_minima(queries: Sequence[CellQuery], distance: Distance | None) -> list[StateMinima]:
     """The minima of L cells; clearance is inf where it was not required, or without a `distance`."""
-    stability = -_most(np.array([[-one.stability for one in cell.solved] for cell in asked]))
-    strain = _most(np.array([[one.max_strain for one in cell.solved] for cell in asked]))
+    stability = -_most(np.array([[-state.stability for state in cell.solved] for cell in queries]))
+    strain = _most(np.array([[state.max_strain for state in cell.solved] for cell in queries]))
     numbers = zip(stability.tolist(), strain.tolist(), strict=True)
     return [
         StateMinima(clear.clearance_m, *of_cell, clear.phi, clear.point_m, 0)
         if clear
         else StateMinima(-np.inf, -np.inf, np.inf, cell.cell.middle, np.full(3, np.nan), 0)
-        for cell, clear, of_cell in zip(asked, _clearances(asked, distance), numbers, strict=True)
+        for cell, clear, of_cell in zip(queries, _clearances(queries, distance), numbers, strict=True)
     ]
 
 
-def _clearances(asked: Sequence[CellQuery], distance: Distance | None) -> list[CellClearance | None]:
+def _clearances(queries: Sequence[CellQuery], distance: Distance | None) -> list[CellClearance | None]:
     """The clearance of every cell, None where one of its states has no body."""
     results: list[CellClearance | None] = [
-        CellClearance(np.inf, one.cell.middle, one.solved[-1].body_m[-1]) if one.has_bodies else None for one in asked
+        CellClearance(np.inf, query.cell.middle, query.solved[-1].body_m[-1]) if query.has_bodies else None
+        for query in queries
     ]
-    rows = [k for k, one in enumerate(asked) if one.enough_m is not None and results[k] is not None]
+    rows = [k for k, query in enumerate(queries) if query.enough_m is not None and results[k] is not None]
     if distance and rows:
-        these, bodies = [asked[k] for k in rows], _bodies([asked[k] for k in rows])
-        enough = np.array([one.enough_m for one in these])
-        least = np.array([one.is_least_asked for one in these])
-        lengths = np.array([max(len(state.body_m) for state in one.solved) for one in these])
-        clear = cell_clearances([one.cell for one in these], bodies, lengths, distance, enough, least)
+        these, bodies = [queries[k] for k in rows], _bodies([queries[k] for k in rows])
+        enough = np.array([query.enough_m for query in these])
+        least = np.array([query.is_least_asked for query in these])
+        lengths = np.array([max(len(state.body_m) for state in query.solved) for query in these])
+        clear = cell_clearances([query.cell for query in these], bodies, lengths, distance, enough, least)
         for k, clearance in zip(rows, clear, strict=True):
             results[k] = clearance
     return results
 
 
-def _bodies(asked: Sequence[CellQuery]) -> Array:
+def _bodies(queries: Sequence[CellQuery]) -> Array:
     """(L, 2^P + 1, N, 4) bodies and the radii around them that they may fill, as long as the longest.
 
     What is too short stands at its tip for the rest, where it is already.
     """
-    solved = [state for one in asked for state in one.solved]
+    solved = [state for query in queries for state in query.solved]
     bodies, doubts = [state.body_m for state in solved], [state.doubt_m for state in solved]
-    return cell_bodies(bodies, [one.radius_m for one in asked], doubts)
+    return cell_bodies(bodies, [query.radius_m for query in queries], doubts)
 
 
 def _most(values: Array) -> Array:
@@ -256,19 +257,19 @@ class CubeQuery:
     pairs: int | None = None  # first axes of the cube that are friction's; None: all of them
 
 
-def cube_minima(asked: CubeQuery, distance: Distance | None) -> StateMinima:
+def cube_minima(query: CubeQuery, distance: Distance | None) -> StateMinima:
     """The minima of one configuration, as `minima_of_cubes` has them of many."""
-    return minima_of_cubes([asked], distance)[0]
+    return minima_of_cubes([query], distance)[0]
 
 
-def minima_of_cubes(asked: Sequence[CubeQuery], distance: Distance | None) -> list[StateMinima]:
+def minima_of_cubes(queries: Sequence[CubeQuery], distance: Distance | None) -> list[StateMinima]:
     """What is known of every state of each configuration once its cells were halved until they keep what is needed.
 
     Where they do not keep the clearance that is needed, what they have was found at some state, and another one may
     have less. Less is asked for then, until no state has less than that, or less than the floor was found. Bodies are
     looked at where they come near enough to the anatomy to matter, not at all without a `distance`.
     """
-    cubes = [_Cube(one) for one in asked]
+    cubes = [_Cube(query) for query in queries]
     while open_ := [cube for cube in cubes if cube.cells]:
         cells = [cell for cube in open_ for cell in cube.cells_asked()]
         result = iter(cell_minima(cells, distance))
@@ -281,12 +282,12 @@ def minima_of_cubes(asked: Sequence[CubeQuery], distance: Distance | None) -> li
 class _Cube:
     """The states of one configuration, and the cells of it that have to be looked at next, all of one depth."""
 
-    asked: CubeQuery
+    query: CubeQuery
     least: StateMinima = field(init=False)
     cells: list[Cell] = field(init=False)
 
     def __post_init__(self) -> None:
-        self.solved, self.needed = dict(self.asked.known), self.asked.needed
+        self.solved, self.needed = dict(self.query.known), self.query.needed
         self._solves = 0
         self._begin()
 
@@ -300,16 +301,16 @@ class _Cube:
         states = [[*cell.corners, cell.middle] for cell in self.cells]
         wanted = list(dict.fromkeys(state for of_cell in states for state in of_cell if state not in self.solved))
         if wanted:
-            self.solved.update(zip(wanted, self.asked.solve(wanted), strict=True))
+            self.solved.update(zip(wanted, self.query.solve(wanted), strict=True))
             self._solves += len(wanted)
-        is_looked_at = self.cells[0].depth >= self.asked.least_depth  # else it is halved anyway
+        is_looked_at = self.cells[0].depth >= self.query.least_depth  # else it is halved anyway
         return [
             CellQuery(
                 cell,
                 [self.solved[state] for state in of_cell],
-                self.asked.radius_m,
+                self.query.radius_m,
                 self.needed.clearance_m if is_looked_at else None,
-                is_least_asked=np.isfinite(self.asked.floor_m) and not self._is_halved(cell, is_short=True),
+                is_least_asked=np.isfinite(self.query.floor_m) and not self._is_halved(cell, is_short=True),
             )
             for cell, of_cell in zip(self.cells, states, strict=True)
         ]
@@ -318,19 +319,19 @@ class _Cube:
         """Halves the cells that do not keep what is needed, and takes over what is known of the others."""
         halved = list[Cell]()
         for cell, of_cell in zip(self.cells, results, strict=True):
-            is_open = cell.depth < self.asked.least_depth or not of_cell.keeps(self.needed)
+            is_open = cell.depth < self.query.least_depth or not of_cell.keeps(self.needed)
             is_short = of_cell.clearance_m < self.needed.clearance_m
             if is_open and self._is_halved(cell, is_short=is_short) and np.isfinite(of_cell.stability):
                 halved += cell.halves(self._axes(cell))
             else:
                 self.least = self.least.with_less_of(of_cell)
-        self.cells = [] if self.asked.is_attempt and not self.least.keeps(self.needed) else halved
+        self.cells = [] if self.query.is_attempt and not self.least.keeps(self.needed) else halved
         if not self.cells:
             self._ask_for_less()
 
     def _axes(self, cell: Cell) -> Collection[int] | None:
         """Along which a cell is halved: all that are friction's, then those along which bodies lie farthest apart."""
-        dimensions, pairs = len(cell.low), self.asked.pairs
+        dimensions, pairs = len(cell.low), self.query.pairs
         if pairs is None or pairs == dimensions or dimensions <= MOST_HALVED:
             return None
         if cell.depth == 0 and pairs:
@@ -342,12 +343,12 @@ class _Cube:
 
     def _is_halved(self, cell: Cell, *, is_short: bool) -> bool:
         """Whether a cell that does not keep what is needed, of clearance if it is short, may be halved."""
-        return cell.depth < (max(self.asked.depth, self.asked.least_depth) if is_short else NUMBERS_DEPTH)
+        return cell.depth < (max(self.query.depth, self.query.least_depth) if is_short else NUMBERS_DEPTH)
 
     def _ask_for_less(self) -> None:
         """Begins again where some state has less than is needed, so that no other has less than what is said."""
         self.least = replace(self.least, solves=self._solves)
-        result, floor = self.least.clearance_m, self.asked.floor_m
+        result, floor = self.least.clearance_m, self.query.floor_m
         if floor <= result < self.needed.clearance_m:
             self.needed = replace(self.needed, clearance_m=max(floor, result - LESS_M))
             self._begin()

@@ -161,8 +161,8 @@ def unwinding(scenario: Scenario) -> str:
     robot, joints = scenario.robot.unguided, scenario.start
     if scenario.robot.guide is None or robot.n == 1:
         return ""
-    said, _ = _turned_from_home(robot, joints, robot.bound(*robot.drive.collars(joints)))
-    return said[said.index(UNWIND) :] if UNWIND in said else ""
+    sentence, _ = _turned_from_home(robot, joints, robot.bound(*robot.drive.collars(joints)))
+    return sentence[sentence.index(UNWIND) :] if UNWIND in sentence else ""
 
 
 def _wound_otherwise(scenario: Scenario, joints: Array) -> str:
@@ -231,7 +231,7 @@ def _unturned(robot: Robot, joints: Array, turns: NDArray[np.int_]) -> Array | N
     """(m,) [rad] whole turns that take the pairs' `turns` back, of the fewest joints; None if limits forbid them."""
     drive, most = robot.drive, range(MOST_TURNS, -MOST_TURNS - 1, -1)
     whole = itertools.product(*[most if is_turn else (0,) for is_turn in drive.is_rotation])
-    for back in (2 * np.pi * np.array(one) for one in sorted(whole, key=lambda one: sum(map(abs, one)))):
+    for back in (2 * np.pi * np.array(turns) for turns in sorted(whole, key=lambda turns: sum(map(abs, turns)))):
         before = joints + back
         fits = np.all((before >= drive.lower) & (before <= drive.upper))
         if fits and np.allclose(np.diff(drive.matrix_theta @ back), -2 * np.pi * turns):

@@ -187,7 +187,7 @@ def _problems_of_goal(scenario: Scenario, samples: CertificateSamples, bounds: C
 
 def _shares_of_clearance(scenario: Scenario, pieces: Sequence[Piece], limits: PathLimits) -> str:
     """How much anatomy, friction and allowances make up the least clearance, as the end of a sentence."""
-    piece = min(pieces, key=lambda one: float(one.clearance_m.min()))
+    piece = min(pieces, key=lambda piece: float(piece.clearance_m.min()))
     k = int(np.argmin(piece.clearance_m))
     nominal, least = float(piece.nominal_m[k]), float(piece.clearance_m[k])
     if not np.isfinite(nominal) or not np.isfinite(least):

@@ -132,33 +132,33 @@ class SampleStates:
 
     def __call__(self, phi: Iterable[State]) -> list[Solved]:
         """Without a body where no equilibrium was found on the branch that was walked to."""
-        asked = list(phi)
+        states = list(phi)
         with self._lock:
-            if wanted := [state for state in asked if state not in self._solved]:
+            if unsolved := [state for state in states if state not in self._solved]:
                 first = [] if self._compared else self.states
-                result = self.solve([*first, *wanted])
+                result = self.solve([*first, *unsolved])
                 if first:
                     self._compare(result.point_m[: len(first)])
                 rows = zip(result.point_m, result.stability.tolist(), result.max_strain.tolist(), strict=True)
                 solved = [Solved(*row) for row in rows]
-                self._solved |= dict(zip(wanted, solved[len(first) :], strict=True))
-        states = [self._solved[state] for state in asked]
+                self._solved |= dict(zip(unsolved, solved[len(first) :], strict=True))
+        of_states = [self._solved[state] for state in states]
         if self.apart_m <= SAME_SHAPE_M:
-            return states
-        return [replace(one, body_m=np.full_like(one.body_m, np.nan)) for one in states]
+            return of_states
+        return [replace(state, body_m=np.full_like(state.body_m, np.nan)) for state in of_states]
 
     def bend(self, states: Sequence[State]) -> Array:
         """(S, N, 3) how far bodies of S states lie from the multilinear interpolation of the sign corners' bodies.
 
         NaN where there is no equilibrium.
         """
-        asked = tuple(states)
+        key = tuple(states)
         with self._lock:
-            if asked not in self._bends:
-                weights = corner_weights(np.array(asked))
+            if key not in self._bends:
+                weights = corner_weights(np.array(key))
                 straight = np.tensordot(weights, self.known.bodies_m[1:], axes=1)
-                self._bends[asked] = np.array([one.body_m for one in self(asked)]) - straight
-            return self._bends[asked]
+                self._bends[key] = np.array([solved.body_m for solved in self(key)]) - straight
+            return self._bends[key]
 
     @cached_property
     def shares(self) -> Array:

@@ -61,9 +61,9 @@ class Variants:
         Axes are large where they move the tip by more than LARGE_M on it.
         """
         robot, parameters = scenario.robot, uncertain_parameters(scenario.robot)
-        held = np.zeros(2 * robot.n) if robot.drive.play is None else np.concatenate(robot.drive.play)
-        held = held + _late_by(robot)
-        play = tuple(row for row in np.diag(held) if row.any())
+        half_widths = np.zeros(2 * robot.n) if robot.drive.play is None else np.concatenate(robot.drive.play)
+        half_widths = half_widths + _late_by(robot)
+        play = tuple(row for row in np.diag(half_widths) if row.any())
         box = OffsetBox.of(parameters) if parameters.count else OffsetBox(np.zeros(0), np.zeros((0, 0)))
         result = cls(scenario, parameters, box, play)
         if not result.count:

@@ -138,8 +138,8 @@ def walk_legs(
         pieces, judged = finer, _judged(scenario, space, corners, finer, spare_m)
     light = [piece.light() for piece in judged.pieces]
     kept = as_walked if judged.problems else ()
-    found = judged.samples, judged.bounds, judged.problems
-    return WalkedLegs(scenario, corners, accuracy, light, *found, spare_m, timing, kept)
+    figures = judged.samples, judged.bounds, judged.problems
+    return WalkedLegs(scenario, corners, accuracy, light, *figures, spare_m, timing, kept)
 
 
 @dataclass(frozen=True, eq=False)

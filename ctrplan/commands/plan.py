@@ -422,7 +422,7 @@ def _arrivals(plan: Plan) -> dict[str, str]:
         corrected = f" ({before_m * 1e3:.2f} mm before the end was corrected)" if before_m is not None else ""
         texts[label] = (amber if arrival.exceeds else str)(arrival.sentence + corrected)
     if plan.certificate.arrival:
-        causes = plan.certificate.arrival.by_cause.told
+        causes = plan.certificate.arrival.by_cause.main
         texts["arrival error by cause"] = ", ".join(f"{share * 1e3:.3f} mm {words}" for words, share in causes)
         texts["interrupted"] = f"begin again {restart_words(plan)}"
     return texts

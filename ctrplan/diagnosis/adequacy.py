@@ -203,7 +203,7 @@ def noise_floor(robot: Robot, data: Measurements) -> tuple[Noise, str]:
     if tangent_rad is None and data.has_tangents:
         if not shown:
             raise InputError(NO_TANGENT_SIGMA, file=robot.path, key="measurement.tangent_sigma_deg")
-        tangent_rad = max(one.noise.tangent_rad for one in shown)
+        tangent_rad = max(observed.noise.tangent_rad for observed in shown)
     floor = Noise(stated.position_sigma_m, PAPER.tangent_rad if tangent_rad is None else tangent_rad)
     return _enlarged(floor, shown, data.has_tangents)
 
@@ -217,20 +217,22 @@ def _too_little(data: Measurements) -> str:
 
 def _of_data(shown: Sequence[ObservedNoise], has_tangents: bool) -> tuple[Noise, str]:
     """The largest that the data show."""
-    noise = Noise(max(one.noise.position_m for one in shown), max(one.noise.tangent_rad for one in shown))
-    by = " and ".join(one.by for one in shown)
+    noise = Noise(
+        max(observed.noise.position_m for observed in shown), max(observed.noise.tangent_rad for observed in shown)
+    )
+    by = " and ".join(observed.by for observed in shown)
     return noise, f"The robot file states no noise; {by} say {_words(noise, has_tangents)}."
 
 
 def _enlarged(stated: Noise, shown: Sequence[ObservedNoise], has_tangents: bool) -> tuple[Noise, str]:
     """The stated noise, or what data show where it is clearly more."""
     noise, by = stated, list[str]()
-    for one in shown:
-        factors = one.noise.position_m / stated.position_m, one.noise.tangent_rad / stated.tangent_rad
-        if max(factors[: 1 + has_tangents]) > 1 + one.doubt:
-            tangent_rad = max(noise.tangent_rad, one.noise.tangent_rad) if has_tangents else noise.tangent_rad
-            noise = Noise(max(noise.position_m, one.noise.position_m), tangent_rad)
-            by.append(one.by)
+    for observed in shown:
+        factors = observed.noise.position_m / stated.position_m, observed.noise.tangent_rad / stated.tangent_rad
+        if max(factors[: 1 + has_tangents]) > 1 + observed.doubt:
+            tangent_rad = max(noise.tangent_rad, observed.noise.tangent_rad) if has_tangents else noise.tangent_rad
+            noise = Noise(max(noise.position_m, observed.noise.position_m), tangent_rad)
+            by.append(observed.by)
     if not by:
         return stated, ""
     more = f"{' and '.join(by)} say {_words(noise, has_tangents)}, the file states {_words(stated, has_tangents)}"

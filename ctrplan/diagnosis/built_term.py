@@ -44,7 +44,7 @@ class Built:
 
     scored: Scored  # named and built
     named: Scored  # without the built ones
-    partly: PartialDiagnosis  # what holds of the catalogue beside the built ones, and what the catalogue leaves
+    partial: PartialDiagnosis  # what holds of the catalogue beside the built ones, and what the catalogue leaves
     rounds: tuple[Round, ...]
     share: float  # of the rest's squares
     rest: Remainder  # what remains beside the built ones as well
@@ -57,12 +57,12 @@ class Built:
     @property
     def gain(self) -> float:
         """Logarithm of how much more probable the built terms make the poses, beside an error of tips."""
-        return sum(one.gain for one in self.rounds if one.taken)
+        return sum(turn.gain for turn in self.rounds if turn.taken)
 
     @property
     def path(self) -> tuple[SelectionStep, ...]:
         """The rounds, as steps of a search."""
-        return tuple(_step(one) for one in self.rounds)
+        return tuple(_step(turn) for turn in self.rounds)
 
     @property
     def by_stage(self) -> dict[str, float]:
@@ -150,12 +150,12 @@ def _ranked(table: WideLinearisation, whole: Linearised, peak: Peak, choice: flo
 
     plain = evidence(own)
     gains = [(piece, evidence([*own, *places]) - plain - choice) for piece, places in table.places.items()]
-    return sorted(gains, key=lambda one: -one[1])
+    return sorted(gains, key=lambda entry: -entry[1])
 
 
-def _step(one: Round) -> SelectionStep:
-    piece, gain = one.tried[0] if one.taken is None else (one.taken, one.gain)
-    return SelectionStep("build", piece.on.effect_name, piece.parts, round(gain, 2), one.taken is not None)
+def _step(turn: Round) -> SelectionStep:
+    piece, gain = turn.tried[0] if turn.taken is None else (turn.taken, turn.gain)
+    return SelectionStep("build", piece.on.effect_name, piece.parts, round(gain, 2), turn.taken is not None)
 
 
 def _term_json(t: Term, scored: Scored) -> dict[str, Any]:

@@ -73,7 +73,7 @@ class Conclusion:
     wrong: NDArray[np.bool_]  # (K,) poses that went wrong
     notes: tuple[str, ...]
     interrupted: bool = False
-    partly: PartialDiagnosis | None = None
+    partial: PartialDiagnosis | None = None
     built: Built | None = None  # a term of what the effects leave
     otherwise: Conclusion | None = None  # what is said where the built term fails on the held-out set
     compared: Compared | None = None  # sets of effects, as probable as they are on the poses of the ordinary search
@@ -91,7 +91,7 @@ def conclude(
         few = thinned(parts, data)
         begun = _calibrated(data, few, bench_of(robot, data, few, noise), wrong)
         first = _beside_a_remainder(begun, data, usable, noise, known, teller)
-        if first.interrupted or (first.partly and not first.partly.is_noise):
+        if first.interrupted or (first.partial and not first.partial.is_noise):
             return _with_built(first, first, teller)
     result = _ordinary(data, usable, wrong, bench, parts, known, teller)
     is_explained = result.compared is None or result.compared.posterior.of_unknown < 1 / 2
@@ -103,10 +103,10 @@ def conclude(
 
 def _with_built(part: Conclusion, otherwise: Conclusion, teller: Teller) -> Conclusion:
     """What holds beside a rest with a term built of the rest; `otherwise` where there is none."""
-    if part.partly is None or part.interrupted:
+    if part.partial is None or part.interrupted:
         return otherwise
     try:
-        built = build(part.partly, teller)
+        built = build(part.partial, teller)
     except Interrupted:
         return replace(otherwise, interrupted=True, notes=(*otherwise.notes, INTERRUPTED))
     if built is None:
@@ -114,11 +114,11 @@ def _with_built(part: Conclusion, otherwise: Conclusion, teller: Teller) -> Conc
     return replace(
         part,
         chosen=built.scored,
-        judgement=built.partly.judgement,
-        partly=built.partly,
+        judgement=built.partial.judgement,
+        partial=built.partial,
         built=built,
         otherwise=otherwise,
-        path=(*part.path, *built.path, *built.partly.path),
+        path=(*part.path, *built.path, *built.partial.path),
     )
 
 
@@ -149,7 +149,7 @@ def _beside_a_remainder(
         judgement=part.judgement,
         split=part.split,
         group=part.block,
-        partly=part,
+        partial=part,
     )
 
 

@@ -73,8 +73,8 @@ class Confirmation:
         errors = (
             f"{calibrated:.2f} mm rms calibrated, {before:.2f} mm in frames found anew, {after:.2f} mm with all effects"
         )
-        said = [f"{e.name} {e.verdict} ({shown(e.probability)})" for e in self.effects] or ["no effect to confirm"]
-        return f"On {self.file or 'new runs'}, which nothing had read: {', '.join(said)}; {errors}."
+        sentences = [f"{e.name} {e.verdict} ({shown(e.probability)})" for e in self.effects] or ["no effect to confirm"]
+        return f"On {self.file or 'new runs'}, which nothing had read: {', '.join(sentences)}; {errors}."
 
     def to_json(self) -> dict[str, Any]:
         """For diagnosis.json."""
@@ -121,7 +121,7 @@ def confirm(diagnosis: Diagnosis, data: Measurements) -> Confirmation:
     )
     calibrated = new.as_it_is(diagnosis.base.fit)
     models = calibrated, base.placed, whole.placed
-    as_it_is, before, after = (new.errors(one, *models) for one in models)
+    as_it_is, before, after = (new.errors(fitted, *models) for fitted in models)
     return Confirmation(data.file or "", data.sha256, new.data.count, as_it_is, before, after, effects)
 
 
@@ -139,8 +139,8 @@ def _new(diagnosis: Diagnosis, data: Measurements, usable: NDArray[np.bool_]) ->
 def _without(diagnosis: Diagnosis, gone: Term) -> Fit:
     """Calibrated again on the poses of the diagnosis without an effect, as the model with it was."""
     whole = diagnosis.chosen.fit
-    if diagnosis.partly:
-        bench, kept = diagnosis.partly.bench, [t for t in diagnosis.chosen.terms if t.name != gone.name]
+    if diagnosis.partial:
+        bench, kept = diagnosis.partial.bench, [t for t in diagnosis.chosen.terms if t.name != gone.name]
         return bench.handed_over(bench.scored(kept, whole)).fit
     places = [(t, s) for t, s in zip(whole.chain.terms, whole.chain.slices(), strict=True) if t.name != gone.name]
     start = np.concatenate([whole.p[place] for _, place in places])
@@ -198,11 +198,11 @@ class NewPoses:
             for m in (base, *models)
         ]
         errors = UnknownErrors(self.bench, Scored((), base.placed), Scored((), whole), seen[:2], root)
-        return [errors.evidence(one)[0] for one in seen[1:]]
+        return [errors.evidence(linearised)[0] for linearised in seen[1:]]
 
     def errors(self, of: Fit, *others: Fit) -> Errors:
         """Distances of the tips of poses for which these models all have solutions."""
-        counted = ~np.any([excused(_failed(one)) for one in (of, *others)], axis=0)
+        counted = ~np.any([excused(_failed(fitted)) for fitted in (of, *others)], axis=0)
         distance = distances(of.chain.predict(of.p, derivatives=False), self.data)
         return summary(distance[counted], self.bench.group[counted])
 

@@ -183,7 +183,7 @@ class CorrelatedBench(Workbench):
 
 def fixed(t: Term, p: Array) -> Term:
     """With priors that leave its parameters (P,) where they are."""
-    held = [
+    fixed = [
         replace(q, prior=HELD * q.prior, neutral=float(value) / q.si) for q, value in zip(t.parameters, p, strict=True)
     ]
-    return Term(t.effect, tuple(held))
+    return Term(t.effect, tuple(fixed))

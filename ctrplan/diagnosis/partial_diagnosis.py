@@ -159,7 +159,7 @@ def _part(bench: CorrelatedBench, base: Scored, chosen: Scored, t: Term) -> Part
     gap = float(np.sqrt(max(before**2 - bench.plain.floor_m**2, 0.0)))
     none = bench.scored([])
     if t.name in FRAMES:
-        others = [one for one in none.fit.chain.terms if one.name in FRAMES and one.name != t.name]
+        others = [frame for frame in none.fit.chain.terms if frame.name in FRAMES and frame.name != t.name]
         alone, last = _rms(bench.left_out_m(none, *others)), _rms(bench.left_out_m(chosen, t))
         return Part(t, Closing(before, alone, gap), Closing(last, after, gap))
     free, alone = _rms(bench.left_out_m(none)), _rms(bench.left_out_m(bench.scored([t], chosen.fit)))
@@ -213,6 +213,6 @@ def remainder_beside(bench: CorrelatedBench, chosen: Scored, noise: Noise) -> Re
     place = localise(data, r, bench.group, distance, floor, "With these effects")
     if data.is_stream:
         memory = result.memory if result else 0.0
-        told = shares(error, data, floor, memory)
-        return Remainder(size, memory, *told, place.sentence, memory_in_rows=data.time_s is None)
+        parts = shares(error, data, floor, memory)
+        return Remainder(size, memory, *parts, place.sentence, memory_in_rows=data.time_s is None)
     return Remainder(size, None, *shares(error, data, floor, 0.0), place.sentence)

@@ -72,10 +72,10 @@ def compared(bench: Workbench, chosen: Scored, known: Candidates, search: bool =
     """
     base = bench.scored([])
     less = [bench.scored([t for t in chosen.terms if t is not gone], chosen.fit) for gone in chosen.terms]
-    among = [one for one in (base, *bench.visited, *less, chosen) if _is_alike(one.fit, chosen.fit)]
+    among = [scored for scored in (base, *bench.visited, *less, chosen) if _is_alike(scored.fit, chosen.fit)]
     comparison = _Comparison(bench, known, base, chosen)
-    for one in among:
-        comparison.add(one)
+    for scored in among:
+        comparison.add(scored)
     if search:
         comparison.climb()
         if comparison.best is not chosen:  # poses count as they do in the most probable set
@@ -144,8 +144,8 @@ class _Comparison:
         self._promised: dict[frozenset[str], _Set] = {}  # of others, to first order
         self._expanded: set[Scored] = set()
         self._near: dict[Scored, list[tuple[list[Term], _Set]]] = {}
-        for one in fitted:
-            self.add(one)
+        for scored in fitted:
+            self.add(scored)
 
     @property
     def fitted(self) -> list[Scored]:
@@ -160,7 +160,11 @@ class _Comparison:
     def as_known(self, scored: Scored) -> Scored:
         """The set as it is fitted by now: further on where its fit had used up its steps."""
         terms = _key(scored.terms)
-        return scored if scored in self.known_sets else next(one for one in self.known_sets if _key(one.terms) == terms)
+        return (
+            scored
+            if scored in self.known_sets
+            else next(other for other in self.known_sets if _key(other.terms) == terms)
+        )
 
     def weight(self, scored: Scored) -> float:
         """Logarithm of prior times likelihood of a set, whichever of the frames that are free in it act."""
@@ -208,9 +212,11 @@ class _Comparison:
             for scored in sorted(self.known_sets, key=self.weight):
                 sizes[len(scored.terms)] = scored
             near = [
-                one
-                for size, one in sizes.items()
-                if size < MOST_EFFECTS and one not in self._expanded and self.weight(one) > highest + log_odds(ACTS)
+                scored
+                for size, scored in sizes.items()
+                if size < MOST_EFFECTS
+                and scored not in self._expanded
+                and self.weight(scored) > highest + log_odds(ACTS)
             ]
             if not near:
                 return
@@ -238,9 +244,9 @@ class _Comparison:
 
     def _fit(self, terms: list[Term], here: Scored) -> Scored:
         """A set near another one, fitted from there or from where fits start, whichever promises more."""
-        one = self.bench.scored(terms, here.fit, None)
-        self.add(one)
-        return one
+        scored = self.bench.scored(terms, here.fit, None)
+        self.add(scored)
+        return scored
 
     def _more(self, here: Scored, instead: Term | None = None) -> list[list[Promise]]:
         """The most probable neighbours of a set by their first step, of different effects; `instead` of one of them.
@@ -249,9 +255,9 @@ class _Comparison:
         in the place of another no more than that beside it.
         """
         variants: dict[str, list[Promise]] = {}
-        for added, one in self._neighbours(here):
-            variants.setdefault(added[-1].name, []).append((one.weight, [*here.terms, *added]))
-        ranked = {name: sorted(several, key=lambda one: -one[0]) for name, several in variants.items()}
+        for added, enlarged in self._neighbours(here):
+            variants.setdefault(added[-1].name, []).append((enlarged.weight, [*here.terms, *added]))
+        ranked = {name: sorted(several, key=lambda variant: -variant[0]) for name, several in variants.items()}
         replaced = ranked.pop(instead.name, None) if instead else None
         if instead and not replaced:
             return []
@@ -261,8 +267,8 @@ class _Comparison:
 
     def compare_neighbours(self, here: Scored) -> None:
         """Compares a set with one effect more, to first order."""
-        for added, one in self._neighbours(here):
-            _note(self._promised, [*self._named(here), *added], one)
+        for added, neighbour in self._neighbours(here):
+            _note(self._promised, [*self._named(here), *added], neighbour)
 
     def _neighbours(self, here: Scored) -> list[tuple[list[Term], _Set]]:
         """Those of a set, asked once."""
@@ -291,9 +297,9 @@ class _Comparison:
     def by_names(self) -> dict[frozenset[str], tuple[float, float]]:
         """Logarithms of the evidence of sets of effects, over their variants."""
         result: dict[frozenset[str], tuple[float, float]] = {}
-        for one in {**self._promised, **self._evidence}.values():
-            before = result.get(one.names, (-np.inf, -np.inf))
-            result[one.names] = tuple(np.logaddexp(before, (one.alone, one.beside)).tolist())
+        for compared_set in {**self._promised, **self._evidence}.values():
+            before = result.get(compared_set.names, (-np.inf, -np.inf))
+            result[compared_set.names] = tuple(np.logaddexp(before, (compared_set.alone, compared_set.beside)).tolist())
         return result
 
     def _named(self, scored: Scored) -> list[Term]:

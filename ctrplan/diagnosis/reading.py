@@ -131,9 +131,9 @@ def read_again(robot: Robot, data: Measurements) -> tuple[Reading, ...]:
         fault = _best(file, min(before, constant))
         if fault is None:
             break
-        one, after = fault
-        file = replace(file, done=(*file.done, one))
-        results.append(Reading(one.what, one.columns, 1e3 * before, 1e3 * after))
+        way, after = fault
+        file = replace(file, done=(*file.done, way))
+        results.append(Reading(way.what, way.columns, 1e3 * before, 1e3 * after))
     if not results and (unrelated := _unrelated(file, constant)):
         results.append(unrelated)
     return tuple(results)
@@ -178,24 +178,24 @@ class MisreadError(NoAnswerError):
     def __init__(self, data: Measurements, readings: tuple[Reading, ...]) -> None:
         """readings: that explain the file together, the plainest first."""
         self.data, self.readings = data, readings
-        said = " ".join(reading.sentence for reading in readings)
+        sentences = " ".join(reading.sentence for reading in readings)
         rule = "Nothing was fitted; --as-read fits it as it stands."
-        super().__init__(f"{data.file or 'measurements'}: {said} {rule}")
+        super().__init__(f"{data.file or 'measurements'}: {sentences} {rule}")
 
 
 def _best(file: _File, before: float) -> tuple[_Again, float] | None:
     """The plainest of the readings that explain what is not explained so far, where `before` is left [m]."""
-    errors = [(one, file.rms_m(one)) for one in _readings(file.robot)]
+    errors = [(way, file.rms_m(way)) for way in _readings(file.robot)]
     least = min(e for _, e in errors)
     if least * BETTER < before:
-        alike = [(one, e) for one, e in errors if e <= ALIKE * least]
-        same = [one.what for one, e in alike[1:] if abs(e - alike[0][1]) < SAME * least][:2]
+        alike = [(way, e) for way, e in errors if e <= ALIKE * least]
+        same = [way.what for way, e in alike[1:] if abs(e - alike[0][1]) < SAME * least][:2]
         return replace(alike[0][0], what=", or ".join([alike[0][0].what, *same])), alike[0][1]
     if len(file.kept) < LEAST_POSES:
         return None
     own, where = file.registered(_Again("", ()))
     if own * BETTER < min(before, file.displaced_m(own)):
-        framed = [own, *(file.registered(one)[0] for one in _readings(file.robot))]
+        framed = [own, *(file.registered(way)[0] for way in _readings(file.robot))]
         least = min(framed)
         if least * BETTER < own:  # both: another frame and another reading, of which the frame is told first
             own = next(e for e in framed if e <= ALIKE * least)
@@ -318,15 +318,15 @@ class _File:
     done: tuple[_Again, ...]
     solved: dict[tuple[bytes, bytes], Array] = field(default_factory=dict)  # tips of the robot as the file has it
 
-    def pairs(self, one: _Again) -> tuple[Array, Array]:
+    def pairs(self, way: _Again) -> tuple[Array, Array]:
         """(M, 3) [m] measured and predicted tips, read in one more way, where there is an equilibrium."""
         data, read = self.data, self.robot
         theta, l, position = data.theta_commanded[data.rows], data.l_commanded[data.rows], data.position_m  # noqa: E741
-        for way in (*self.done, one):
-            theta, l = way.joints(theta, l)  # noqa: E741 (as in the equations)
-            position, read = way.position(position), way.robot(read)
-            if way.rows:
-                theta, l, position = _shifted(theta, l, position, way.rows)  # noqa: E741
+        for step in (*self.done, way):
+            theta, l = step.joints(theta, l)  # noqa: E741 (as in the equations)
+            position, read = step.position(position), step.robot(read)
+            if step.rows:
+                theta, l, position = _shifted(theta, l, position, step.rows)  # noqa: E741
         kept = self.kept[self.kept < len(position)]
         joints = theta[kept], l[kept]
         theta_b, l_b = joints if data.of_collars else read.collars(*joints)
@@ -347,9 +347,9 @@ class _File:
             self.solved[key] = read.mechanics.tips(theta_b, l_b)[0]
         return self.solved[key]
 
-    def rms_m(self, one: _Again) -> float:
+    def rms_m(self, way: _Again) -> float:
         """Distance [mm] of the tips from the measured ones; infinite where most poses have no equilibrium."""
-        measured, model = self.pairs(one)
+        measured, model = self.pairs(way)
         if len(model) < 0.8 * len(self.kept):
             return np.inf
         return float(np.sqrt(np.mean(np.sum((measured - model) ** 2, axis=1))))
@@ -369,9 +369,9 @@ class _File:
         by = np.linalg.solve(J.T @ J + noise_m**2 / 3 * np.eye(9), J.T @ r)
         return float(np.sqrt(np.sum((r - J @ by) ** 2) / len(model)))
 
-    def registered(self, one: _Again) -> tuple[float, str]:
+    def registered(self, way: _Again) -> tuple[float, str]:
         """Rms error [m] in the best frame, and where that is."""
-        measured, model = self.pairs(one)
+        measured, model = self.pairs(way)
         if len(model) < max(LEAST_POSES, 0.8 * len(self.kept)):
             return np.inf, ""
         turn, shift = _motion(measured, model)

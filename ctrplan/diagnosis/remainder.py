@@ -90,10 +90,12 @@ def most_probable_variances(r: Array, correlations: Sequence[Array]) -> Array:
     """
     variances = np.full(len(correlations), float(np.mean(r**2)) / len(correlations))
     for _ in range(ROUNDS):
-        inverse = np.linalg.inv(np.eye(len(r)) + sum(v * one for v, one in zip(variances, correlations, strict=True)))
+        inverse = np.linalg.inv(
+            np.eye(len(r)) + sum(v * correlation for v, correlation in zip(variances, correlations, strict=True))
+        )
         seen = inverse @ r
-        drawn = np.array([(seen * (one @ seen)).sum() for one in correlations])
-        spread = r.shape[1] * np.array([(inverse * one).sum() for one in correlations])
+        drawn = np.array([(seen * (correlation @ seen)).sum() for correlation in correlations])
+        spread = r.shape[1] * np.array([(inverse * correlation).sum() for correlation in correlations])
         variances = variances * np.sqrt(drawn / np.maximum(spread, np.finfo(float).tiny))
     return variances
 
@@ -165,7 +167,7 @@ def localise(
         weights.append(float(_mean(values.ravel())) - np.log(len(squares)))
         amounts.append(float(size**2 / (1 + size**2)))
     nothing, *probabilities = np.exp(np.array(weights) - logsumexp(weights)).tolist()
-    trends = [Trend(*told) for told in zip(squares, amounts[1:], probabilities, strict=True)]
+    trends = [Trend(*entry) for entry in zip(squares, amounts[1:], probabilities, strict=True)]
     ranked = sorted(trends, key=lambda trend: -trend.probability)
     rms_m = float(np.sqrt(np.mean(error_m**2)))
     start = f"{opening} tips are {rms_m * 1e3:.2f} mm off (rms, noise {floor_m * 1e3:.2f} mm)"

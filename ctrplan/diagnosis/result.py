@@ -69,7 +69,7 @@ class Diagnosis:
     outlier_rows: tuple[int, ...]  # rows of the file, from 1
     interrupted: bool
     time_s: float
-    partly: PartialDiagnosis | None = None  # what remains beside the effects, where that is the verdict
+    partial: PartialDiagnosis | None = None  # what remains beside the effects, where that is the verdict
     built: Built | None = None  # a term of what the effects leave; of `chosen` too, and no cause
     named_gap: Gap | None = None  # the gap without the built term, where there is one
     framed_gap: Gap | None = None  # the gap with free frames alone, where something remains
@@ -118,7 +118,7 @@ class Diagnosis:
     @property
     def rest(self) -> Remainder | None:
         """What remains in the end, beside what is named and built; None where it was not asked."""
-        return self.built.rest if self.built else self.partly.rest if self.partly else None
+        return self.built.rest if self.built else self.partial.rest if self.partial else None
 
     @property
     def built_terms(self) -> tuple[Term, ...]:
@@ -142,7 +142,7 @@ class Diagnosis:
             "effects": [self._effect(k) for k in range(len(self.judgement.findings))],
             "gap": _gap(self.gap) | self._partial_gaps(),
             "where": self.place.sentence,
-            "rest": self.partly.to_json() if self.partly else None,
+            "rest": self.partial.to_json() if self.partial else None,
             "built": self.built.to_json(self.chosen) if self.built else None,
             "next_experiment": self.next_experiment,
             "not_testable": dict(self.not_testable),
@@ -187,7 +187,7 @@ class Diagnosis:
             "alternative_probabilities": {a.term.name: self._probability(a.term.name) for a in finding.alternatives},
             "stage": finding.term.effect.stage,
             "parameters": {name: {"value": e.value, "ci95": list(e.ci95)} for name, e in result.items()},
-            **(self.partly.shares_json(finding.term) if self.partly else {}),
+            **(self.partial.shares_json(finding.term) if self.partial else {}),
         }
 
 

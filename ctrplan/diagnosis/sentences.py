@@ -69,7 +69,7 @@ def _verdict(diagnosis: Diagnosis) -> str:
         them = "it" if len(diagnosis.listed) == 1 else "them"
         agrees = f"With {them} the model agrees with the measurements to their noise{_but(diagnosis)}."
         return f"Missing: {names}. {agrees}{_left_open(diagnosis)}"
-    if diagnosis.partly:
+    if diagnosis.partial:
         closed = (
             f"{diagnosis.gap.before.rms_m * 1e3:.2f} mm off without and {diagnosis.gap.after.rms_m * 1e3:.2f} mm with"
         )

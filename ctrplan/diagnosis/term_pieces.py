@@ -294,10 +294,10 @@ def _situations(chain: ParametricChain, p: Array, predicted: SensorPrediction) -
 def _ranges(piece: TermPiece, at: Situation, n: int) -> dict[str, InputRange]:
     results = {}
     for name in piece.names:
-        for one in parts.inputs(_split(name, piece.on, n)[1]):
-            seen = values(one, at)
+        for quantity in parts.inputs(_split(name, piece.on, n)[1]):
+            seen = values(quantity, at)
             assert seen is not None
-            results[one] = InputRange(float(seen.min()), float(seen.max()))
+            results[quantity] = InputRange(float(seen.min()), float(seen.max()))
     return results
 
 

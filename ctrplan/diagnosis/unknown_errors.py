@@ -109,18 +109,18 @@ def at_rest(data: Measurements, share: float, axes: Array) -> list[SmoothError]:
     results = [own]
     kernels = [np.exp(-square / (2 * length**2)) for length in JOINT_LENGTHS[1:]]
     results += [(1 - q) * own + q * kernel for q, kernel in product(SMOOTH, kernels)]
-    of_poses = [one[np.ix_(which.ravel(), which.ravel())] for one in results]
-    of_poses = [share * one + (1 - share) * np.eye(data.count) for one in of_poses]
+    of_poses = [correlation[np.ix_(which.ravel(), which.ravel())] for correlation in results]
+    of_poses = [share * correlation + (1 - share) * np.eye(data.count) for correlation in of_poses]
     one_by_one = _error("configuration", data, of_poses[0], axes)
-    along_joints = [_error("joints", data, one, axes) for one in of_poses[1:]]
+    along_joints = [_error("joints", data, correlation, axes) for correlation in of_poses[1:]]
     slow = _smooth_in_time(clock(data), 0.5)  # what changes still more slowly is a drift
-    in_time = [_error("time", data, one, axes) for one in slow]
+    in_time = [_error("time", data, correlation, axes) for correlation in slow]
     return [one_by_one, *along_joints, *in_time]
 
 
 def of_motion(data: Measurements, axes: Array) -> list[SmoothError]:
     """Smooth errors of a continuous motion; axes (K, 2, 3) as of poses at rest."""
-    return [_error(kind, data, one, axes) for kind, one in _correlations(data)]
+    return [_error(kind, data, correlation, axes) for kind, correlation in _correlations(data)]
 
 
 def _error(along: Along, data: Measurements, correlation: Array, axes: Array) -> SmoothError:
@@ -134,8 +134,8 @@ def _correlations(data: Measurements) -> Iterator[tuple[Along, Array]]:
     step, whole = _spans(time)
     for memory in np.geomspace(step, max(whole / 2, step), MEMORIES):
         yield "time", decay(time, memory) * together
-    for one in _smooth_in_time(time, 2.0):
-        yield "time", one * together
+    for correlation in _smooth_in_time(time, 2.0):
+        yield "time", correlation * together
     square = square_distances(data, range(data.count))
     for length in JOINT_LENGTHS:
         yield "joints", np.exp(-square / (2 * length**2))
@@ -256,10 +256,10 @@ class UnknownErrors:
         beside = self._gains(peak.whitened(r), peak.whitened(J), fit.precision, peak)
         both = smooth + float(_averaged(beside.ravel(), axis=0))
         k, s = np.unravel_index(int(gains.argmax()), gains.shape)
-        other, there = self._beside(_told(SIZES[s] * self.processes[k]), fit)
+        other, there = self._beside(_leading(SIZES[s] * self.processes[k]), fit)
         other += float(_averaged(gains.ravel(), axis=0)) - float(gains.max())
         peaks = [(smooth, peak), (both, peak), (other, there)]
-        best = max(peaks, key=lambda one: one[0])[1]
+        best = max(peaks, key=lambda pair: pair[0])[1]
         return float(logsumexp([smooth, alone, max(both, other)]) - np.log(3)), best
 
     def _of_tips(self, fit: Linearised) -> tuple[float, Peak]:
@@ -286,7 +286,7 @@ class UnknownErrors:
         weights = np.array([*smooth, *(without_error(fit) + gains)])
         names = [*(error.along for error in self.smooth), *self.inputs]
         shares = np.exp(weights - logsumexp(weights))
-        return {name: float(shares[[one == name for one in names]].sum()) for name in dict.fromkeys(names)}
+        return {name: float(shares[[other == name for other in names]].sum()) for name in dict.fromkeys(names)}
 
     def _gains(self, r: Array, J: Array, precision: Array, peak: Peak | None = None) -> Array:
         """(M, S) logarithm of what each process, of each size, multiplies the evidence by."""
@@ -311,11 +311,11 @@ def _averaged(logarithms: Array, axis: int) -> Array:
     return means
 
 
-def _told(modes: Array) -> Array:
+def _leading(modes: Array) -> Array:
     """(5 K, m) the modes of a process that are more than a part of the noise, apart from each other."""
     values, vectors = np.linalg.eigh(modes.T @ modes)
-    told: Array = modes @ vectors[:, values > LEAST_MODE]
-    return told
+    leading: Array = modes @ vectors[:, values > LEAST_MODE]
+    return leading
 
 
 def _over_sizes(error: SmoothError, fit: Linearised) -> tuple[float, Peak]:

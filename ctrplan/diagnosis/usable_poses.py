@@ -43,8 +43,8 @@ def blocks(data: Measurements, memory: float) -> NDArray[np.int_]:
     lasts = sum(float(np.ptp(time[run == number])) for number in np.unique(run))
     length = min(MEMORIES_IN_BLOCK * memory, lasts / LEAST_BLOCKS)
     number, count = np.zeros(data.count, dtype=np.int_), 0
-    for one in np.unique(run).tolist():
-        inside = run == one
+    for this_run in np.unique(run).tolist():
+        inside = run == this_run
         since = time[inside] - time[inside].min()
         pieces = max(1, int(since.max() // length))
         number[inside] = count + np.minimum((since / max(since.max(), 1e-9) * pieces).astype(np.int_), pieces - 1)

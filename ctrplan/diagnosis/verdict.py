@@ -98,7 +98,7 @@ def findings_of(
 def standing_for(posterior: Posterior, name: str) -> list[str] | None:
     """Effects of which one acts with 0.99 if another does not, the most probable first; None where these are many."""
     group = [name]
-    others = sorted({other for one in posterior.hypotheses for other in one.names} - {name})
+    others = sorted({other for hypothesis in posterior.hypotheses for other in hypothesis.names} - {name})
     if posterior.of_effect(name) < 1 / 2:
         return None
     while posterior.of_effect(*group) < NAMED:
@@ -115,13 +115,13 @@ def _instead(
 ) -> Alternative:
     """The best set in which another effect stands for one of the chosen ones; a frame is free in it anyway."""
     rest = [other for other in chosen.terms if other is not t]
-    free = next((one for one in chosen.fit.chain.terms if one.name == name and name not in chosen.names), None)
+    free = next((t for t in chosen.fit.chain.terms if t.name == name and name not in chosen.names), None)
     if free:
         return Alternative(free, bench.scored(rest, chosen.fit))
-    seen = [one for fitted in sets if name in fitted.names for one in fitted.terms if one.name == name]
-    variants = seen[:1] or [one for one in known.terms if one.name == name]
-    fits = [bench.scored([*rest, one], chosen.fit) for one in variants]
-    best = min(fits, key=lambda one: one.fit.loss)
+    seen = [t for fitted in sets if name in fitted.names for t in fitted.terms if t.name == name]
+    variants = seen[:1] or [variant for variant in known.terms if variant.name == name]
+    fits = [bench.scored([*rest, variant], chosen.fit) for variant in variants]
+    best = min(fits, key=lambda scored: scored.fit.loss)
     return Alternative(best.terms[-1], best)
 
 
@@ -184,22 +184,22 @@ class Posterior:
     @cached_property
     def probabilities(self) -> Array:
         """(H,) of the hypotheses; they sum to one."""
-        weights = np.array([one.weight for one in self.hypotheses])
+        weights = np.array([hypothesis.weight for hypothesis in self.hypotheses])
         probabilities: Array = np.exp(weights - logsumexp(weights))
         return probabilities
 
     def of_effect(self, *names: str) -> float:
         """That at least one of these effects acts."""
-        return self._of(bool(one.names & set(names)) for one in self.hypotheses)
+        return self._of(bool(hypothesis.names & set(names)) for hypothesis in self.hypotheses)
 
     def of_one(self, name: str, among: Collection[str]) -> float:
         """That an effect acts and none of the others among some."""
-        return self._of(one.names & set(among) == {name} for one in self.hypotheses)
+        return self._of(hypothesis.names & set(among) == {name} for hypothesis in self.hypotheses)
 
     @property
     def of_unknown(self) -> float:
         """That something acts which the catalogue lacks."""
-        return self._of(one.has_unknown for one in self.hypotheses)
+        return self._of(hypothesis.has_unknown for hypothesis in self.hypotheses)
 
     def of_verdict(self, verdict: Verdict, listed: Sequence[Collection[str]]) -> float:
         """That a verdict is true; listed: names of each finding, the effect and what may stand for it.
@@ -208,19 +208,19 @@ class Posterior:
         acts, "unexplained" that something unknown does besides.
         """
 
-        def holds(one: Hypothesis) -> bool:
-            acts = all(one.names & set(names) for names in listed)
+        def holds(hypothesis: Hypothesis) -> bool:
+            acts = all(hypothesis.names & set(names) for names in listed)
             if verdict == "partial":
                 return acts
             if verdict == "unexplained":
-                return acts and one.has_unknown
-            return acts and len(one.names) == len(listed) and not one.has_unknown
+                return acts and hypothesis.has_unknown
+            return acts and len(hypothesis.names) == len(listed) and not hypothesis.has_unknown
 
-        return self._of(holds(one) for one in self.hypotheses)
+        return self._of(holds(hypothesis) for hypothesis in self.hypotheses)
 
     def to_json(self) -> dict[str, Any]:
         """For diagnosis.json: that nothing acts, that something unknown does, and each effect that may."""
-        names = sorted({name for one in self.hypotheses for name in one.names})
+        names = sorted({name for hypothesis in self.hypotheses for name in hypothesis.names})
         effects = {name: round(self.of_effect(name), 3) for name in names}
         return {
             "nothing": round(self.of_verdict("no_missing_effect", ()), 4),

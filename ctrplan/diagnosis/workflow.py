@@ -69,12 +69,12 @@ def opened(answer: Conclusion, data: Measurements) -> Opened:
         note = f"Found and taken back: {names}, without which tips of the poses kept aside are nearer."
         outcome = _opened(_without(outcome.answer, harmful), data)
         outcome = replace(outcome, notes=(*outcome.notes, note))
-    return replace(outcome, framed_gap=_framed(outcome.answer, data)) if outcome.answer.partly else outcome
+    return replace(outcome, framed_gap=_framed(outcome.answer, data)) if outcome.answer.partial else outcome
 
 
 def _harmful(outcome: Opened, data: Measurements) -> list[Term]:
     """Effects without which poses kept aside are predicted better."""
-    part = outcome.answer.partly
+    part = outcome.answer.partial
     if part is None or outcome.answer.interrupted or outcome.judgement.verdict != "partial":
         return []
     listed = {finding.term.key for finding in outcome.judgement.findings}
@@ -92,11 +92,11 @@ def _harmful(outcome: Opened, data: Measurements) -> list[Term]:
 
 def _without(answer: Conclusion, harmful: Sequence[Term]) -> Conclusion:
     """The answer without some of its effects."""
-    assert answer.partly is not None
+    assert answer.partial is not None
     gone = {t.key for t in harmful}
     findings = tuple(f for f in answer.judgement.findings if f.term.key not in gone)
     rest = [t for t in answer.chosen.terms if t.key not in gone]
-    chosen = answer.partly.bench.corrected(answer.partly.bench.scored(rest, answer.chosen.fit))
+    chosen = answer.partial.bench.corrected(answer.partial.bench.scored(rest, answer.chosen.fit))
     verdict: Verdict = "partial" if findings else "unexplained"
     judgement = replace(answer.judgement, verdict=verdict, findings=findings)
     return replace(answer, chosen=chosen, judgement=judgement, built=None)
@@ -104,8 +104,8 @@ def _without(answer: Conclusion, harmful: Sequence[Term]) -> Conclusion:
 
 def _framed(answer: Conclusion, data: Measurements) -> Gap:
     """What frames alone do for the poses kept aside."""
-    assert answer.partly is not None
-    bench, kept = answer.partly.bench, answer.split.held_out_set
+    assert answer.partial is not None
+    bench, kept = answer.partial.bench, answer.split.held_out_set
     frames = bench.handed_over(bench.scored([]))
     return open_test_set(answer.base.fit, frames.fit, data.subset(kept), answer.group[kept], answer.noise)
 
@@ -123,8 +123,8 @@ def _with_or_without_built(answer: Conclusion, data: Measurements) -> Opened:
 
 def _opened(answer: Conclusion, data: Measurements) -> Opened:
     kept = answer.split.held_out_set
-    if answer.partly:
-        answer = replace(answer, chosen=_beside_a_remainder(answer.partly, answer.chosen))
+    if answer.partial:
+        answer = replace(answer, chosen=_beside_a_remainder(answer.partial, answer.chosen))
     aside, group = data.subset(kept), answer.group[kept]
     gap = open_test_set(answer.base.fit, answer.chosen.fit, aside, group, answer.noise)
     place = _place(answer, gap)
@@ -135,7 +135,7 @@ def _opened(answer: Conclusion, data: Measurements) -> Opened:
         gap = open_test_set(answer.base.fit, written.fit, aside, group, answer.noise)
         if doubt := contradiction(judgement.verdict, gap, place):
             judgement, notes = replace(judgement, verdict="unexplained"), [*notes, doubt]
-    settled = answer.chosen if answer.partly else answer.bench.sized(answer.chosen)
+    settled = answer.chosen if answer.partial else answer.bench.sized(answer.chosen)
     built = {t.name for t in settled.terms if is_built(t)}
     sentences = [symptom.sentence for symptom in symptoms(settled.fit) if symptom.owner not in built]
     return Opened(judgement, written, gap, place, (*notes, *sentences), answer)
@@ -171,10 +171,10 @@ def _written(answer: Conclusion, judgement: Judgement) -> Scored:
     built = answer.built.terms if answer.built else ()
     listed = {finding.term.key for finding in judgement.findings} | {t.key for t in built}
     kept = [t for t in chosen.terms if t.key in listed]
-    if answer.partly and len(kept) == len(chosen.terms):
+    if answer.partial and len(kept) == len(chosen.terms):
         return chosen
-    if answer.partly:
-        return _beside_a_remainder(answer.partly, answer.partly.bench.scored(kept, chosen.fit))
+    if answer.partial:
+        return _beside_a_remainder(answer.partial, answer.partial.bench.scored(kept, chosen.fit))
     scored = bench.sized(chosen if len(kept) == len(chosen.terms) else bench.scored(kept, chosen.fit))
     inside = within_file(scored.fit)
     return scored if inside is scored.fit else replace(scored, fit=inside)
@@ -182,7 +182,7 @@ def _written(answer: Conclusion, judgement: Judgement) -> Scored:
 
 def _left(answer: Conclusion, written: Scored) -> Adequacy:
     """Whether noise alone is left beside the effects of the verdict."""
-    return left_by_names(answer.partly.bench, written) if answer.partly else remains(answer.bench, written)
+    return left_by_names(answer.partial.bench, written) if answer.partial else remains(answer.bench, written)
 
 
 def _beside_a_remainder(partial: PartialDiagnosis, scored: Scored) -> Scored:
@@ -260,7 +260,7 @@ def diagnose(
         concluded = conclude_from(after_slip(data, slip), slip) if slip and HomingShift.name in allowed else None
         if concluded is None or concluded.has_slip:
             return concluded
-        needs_none = concluded.result.partly is None  # it was asked as any effect, and acts in no fit that is told
+        needs_none = concluded.result.partial is None  # it was asked as any effect, and acts in no fit that is told
         return Concluded(data, None, candidates(robot, data, allowed), concluded.result) if needs_none else None
 
     concluded = after(found_slip(robot, data, noise)) or conclude_from(data)
@@ -312,7 +312,7 @@ def diagnose(
         outlier_rows=tuple((data.rows[poses.outlying] + 1).tolist()),
         interrupted=result.interrupted,
         time_s=time.monotonic() - began,
-        partly=result.partly if judgement.verdict == "partial" else None,
+        partial=result.partial if judgement.verdict == "partial" else None,
         built=result.built,
         named_gap=outcome.named_gap,
         framed_gap=outcome.framed_gap,
@@ -324,7 +324,7 @@ def diagnose(
 
 def _posterior(answer: Conclusion, known: Candidates) -> Posterior:
     """How probable it is that each effect acts."""
-    sets = answer.partly.compared if answer.partly else answer.compared
+    sets = answer.partial.compared if answer.partial else answer.compared
     return (sets or compared(answer.bench, answer.chosen, known)).posterior
 
 
@@ -357,9 +357,9 @@ def decide(
         without=(*diagnosis.without, *others),
         interrupted=interrupted,
     )
-    said = _left_out(again.without)
+    sentences = _left_out(again.without)
     notes = [*_left_out(diagnosis.without), f"Left out, as new poses decided against it: {', '.join(others)}."]
-    return replace(again, decisions=decisions, notes=(*(n for n in again.notes if n not in said), *notes))
+    return replace(again, decisions=decisions, notes=(*(n for n in again.notes if n not in sentences), *notes))
 
 
 @dataclass(frozen=True, eq=False)

@@ -192,7 +192,7 @@ def other_shapes(robot: Tubes, theta_b: ArrayLike, l_b: ArrayLike, tip_m: Array)
         each = branches(robot, theta_b, l_b)
     except InputError:
         return []
-    away = [(float(np.linalg.norm(one.tip_m[one.first] - tip_m)), one) for one in each]
+    away = [(float(np.linalg.norm(equilibrium.tip_m[equilibrium.first] - tip_m)), equilibrium) for equilibrium in each]
     return sorted((pair for pair in away if pair[0] > SAME_SHAPE_M), key=lambda pair: pair[0])
 
 

@@ -74,9 +74,9 @@ class FrictionLaw:
         slide = np.abs(np.diff(np.diff(l_b), axis=0)[0])
         locked = slide <= LOCKED_M
         travel = np.where(locked, 0.0, slide / self.release_m)
-        held = np.where(locked, 0.0, turn / np.hypot(turn, np.where(travel > 0, travel, 1.0)))
+        locked_share = np.where(locked, 0.0, turn / np.hypot(turn, np.where(travel > 0, travel, 1.0)))
         loaded = load + fraction[:, None] * turn
-        released = released_share(load, fraction[:, None] * travel) + held
+        released = released_share(load, fraction[:, None] * travel) + locked_share
         left: Array = np.minimum(1.0, np.where(travel > 0, released, loaded))
         return left
 
@@ -219,8 +219,8 @@ def nearest_points(
     along every pair, where they move the point most.
     """
     search = _model.PointsInCells(bodies_m, points, error_m, enough_m, parts, half_m, halvings)
-    while len(asked := np.asarray(search.points())):
-        search.tell(np.ascontiguousarray(distance(asked, np.asarray(search.needed()))))
+    while len(places := np.asarray(search.points())):
+        search.tell(np.ascontiguousarray(distance(places, np.asarray(search.needed()))))
     least, unit, place = search.found()
     return np.asarray(least), np.asarray(unit), np.asarray(place)
 

@@ -147,8 +147,8 @@ def tip_gradient(
     mechanics: Differentiable, theta_b: Array, l_b: Array, phi: Array, parameters: Sequence[str], accuracy: Accuracy
 ) -> Gradient:
     """The tip (3,) [m] at (n,), (n,) in a friction state (n - 1,), in the robot's frame. Raises InputError."""
-    asked = [*collar_names(mechanics.n), *parameters]
-    tips = mechanics.tips_with_friction(theta_b[None], l_b[None], phi[None], parameters=asked, accuracy=accuracy)
+    names = [*collar_names(mechanics.n), *parameters]
+    tips = mechanics.tips_with_friction(theta_b[None], l_b[None], phi[None], parameters=names, accuracy=accuracy)
     result = _gradient(tips.position_m[0], tips.position_by[0], mechanics.n)
     return result.lost() if tips.status[0] == Status.FAILED else result
 
@@ -166,15 +166,15 @@ def bound_gradients(
     """At K configurations (K, n), (K, n) that nest, over corners (C, n - 1). Raises InputError."""
     if accuracy == "exact":
         raise InputError('has no gradient: "search" and "certificate" have', key="accuracy", value=accuracy)
-    n, count, asked = mechanics.n, len(theta_b), [*collar_names(mechanics.n), *parameters]
+    n, count, names = mechanics.n, len(theta_b), [*collar_names(mechanics.n), *parameters]
     states = np.vstack([np.zeros(n - 1), corner_phi])
     thetas, ls = (np.repeat(part, len(states), axis=0) for part in (theta_b, l_b))
     phi = np.tile(states, (count, 1))
-    tips = mechanics.tips_with_friction(thetas, ls, phi, parameters=asked, accuracy=accuracy, threads=threads)
+    tips = mechanics.tips_with_friction(thetas, ls, phi, parameters=names, accuracy=accuracy, threads=threads)
     lost = np.any(tips.status.reshape(count, -1) == Status.FAILED, axis=1)
     shape, every = (count, len(states), 3), np.arange(count)
     tip, tangent = (
-        _gradient(np.where(lost[:, None, None], np.nan, value.reshape(shape)), by.reshape(*shape, len(asked)), n)
+        _gradient(np.where(lost[:, None, None], np.nan, value.reshape(shape)), by.reshape(*shape, len(names)), n)
         for value, by in ((tips.position_m, tips.position_by), (tips.tangent, tips.tangent_by))
     )
     released = tip.at((slice(None), 0))
@@ -183,9 +183,9 @@ def bound_gradients(
     position = tip.at((every, farthest)).less(released).distance_from(np.zeros(3))
     angle = _turned(tangent.at((slice(None), slice(1, None))), tangent.at((slice(None), slice(0, 1))))
     turned = angle.at((every, np.argmax(np.nan_to_num(angle.value), axis=1)))
-    stability, by = np.full(count, np.nan), np.full((count, len(asked)), np.nan)
+    stability, by = np.full(count, np.nan), np.full((count, len(names)), np.nan)
     with ThreadPoolExecutor(threads or cores()) as pool:
-        own = pool.map(partial(_stability, mechanics, asked, accuracy), theta_b, l_b)
+        own = pool.map(partial(_stability, mechanics, names, accuracy), theta_b, l_b)
         for k, (value, slopes) in enumerate(own):
             stability[k], by[k] = value, slopes
     return BoundGradient(position, turned, _gradient(stability, by, n), released)
@@ -214,8 +214,8 @@ def with_gradient(
     mechanics: Differentiable, bound: Bound, theta_b: Array, l_b: Array, parameters: Sequence[str], accuracy: Accuracy
 ) -> Bound:
     """A bound at (n,), (n,) with its gradient: NaN where it is of shapes that other ways of solving do not lead to."""
-    found = bound_gradients(mechanics, theta_b[None], l_b[None], bound.corner_phi, parameters, accuracy=accuracy)
-    row = found.each(lambda of: of.at(0))
+    gradients = bound_gradients(mechanics, theta_b[None], l_b[None], bound.corner_phi, parameters, accuracy=accuracy)
+    row = gradients.each(lambda of: of.at(0))
     if not abs(row.position_m.value - bound.position_m) < SAME_M:
         row = row.each(Gradient.lost)
     return replace(bound, gradient=row)

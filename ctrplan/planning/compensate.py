@@ -83,7 +83,7 @@ def compensate(
     Where that is not certified, two short legs at the end correct the path, or slides alone, or part of the change is
     made. A path that can't be improved so is returned as it was.
     """
-    begun = start_states(checker.scenario) if starts is None else list(starts)
+    start_friction = start_states(checker.scenario) if starts is None else list(starts)
     without = arrival_error(certificate)
     best = Compensated(corners, certificate, Compensation(np.zeros(corners.shape[1]), without, without, ""))
     if is_on_target(certificate) or len(corners) < 2:
@@ -91,8 +91,8 @@ def compensate(
     is_beyond_limits = False
     for turn in range(ROUNDS):
         before = best
-        told = part_of(progress, turn, ROUNDS)
-        best, is_stopped = _corrected_once(checker, before, begun, starts, told)
+        reporter = part_of(progress, turn, ROUNDS)
+        best, is_stopped = _corrected_once(checker, before, start_friction, starts, reporter)
         is_beyond_limits |= is_stopped
         if best is before or is_on_target(best.certificate):
             break
@@ -108,13 +108,13 @@ def compensate(
 def _corrected_once(
     checker: MotionChecker,
     before: Compensated,
-    begun: Sequence[FrictionStart],
+    start_friction: Sequence[FrictionStart],
     starts: Sequence[FrictionStart] | None,
     progress: Progress | None,
 ) -> tuple[Compensated, bool]:
     """The best certified correction of a path, itself without one; and whether a joint's limit stopped any."""
     best, is_beyond_limits, corners = before, False, before.corners
-    for k, way in enumerate(_corrected_ways(checker, corners, before.certificate, begun)):
+    for k, way in enumerate(_corrected_ways(checker, corners, before.certificate, start_friction)):
         moved = way.corners
         is_beyond_limits |= _is_at_limit(checker, moved[-1], way.delta)
         if not way.is_whole and best is not before:
@@ -122,8 +122,8 @@ def _corrected_once(
         if not checker.space.allowed(moved):
             is_beyond_limits = True
             continue
-        told = part_of(progress, k, MOST_WAYS)
-        walk = walk_legs(checker.scenario, moved, progress=told)
+        reporter = part_of(progress, k, MOST_WAYS)
+        walk = walk_legs(checker.scenario, moved, progress=reporter)
         if walk.problems:  # no history makes it valid
             continue
         checked = finished(walk, predicted_arrives, starts)
@@ -401,13 +401,13 @@ def _on_line(
     """The corners (K, m) of a path along a line, all but the first moved until predicted tips there are on the line."""
     robot, line = checker.scenario.robot, _line(checker, corners)
     tips = robot.mechanics.tips_with_friction(*robot.drive.collars(corners), np.zeros((len(corners), robot.n - 1)))
-    wanted = np.array([line.nearest_m(tip, is_end=False) for tip in tips.position_m])
-    wanted[-1] = _aim(checker.scenario, certificate)
+    targets = np.array([line.nearest_m(tip, is_end=False) for tip in tips.position_m])
+    targets[-1] = _aim(checker.scenario, certificate)
     best, moved = (np.inf, corners), np.array(corners)
     every = np.ones(corners.shape[1], bool)
     for _ in range(ITERATIONS):
         prediction = predict_end(robot, moved, starts)[0]
-        misses = wanted - prediction.tip_m.mean(axis=0)
+        misses = targets - prediction.tip_m.mean(axis=0)
         worst = float(np.linalg.norm(misses[1:], axis=1).max())
         if worst < best[0]:
             best = (worst, np.array(moved))

@@ -135,13 +135,13 @@ def settle(
         return Settled(corners, certificate, f"The settling oscillation was left out: {reason}.")
     before = certificate.goal_predicted_m
     for k, amplitude in enumerate(np.radians(AMPLITUDES_DEG)):
-        told = part_of(progress, k, len(AMPLITUDES_DEG))
+        reporter = part_of(progress, k, len(AMPLITUDES_DEG))
         ways = [turns for turns in turnings(checker.space.drive) if _valid(checker, corners[-1], amplitude * turns)]
         for j, turns in enumerate(_best_first(checker, corners, amplitude, ways)):
             swung = np.concatenate([corners, oscillation(corners[-1], amplitude * turns)])
-            told_way = part_of(told, j, len(ways))
+            way_reporter = part_of(reporter, j, len(ways))
             checked = certify(
-                checker.scenario, swung, goal_test=goal_test, starts=starts, restart=False, progress=told_way
+                checker.scenario, swung, goal_test=goal_test, starts=starts, restart=False, progress=way_reporter
             )
             if not checked.valid:
                 continue

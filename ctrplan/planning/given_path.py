@@ -84,9 +84,9 @@ def _certified(
     scenario = standing(scenario)
     for k, (goal, way) in enumerate(zip(scenario.targets, ways, strict=True)):
         stage = replace(scenario, start=start, goal=nearest_turn(scenario, start, goal), via=())
-        told = part_of(progress, k, len(ways))
+        reporter = part_of(progress, k, len(ways))
         given = timing if len(ways) == 1 else None
-        certified = partial(certified_legs, goal_test=either_arrives, starts=starts, timing=given, progress=told)
+        certified = partial(certified_legs, goal_test=either_arrives, starts=starts, timing=given, progress=reporter)
         stages.append(certified(stage, way))
         first = next(iter(stages[-1].problems), "")  # of a start that is refused it says so
         if parts and any(words in first for words in PARTED) and scenario.robot.guide is None:

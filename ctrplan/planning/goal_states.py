@@ -95,8 +95,8 @@ def _downhill(checker: MotionChecker, solver: TipSolver, q: Array) -> tuple[Arra
     """
     target, weights = tip_target(checker.scenario), checker.space.weights_mm / MM_PER_M
     slopes = bound_slopes(checker, q)
-    uphill, held = slopes.bound_by / weights, slopes.tip_by / weights
-    along = uphill - (np.linalg.pinv(held, RANK) @ held @ uphill[:, :, None])[:, :, 0]
+    uphill, tip_by = slopes.bound_by / weights, slopes.tip_by / weights
+    along = uphill - (np.linalg.pinv(tip_by, RANK) @ tip_by @ uphill[:, :, None])[:, :, 0]
     size = np.linalg.norm(along, axis=1, keepdims=True)
     falls = size > FLAT * np.linalg.norm(uphill, axis=1, keepdims=True)
     down = np.where(falls, -along / np.maximum(size, 1e-12), 0.0) / checker.space.weights_mm
@@ -241,11 +241,11 @@ def turn_notes(scenario: Scenario, ends: Sequence[Array]) -> tuple[str, ...]:
         if goal.joints is None:
             continue
         drive = scenario.robot.drive
-        for joint, wraps, asked, reached in zip(drive.joints, drive.wraps, goal.joints, end, strict=True):
-            if wraps and abs(asked - reached) > np.pi:
-                asked_deg, reached_deg = np.degrees([asked, reached])
+        for joint, wraps, given, reached in zip(drive.joints, drive.wraps, goal.joints, end, strict=True):
+            if wraps and abs(given - reached) > np.pi:
+                given_deg, reached_deg = np.degrees([given, reached])
                 results.append(
-                    f"{joint.name} = {asked_deg:.6g} deg is reached at {reached_deg:.6g} deg, whole turns from it; "
+                    f"{joint.name} = {given_deg:.6g} deg is reached at {reached_deg:.6g} deg, whole turns from it; "
                     "with limits (min_deg, max_deg) the joint would count its turns."
                 )
     return tuple(results)
@@ -375,8 +375,12 @@ def _shape_note(robot: Robot, joints: Array, where: str) -> str:
     except InputError:  # of a kind whose equilibria are not enumerated
         return ""
     tip_m = robot.mechanics.solve(theta_b, l_b).tip_m
-    by_distance = sorted(each, key=lambda one: float(np.linalg.norm(one.tip_m[one.first] - tip_m)))
-    away_mm = [float(np.linalg.norm(one.tip_m[one.first] - tip_m)) * MM_PER_M for one in by_distance]
+    by_distance = sorted(
+        each, key=lambda equilibrium: float(np.linalg.norm(equilibrium.tip_m[equilibrium.first] - tip_m))
+    )
+    away_mm = [
+        float(np.linalg.norm(equilibrium.tip_m[equilibrium.first] - tip_m)) * MM_PER_M for equilibrium in by_distance
+    ]
     others = [mm for mm in away_mm if mm > SAME_SHAPE_M * MM_PER_M]
     if not others or len(others) == len(each):
         return ""

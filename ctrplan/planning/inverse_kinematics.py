@@ -374,7 +374,7 @@ class TipTracker:
         if self._stopped is not None and self._stopped[0] is begin and self._stopped[1] == dt_s:
             return self._stopped[2]
         q, drive, weights = begin.tip.joints, self._space.drive, self._space.weights_mm / MM_PER_M
-        most, one, (nesting, nested) = drive.max_velocity * dt_s, np.eye(len(weights)), self._space.nesting_rules
+        most, identity, (nesting, nested) = drive.max_velocity * dt_s, np.eye(len(weights)), self._space.nesting_rules
         up, down = (np.minimum(left, most) for left in (drive.upper - q, q - drive.lower))
         tips = tips_by_joints(self._checker, q[None], begin.tip.phi)
         closer, spare, near = closer_by_joints(self._checker, self._solver, q, begin.at, most)
@@ -382,7 +382,7 @@ class TipTracker:
             joints=q,
             weights=weights,
             slope=np.vstack([tips.position_by[0], tips.tangent_by[0]]) / weights,
-            rows=np.vstack([one, -one, nesting]) / weights,
+            rows=np.vstack([identity, -identity, nesting]) / weights,
             room=np.maximum(np.concatenate([up, down, nested - nesting @ q]), 0.0),
             closer=closer / weights,
             spare=spare,

@@ -112,16 +112,16 @@ def plan(
     laps.end("preparation")
     with interrupt_event(interrupted) as interrupted, ThreadPoolExecutor(1) as beside, remembered_looks():
         approaches = cache(partial(beside.submit, other_start, scenario, scenario.start))
-        asked = _PlanRequest(
+        request = _PlanRequest(
             seed, began, budget, budget, time_s is not None, report, interrupted, approaches, compensated
         )
         try:
-            first, stages, ended_by = _anytime_stages(scenario, asked)
+            first, stages, ended_by = _anytime_stages(scenario, request)
         except NoAnswerError as error:
             if way := unwinding(scenario):
                 raise NoAnswerError(f"{error} The robot is wound up at its start; {way}.") from None
             raise
-        spent_ns = [meter.spent_ns for meter in asked.meters]  # corrections at the end are no search
+        spent_ns = [meter.spent_ns for meter in request.meters]  # corrections at the end are no search
         laps.end("search")
         finish = _finish(scenario, stages, compensated, report)
         laps.end("ending and compensation")
@@ -179,22 +179,22 @@ class _PlanRequest:
 Stages = list[tuple[Candidate, Candidate]]
 
 
-def _anytime_stages(scenario: Scenario, asked: _PlanRequest) -> tuple[Candidate, Stages, SearchEnd]:
+def _anytime_stages(scenario: Scenario, request: _PlanRequest) -> tuple[Candidate, Stages, SearchEnd]:
     """The candidate that first completed the way to all targets, the way to be driven, and what ended the search.
 
     Of several targets the way to all is completed with the first path to each before any is improved, in what that left
     of the budget.
     """
     if not scenario.via:
-        stages, ended_by, _ = _stages(scenario, asked, StageSearch.run)
+        stages, ended_by, _ = _stages(scenario, request, StageSearch.run)
         return stages[-1][0], stages, ended_by
-    hasty, _, spent = _stages(scenario, asked, StageSearch.run_to_first)
-    ran_out: SearchEnd = "time" if asked.timed else "count"
-    if spent >= asked.budget:
+    hasty, _, spent = _stages(scenario, request, StageSearch.run_to_first)
+    ran_out: SearchEnd = "time" if request.timed else "count"
+    if spent >= request.budget:
         return hasty[-1][0], hasty, ran_out
     try:
         stages, ended_by, _ = _stages(
-            scenario, replace(asked, budget=asked.budget - spent, before=spent), StageSearch.run
+            scenario, replace(request, budget=request.budget - spent, before=spent), StageSearch.run
         )
     except (KeyboardInterrupt, NoAnswerError):
         return hasty[-1][0], hasty, ran_out
@@ -203,7 +203,7 @@ def _anytime_stages(scenario: Scenario, asked: _PlanRequest) -> tuple[Candidate,
 
 
 def _stages(
-    scenario: Scenario, asked: _PlanRequest, run: Callable[[StageSearch], tuple[Candidate, Candidate]]
+    scenario: Scenario, request: _PlanRequest, run: Callable[[StageSearch], tuple[Candidate, Candidate]]
 ) -> tuple[Stages, SearchEnd, float]:
     """The first and the best certified path to each target, from where the one before ended; what ended it; its time.
 
@@ -212,34 +212,36 @@ def _stages(
     stages: Stages = []
     ended_by: SearchEnd = "completion"
     spent = 0.0
-    start, targets, refuse_start = scenario.start, scenario.targets, partial(asked.refuse_other_start, scenario)
-    share = asked.budget / max(1, sum(goal.line_m is None for goal in targets))  # lines to follow take none
+    start, targets, refuse_start = scenario.start, scenario.targets, partial(request.refuse_other_start, scenario)
+    share = request.budget / max(1, sum(goal.line_m is None for goal in targets))  # lines to follow take none
     for k, goal in enumerate(targets):
         stage = replace(scenario.stage_from(start), goal=nearest_turn(scenario, start, goal))
         checker = MotionChecker(stage)
-        asked.meters.append(checker.meter)
+        request.meters.append(checker.meter)
         if goal.line_m is not None:
             refuse_start()
-            stages.append(_along_line(checker, asked.began))
+            stages.append(_along_line(checker, request.began))
         elif is_at_goal(stage):
             refuse_start()
-            goal_states(checker, np.random.default_rng(asked.seed + k))  # refuses a state that is not allowed
-            stages.append(_without_motion(checker, asked.began))
+            goal_states(checker, np.random.default_rng(request.seed + k))  # refuses a state that is not allowed
+            stages.append(_without_motion(checker, request.began))
         else:
             try:
-                checker, goals = _with_goals(checker, asked.seed + k)
+                checker, goals = _with_goals(checker, request.seed + k)
             except NoAnswerError:
                 refuse_start()  # what is wrong with the start is said before what is with the goal
                 raise
-            asked.approaches()  # simulated while a first path is sought, which leaves some of the machine idle
+            request.approaches()  # simulated while a first path is sought, which leaves some of the machine idle
             begins_line = k + 1 < len(targets) and targets[k + 1].line_m is not None
             if begins_line:
                 goals = line_beginnings(checker, goals, targets[k + 1])
-            clock = SearchClock(checker.meter, asked.timed, share)
-            search = StageSearch(checker, goals, asked.seed, asked.began, share, clock, asked.report, asked.interrupted)
+            clock = SearchClock(checker.meter, request.timed, share)
+            search = StageSearch(
+                checker, goals, request.seed, request.began, share, clock, request.report, request.interrupted
+            )
             search.refuse_start, search.moves_goal = refuse_start, not begins_line
-            search.is_compensated = asked.compensated
-            search.before, search.whole = asked.before + spent, asked.whole
+            search.is_compensated = request.compensated
+            search.before, search.whole = request.before + spent, request.whole
             stages.append(run(search))
             spent += clock.now()
             ended_by = clock.name if clock.ran_out else ended_by
@@ -315,7 +317,7 @@ def _finish(scenario: Scenario, stages: Stages, compensated: bool, report: Repor
     shift = np.zeros_like(last.corners[0])
     ways, notes, compensation = list[Array](), list[str](), None
     for k, (_, best) in enumerate(stages):
-        told = part_of(lambda fraction: report(Progress("certificate", fraction, cost_mm)), k, len(stages))
+        reporter = part_of(lambda fraction: report(Progress("certificate", fraction, cost_mm)), k, len(stages))
         stage, corners, is_moved = best.checker.scenario, best.result.after, bool(shift.any())
         starts: list[FrictionStart] | None = list(certificates[-1].end_states) or None if certificates else None
         goal_test: GoalTest = any_end if is_moved else frictionless_arrives
@@ -330,15 +332,15 @@ def _finish(scenario: Scenario, stages: Stages, compensated: bool, report: Repor
         else:
             certificate = best.certificate
         checker = MotionChecker(stage)
-        ended = _ended(checker, corners, certificate, starts, goal_test, told)
+        ended = _ended(checker, corners, certificate, starts, goal_test, reporter)
         notes += [ended.note] if ended.note else []
         corners, certificate, change = ended.corners, ended.certificate, None
         if compensated and stage.goal.tip_m is not None and stage.goal.joints is None:
-            result = compensate(checker, corners, certificate, starts=starts, progress=told)
+            result = compensate(checker, corners, certificate, starts=starts, progress=reporter)
             corners, certificate, change = result.corners, result.certificate, result.compensation
         if np.isfinite(certificate.spare_m):  # nothing was corrected: what is driven is asked for all its clearance
             settling = certificate.settling
-            certificate = certify(stage, corners, goal_test=goal_test, starts=starts, restart=False, progress=told)
+            certificate = certify(stage, corners, goal_test=goal_test, starts=starts, restart=False, progress=reporter)
             certificate = replace(certificate, settling=settling and settled_again(settling, certificate, 0))
             if not (certificate.valid or compensated or starts or is_moved):
                 name = scenario.path or scenario.name

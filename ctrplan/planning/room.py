@@ -180,7 +180,7 @@ def fixture_trouble(scenario: Scenario) -> str:
         (*fixture.clearance(scenario.anatomy, scenario.base_position_m, scenario.base_R), k, fixture.name)
         for k, fixture in enumerate(scenario.fixtures, 1)
     ]
-    clearance, place, k, name = min(results, key=lambda one: one[0], default=(np.inf, np.zeros(3), 0, ""))
+    clearance, place, k, name = min(results, key=lambda entry: entry[0], default=(np.inf, np.zeros(3), 0, ""))
     if clearance >= 0:
         return ""
     at = [round(float(x), 1) for x in place * MM_PER_M]

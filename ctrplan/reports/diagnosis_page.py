@@ -65,9 +65,9 @@ class GapPart:
     shown: bool  # in the bar
 
 
-def share_table(partly: PartialDiagnosis) -> Markup:
+def share_table(diagnosis: PartialDiagnosis) -> Markup:
     """Each effect that holds: what it closes of the gap, alone and last, and how sure that is."""
-    return rendered("diagnosis_shares.html", parts=partly.parts)
+    return rendered("diagnosis_shares.html", parts=diagnosis.parts)
 
 
 def _estimated(diagnosis: Diagnosis, t: Term) -> Iterator[tuple[str, str, str]]:
@@ -114,7 +114,7 @@ def write_diagnosis_report(path: str | os.PathLike[str], diagnosis: Diagnosis, e
 def diagnosis_report_html(diagnosis: Diagnosis, errors: SelectionErrors) -> str:
     """The content of report.html."""
     is_settled = diagnosis.verdict in ("named", "no_missing_effect")
-    is_told = (is_settled or diagnosis.partly) and not diagnosis.interrupted
+    is_told = (is_settled or diagnosis.partial) and not diagnosis.interrupted
     good = is_settled and not (diagnosis.interrupted or diagnosis.reading or diagnosis.other_tubes)
     gap, left = diagnosis.gap, diagnosis.judgement.adequacy
     return rendered(
@@ -133,7 +133,7 @@ def diagnosis_report_html(diagnosis: Diagnosis, errors: SelectionErrors) -> str:
             (gap.after.poses, term("held-out poses", "poses kept aside")),
         ],
         split=gap_split(diagnosis),
-        shares=share_table(diagnosis.partly) if diagnosis.partly else "",
+        shares=share_table(diagnosis.partial) if diagnosis.partial else "",
         effects=list(_effects(diagnosis, errors)),
         built_lines=built_lines(diagnosis),
         where=plot(where_figure(diagnosis, errors), "where", with_library=not errors.signatures, kind="plot twin"),

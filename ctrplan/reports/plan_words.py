@@ -92,7 +92,7 @@ class TargetArrival:
 
     @property
     def _causes(self) -> str:
-        causes = self.arrival.by_cause.told if self.arrival else []
+        causes = self.arrival.by_cause.main if self.arrival else []
         return f": {', '.join(f'{millimetres(share)} by {words}' for words, share in causes)}" if causes else ""
 
     @property
@@ -249,7 +249,7 @@ def _at_targets(plan: Plan) -> list[CertificateRow]:
         quantity = f"Farthest arrival from {arrival.target}"
         rows.append(CertificateRow(quantity, millimetres(arrival.error_m), tolerance, met, caution=arrival.exceeds))
     if certificate.arrival:
-        rows += [CertificateRow(f"  by {words}", millimetres(m)) for words, m in certificate.arrival.by_cause.told]
+        rows += [CertificateRow(f"  by {words}", millimetres(m)) for words, m in certificate.arrival.by_cause.main]
         rows.append(CertificateRow("Friction before the motion is forgotten", _forgotten(certificate.arrival)))
         rows.append(CertificateRow("An interrupted run begins again", restart_words(plan)))
     return rows + _settling(plan)

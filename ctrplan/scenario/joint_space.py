@@ -264,9 +264,9 @@ def _backwards(drive: Drive) -> Array:
     """(m,) with every translation at its limit that brings tubes back; at 0 where it has none."""
     q = np.zeros(len(drive.joints))
     for k in np.flatnonzero(~drive.is_rotation):
-        one = np.zeros_like(q)
-        one[k] = 1.0
-        _, moved = drive.collars(one)
+        unit = np.zeros_like(q)
+        unit[k] = 1.0
+        _, moved = drive.collars(unit)
         _, still = drive.collars(np.zeros_like(q))
         end = drive.lower[k] if np.sum(moved - still) > 0 else drive.upper[k]
         q[k] = end if math.isfinite(end) else 0.0

@@ -267,10 +267,10 @@ def _restored(robot: Robot, states: Sequence[HistoryState], accuracy: Accuracy =
 def rows_to_simulate(robot: Robot, joints: Array, leg: NDArray[np.int_]) -> NDArray[np.int_]:
     """Indices of configurations (K, m) no farther apart than the steps, the ends of legs (K,) among them."""
     step = np.floor(_steps_until(*robot.drive.collars(joints)))
-    wanted = np.concatenate([[True], np.diff(step) > 0])
-    wanted[:-1] |= np.diff(leg) > 0
-    wanted[-1] = True
-    return np.flatnonzero(wanted)
+    is_kept = np.concatenate([[True], np.diff(step) > 0])
+    is_kept[:-1] |= np.diff(leg) > 0
+    is_kept[-1] = True
+    return np.flatnonzero(is_kept)
 
 
 def _steps_until(theta_b: Array, l_b: Array) -> Array:

@@ -313,7 +313,7 @@ class Scenario:
         """
         each = {
             **{f"anatomy.{k}": part for k, part in enumerate(self.anatomy, start=1)},
-            **{f"fixture.{k}": _of_fixture(one) for k, one in enumerate(self.fixtures, start=1)},
+            **{f"fixture.{k}": _of_fixture(fixture) for k, fixture in enumerate(self.fixtures, start=1)},
             "goal": [_of_goal(goal) for goal in self.targets],
             "base": (self.base_position_m, self.base_R, self.registration),
             "start": (self.start, self.start_friction if self.start_state is None else "unknown", self.start_turns),
@@ -363,8 +363,13 @@ def _of_goal(goal: Goal) -> object:
     return (goal.joints, goal.tip_m, goal.tolerance_m, goal.direction, goal.direction_tolerance_rad, goal.line_m)
 
 
-def _of_fixture(one: Fixture) -> object:
-    return (one.shape.kind, [np.asarray(each) for each in one.shape.content()], one.margin_m, one.stays_inside)
+def _of_fixture(fixture: Fixture) -> object:
+    return (
+        fixture.shape.kind,
+        [np.asarray(each) for each in fixture.shape.content()],
+        fixture.margin_m,
+        fixture.stays_inside,
+    )
 
 
 MOST_GRIDS = 4  # kept in memory for one robot, of different bases or anatomies

@@ -97,8 +97,8 @@ def test_what_the_catalogue_has_is_named_beside_a_built_term_that_had_hidden_it(
     assert after.verdict == "partial" and [t.name for t in after.listed] == ["sensor_offset"]
     assert [t.name for t in after.built_terms] == ["learned_theta_2"]
     assert set(after.robot_content()["effects"]) == {"sensor_offset", "learned_theta_2", "base_misalignment"}
-    assert after.built is not None and after.partly is not None
-    assert after.partly.rest.rms_m > 2 * after.built.rest.rms_m and after.judgement.adequacy.total.p < 1e-3
+    assert after.built is not None and after.partial is not None
+    assert after.partial.rest.rms_m > 2 * after.built.rest.rms_m and after.judgement.adequacy.total.p < 1e-3
     value = after.to_json()["effects"][0]["parameters"]["offset_x_mm"]["value"]
     assert value == pytest.approx(OFFSET["sensor_offset"]["offset_x_mm"], abs=0.15)
 

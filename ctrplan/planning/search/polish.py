@@ -190,11 +190,11 @@ class Polish:
 
     def _brought_back(self, q: Array) -> Array | None:
         """Joint values (m,) near q with the tip on the target, of as little error; None where there are none."""
-        held, target = self.corners[-1], tip_target(self.checker.scenario)
-        aim = self.solver.tips(held[None])[0] + target.tip_m - self._slopes.tip_m
+        end, target = self.corners[-1], tip_target(self.checker.scenario)
+        aim = self.solver.tips(end[None])[0] + target.tip_m - self._slopes.tip_m
         if not np.isfinite(aim).all():
             return None
-        start = self.space.projected(q[None], fallback=held[None])
+        start = self.space.projected(q[None], fallback=end[None])
         back = self.solver.solve(TipTarget(aim), start, TIP_STEPS, turned=False).joints[0]
         self.checker.meter.add(ROOM_NS * TIP_STEPS)
         return back if np.isfinite(goal_state(self.checker, back).bound_m) else None

@@ -70,7 +70,7 @@ class RoadmapSearch:
         self.solved_m: Array = np.empty(0)  # the room that motions known to be valid leave around their corner shapes
         self.seen: NDArray[np.bool_] = np.empty(0, dtype=bool)  # the zero-clearance shapes along them
         self.known: NDArray[np.bool_] = np.empty(0, dtype=bool)
-        self.asked: NDArray[np.bool_] = np.empty(0, dtype=bool)  # where it is narrowest
+        self.queried: NDArray[np.bool_] = np.empty(0, dtype=bool)  # where it is narrowest
         self.probed: NDArray[np.bool_] = np.empty(0, dtype=bool)
         self.refused: NDArray[np.int_] = np.empty(0, dtype=int)  # states that are not valid
         self.row: dict[tuple[int, int], int] = {}
@@ -95,7 +95,7 @@ class RoadmapSearch:
         self.cost, self.left = np.concatenate([self.cost, least]), np.concatenate([self.left, left])
         self.least, self.least_left = np.concatenate([self.least, least]), np.concatenate([self.least_left, left])
         self.known = np.concatenate([self.known, np.zeros(len(edges), dtype=bool)])
-        self.asked = np.concatenate([self.asked, np.zeros(len(edges), dtype=bool)])
+        self.queried = np.concatenate([self.queried, np.zeros(len(edges), dtype=bool)])
         self.seen = np.concatenate([self.seen, np.zeros(len(edges), dtype=bool)])
         self.solved_m = np.concatenate([self.solved_m, np.full(len(edges), np.nan)])
         self.narrowest = np.concatenate([self.narrowest, self.place[b]])
@@ -226,7 +226,7 @@ class RoadmapSearch:
             if self._refuses_a_state(nodes):
                 continue
             unknown = sorted((k for k in edges if not self.known[k]), key=lambda k: self.hope[k])
-            doubtful = [k for k in unknown if WALK_PER_STATE * (1 - self.hope[k]) > 1 and not self.asked[k]]
+            doubtful = [k for k in unknown if WALK_PER_STATE * (1 - self.hope[k]) > 1 and not self.queried[k]]
             if self._refuses_a_motion(doubtful[:AT_ONCE]):
                 continue
             todo = unknown[:AT_ONCE]
@@ -241,7 +241,7 @@ class RoadmapSearch:
         places = self.narrowest[doubtful]
         states = self._together([partial(self.checker.state, self.clearance.joints[place]) for place in places])
         refused = [k for k, state in zip(doubtful, states, strict=True) if not state.valid]
-        self.asked[doubtful] = True
+        self.queried[doubtful] = True
         self._learn(places)
         self.known[refused], self.cost[refused] = True, np.inf
         return bool(doubtful)
@@ -392,7 +392,7 @@ class RoadmapSearch:
     def _together(self, work: Sequence[Callable[[], Result]]) -> list[Result]:
         """What all of it finds, AT_ONCE in parallel; one alone is not worth a thread."""
         if len(work) < 2:
-            return [one() for one in work]
-        futures = [self._threads.submit(one) for one in work]
+            return [task() for task in work]
+        futures = [self._threads.submit(task) for task in work]
         wait(futures)  # all of them, also where one raises: nothing works on behind whoever asked
         return [future.result() for future in futures]

@@ -200,8 +200,8 @@ def asked(folder: Path) -> dict[str, Any]:
     if built is None:
         return result | {"built": False}
     result["beside_mm"] = gap_mm(bench.handed_over(bench.sized(built.named)), aside, noise.floor_m)
-    result["names"] = names(built.partly)
-    result["probable"] = probable(built.partly)
+    result["names"] = names(built.partial)
+    result["probable"] = probable(built.partial)
     result["built_mm"] = gap_mm(bench.handed_over(bench.sized(built.scored)), aside, noise.floor_m)
     terms = [t.effect.stated({})["acts_on"] + ": " + ", ".join(t.effect.parts) for t in built.terms]
     return result | {"built": True, "terms": terms, "share": built.share, "gain": built.gain}

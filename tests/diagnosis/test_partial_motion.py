@@ -60,9 +60,9 @@ def test_a_lag_is_named_beside_a_rest_with_the_memory_that_it_has() -> None:
     assert found.verdict == "partial" and [t.name for t in found.listed] == ["lag"]
     tau = found.to_json()["effects"][0]["parameters"]["tau_s"]
     assert abs(tau["value"] - LATE_S) < 0.75 * (tau["ci95"][1] - tau["ci95"][0]) < 0.05
-    assert found.partly is not None and found.partly.rest.memory is not None
-    assert MEMORY_S / 3 < found.partly.rest.memory < 3 * MEMORY_S
-    assert 0.5e-3 < found.partly.rest.rms_m < 1.1e-3 and found.partly.rest.of_configuration < 0.4
+    assert found.partial is not None and found.partial.rest.memory is not None
+    assert MEMORY_S / 3 < found.partial.rest.memory < 3 * MEMORY_S
+    assert 0.5e-3 < found.partial.rest.rms_m < 1.1e-3 and found.partial.rest.of_configuration < 0.4
 
 
 @thorough("test_what_changes_slowly_is_no_effect_although_some_look_like_it")
@@ -108,13 +108,13 @@ def test_a_lag_is_named_beside_what_changes_slowly() -> None:
 
 def test_what_poses_kept_aside_are_nearer_without_is_taken_back() -> None:
     found, against = late_and_misplaced(), slowly_off({"lag": {"tau_s": -0.3}, **MISPLACED}, 6, 20.0)
-    part = found.partly
+    part = found.partial
     assert part is not None
     position, tangent, aside = found.data.position_m.copy(), found.data.tangent.copy(), part.split.held_out_set
     position[aside], tangent[aside] = against.position_m[aside], against.tangent[aside]
     answer = Conclusion(
         part.bench, (), part.chosen, part.base, part.judgement, part.split, part.block, part.bench.plain, False,
-        np.zeros(COUNT, bool), (), partly=part,
+        np.zeros(COUNT, bool), (), partial=part,
     )  # fmt: skip
     asked = opened(answer, replace(found.data, position_m=position, tangent=tangent))
     assert asked.gap.after.rms_m < asked.gap.before.rms_m  # so that nothing else would take it back

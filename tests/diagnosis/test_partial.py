@@ -61,8 +61,8 @@ def partial() -> Diagnosis:
 def test_an_effect_is_named_beside_a_rest_that_nothing_explains() -> None:
     found = partial()
     assert found.verdict == "partial" and [t.name for t in found.listed] == ["backlash"]
-    assert found.partly is not None and 0.4e-3 < found.partly.rest.rms_m < 1.2e-3
-    assert found.partly.rest.of_configuration > 0.6
+    assert found.partial is not None and 0.4e-3 < found.partial.rest.rms_m < 1.2e-3
+    assert found.partial.rest.of_configuration > 0.6
     assert found.gap.after.rms_m < found.gap.before.rms_m
     effect = found.to_json()["effects"][0]
     low, high = effect["parameters"]["theta_2_deg"]["ci95"]
@@ -79,7 +79,7 @@ def test_what_is_handed_over_is_a_robot_with_the_effect_a_frame_and_an_honest_er
 
 def test_an_effect_that_is_taken_back_leaves_figures_over_the_noise_alone() -> None:
     found, against = partial(), beside_a_rest({"backlash": {"theta_2_deg": -8.0}})
-    part = found.partly
+    part = found.partial
     assert part is not None
     position, tangent, aside = found.data.position_m.copy(), found.data.tangent.copy(), part.split.held_out_set
     position[aside], tangent[aside] = against.position_m[aside], against.tangent[aside]  # the other way round
@@ -94,7 +94,7 @@ def answer_of(part: PartialDiagnosis) -> Conclusion:
     nothing_wrong = np.zeros(PLAN.count, bool)
     return Conclusion(
         part.bench, (), part.chosen, part.base, part.judgement, part.split, part.block, part.bench.plain, False,
-        nothing_wrong, (), partly=part,
+        nothing_wrong, (), partial=part,
     )  # fmt: skip
 
 
@@ -167,8 +167,8 @@ def test_what_changes_slowly_while_poses_are_measured_is_no_drift(seed: int, mon
 def test_a_frame_and_what_may_stand_for_it_are_told_apart_by_an_experiment() -> None:
     """A frame is in the fit of its alternative as well: a misaligned base beside a kink ended in a traceback."""
     found = partial()
-    assert found.partly is not None
-    bench, chosen = found.partly.bench, found.partly.chosen
+    assert found.partial is not None
+    bench, chosen = found.partial.bench, found.partial.chosen
     (frame,) = frames(ROBOT, found.data)
     distortion = CATALOGUE["sensor_distortion"]
     other = term(distortion, [q.name for q in distortion.parameters(ROBOT)][:3], ROBOT)
@@ -189,7 +189,7 @@ def test_the_report_splits_the_gap() -> None:
 @pytest.mark.parametrize(("without_m", "with_m"), [(4.47e-3, 12e-3), (18e-3, 0.6e-3), (4e-3, 2e-3)])
 def test_effects_that_hide_one_another_have_errors_and_no_share(without_m: float, with_m: float) -> None:
     closing = Closing(without_m, with_m, gap_m=4.4e-3)
-    part = partial().partly
+    part = partial().partial
     assert part is not None
     page = share_table(replace(part, parts=(replace(part.parts[0], alone=closing, last=closing),)))
     assert page.count(f"{without_m * 1e3:.2f} to {with_m * 1e3:.2f} mm") == 2
