@@ -5,7 +5,8 @@ such processes by their evidence, the size of the noise being unknown,
 
     -K D / 2 log |C^-1/2 R|^2 - D / 2 log |C|,  C = (1 - a) I + a G + s^2 k,
 
-G one for two poses of the same configuration, k the process, and all shares a and sizes s as probable as each other.
+G one for two poses of the same configuration, k the process, and all shares a, sizes s and lengths of k as probable as
+each other.
 How much of a remainder belongs to each of several processes, their most probable variances say.
 """
 
@@ -21,7 +22,7 @@ from scipy.special import logsumexp
 
 from ctrplan.base.arrays import Array
 from ctrplan.calibration.discrepancy import SHARES, SIZES, decay
-from ctrplan.diagnosis.unknown_errors import QUARTERS, input_distances, kernel_modes
+from ctrplan.diagnosis.unknown_errors import LENGTHS, QUARTERS, input_distances, kernel_modes
 from ctrplan.diagnosis.usable_poses import thinning
 from ctrplan.diagnosis.verdict import shown
 from ctrplan.measurement.approach import clock, friction_state
@@ -162,7 +163,8 @@ def localise(
     alone = np.array([_evidences(measured, np.zeros((len(some), 0)), root)[0] for root in roots])
     weights, amounts = [float(_mean(alone))], [0.0]
     for square in squares.values():
-        values = np.array([_evidences(measured, kernel_modes(square), root) for root in roots])
+        modes = [kernel_modes(square / length**2) for length in LENGTHS]
+        values = np.array([_evidences(measured, one_length, root) for one_length in modes for root in roots])
         size = SIZES[np.unravel_index(int(values.argmax()), values.shape)[1]]
         weights.append(float(_mean(values.ravel())) - np.log(len(squares)))
         amounts.append(float(size**2 / (1 + size**2)))

@@ -69,6 +69,17 @@ def test_an_angle_that_residuals_go_along_with_is_told_and_that_configurations_s
     assert "shared by all approaches" in found.sentence
 
 
+@pytest.mark.parametrize("periods", [0.4, 1.2, 1.84, 2.5])
+def test_waves_of_the_whole_experiment_go_along_with_the_time(periods: float) -> None:
+    """A long wave and a short one alike: over how much of its range a process changes is not known before."""
+    ramp = np.linspace(0, 1, len(DATA.sequence))
+    data, rng = measured_with({}), np.random.default_rng(4)
+    wave = 3 * np.sin(2 * np.pi * periods * ramp[data.rows])
+    r = rng.standard_normal((data.count, 5)) + wave[:, None] * np.array([1.0, -0.7, 0.5, 0.0, 0.0])
+    result = localise(data, r, data.configuration, np.linalg.norm(r, axis=1), 1e-4)
+    assert result.trends[0].quantity == "time" and result.trends[0].probability > 0.9
+
+
 def test_variances_of_processes_are_found_again() -> None:
     rng, count = np.random.default_rng(5), 90
     place, group = rng.uniform(0, 6, count), np.repeat(np.arange(30), 3)
