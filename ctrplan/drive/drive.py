@@ -167,6 +167,16 @@ class Drive:
         return slopes
 
     @cached_property
+    def travel_m(self) -> tuple[Array, Array]:
+        """(n,), (n,) [m] least and greatest base translations within the limits, those without limits at home."""
+        slope = self.matrix_l[:, ~self.is_rotation]
+        ends = np.stack([self.lower, self.upper])[:, ~self.is_rotation]
+        ends = np.where(np.isfinite(ends), ends, 0.0)
+        both = slope * ends[0], slope * ends[1]
+        home = np.asarray(self.home_l_m)
+        return home + np.minimum(*both).sum(axis=1), home + np.maximum(*both).sum(axis=1)
+
+    @cached_property
     def joint_late_s(self) -> Array:
         """(m,) how much later than commanded each joint follows: the latest of the collars that it moves."""
         if self.late_s is None:

@@ -17,7 +17,7 @@ from ctrplan.measurement.joint_path import joined_measurements
 from ctrplan.measurement.measurements import Measurements, is_streamed
 from ctrplan.pipeline.chain import Chain
 from ctrplan.pipeline.tip_table import registered
-from ctrplan.robot.magnitudes import IN_WORDS, likely_unit
+from ctrplan.robot.magnitudes import in_words, likely_units
 from ctrplan.robot.robot import Robot
 from ctrplan.storage.csv_table import CsvTable
 
@@ -198,8 +198,8 @@ def _check_positions(
         far = np.linalg.norm(position - (np.median(position, axis=0) if anywhere else 0.0), axis=1)
     limit = FURTHEST * max(tube.length_m for tube in robot.tubes)
     for k in np.flatnonzero(far > limit).tolist():
-        likely = likely_unit(float(np.median(far)), "m", 0.1 * limit, limit)
-        unit = f", are these {IN_WORDS[likely]}?" if likely else ""
+        likely = likely_units(float(np.median(far)), "m", 0.1 * limit, limit)
+        unit = f", are these {in_words(likely)}?" if likely else ""
         rule = f"{what} is {far[k]:g} m from the base, beyond the reach of {limit:.3g} m{unit}"
         raise table.fault(rule, int(rows[k]), columns[0], position[k, 0])
     if np.median(far) < limit / 2000 and not anywhere:

@@ -28,7 +28,7 @@ from ctrplan.measurement.measurements import Measurements
 from ctrplan.mechanics.shapes import Bound, Status
 from ctrplan.mechanics.tube import TubeSection
 from ctrplan.pipeline.tip_table import point_table
-from ctrplan.reports.object_figures import bound_figure, robot_figure, travel_m
+from ctrplan.reports.object_figures import bound_figure, robot_figure
 from ctrplan.robot.magnitudes import implied_young_Pa, reach_m, straightened_strain
 from ctrplan.robot.robot import Robot
 from ctrplan.scenario.joint_space import JointSpace
@@ -189,7 +189,7 @@ def _drive(robot: Robot) -> list[str]:
         low, high = joint.lower / joint.si_per_unit, joint.upper / joint.si_per_unit
         unlimited = not (math.isfinite(low) and math.isfinite(high))
         ranges.append(f"{joint.name} {'without end' if unlimited else f'{low:.4g} to {high:.4g} {joint.unit}'}")
-    least, most = travel_m(robot)
+    least, most = robot.drive.travel_m
     tip = robot.tubes[-1].length_m
     ends = f"{(least[-1] + tip) * 1e3:.4g} to {(most[-1] + tip) * 1e3:.4g} mm"
     ahead = f"the innermost tip {ends} along, in front of the plate"

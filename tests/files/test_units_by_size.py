@@ -19,7 +19,7 @@ from ctrplan.base.arrays import are_degrees, are_radians
 from ctrplan.errors import InputError
 from ctrplan.files.measurement_file import load_measurements
 from ctrplan.files.robot_file import load_robot
-from ctrplan.robot.magnitudes import likely_unit
+from ctrplan.robot.magnitudes import likely_units
 
 THREE = ROBOTS / "three_tube.toml"
 IN_NO_DOUBT = "youngs_modulus_GPa=60,poisson_ratio=0.3"
@@ -124,6 +124,42 @@ def test_moduli_and_radii_are_doubted_as_they_were_said(said: str, phrase: str, 
     assert re.search(phrase, told) and re.search(hint, told)
 
 
+def tubes_of(moduli: str) -> list[str]:
+    """Overrides by which all three tubes are said by these moduli."""
+    sizes = ("2.64", "2.39", 150, 265), ("2.31", "1.95", 167, 265), ("1.825", "1.6", 270, 90)
+    return [
+        f"tube.{i}={{outer_diameter_mm={outer},inner_diameter_mm={inner},{moduli},"
+        f"section=[{{length_mm={length},radius_mm={radius}}}]}}"
+        for i, (outer, inner, length, radius) in enumerate(sizes, start=1)
+    ]
+
+
+@pytest.mark.parametrize(
+    ("moduli", "phrase"),
+    [
+        ("youngs_modulus_GPa=0.065,poisson_ratio=0.3", r"youngs_modulus_GPa = 0.065: .* is it in TPa\?"),
+        ("youngs_modulus_GPa=0.2,poisson_ratio=0.29", r"youngs_modulus_GPa = 0.2: .* as of a metal: is it in TPa\?"),
+        ("youngs_modulus_GPa=0.065,poisson_ratio=0.45", ""),
+        ("youngs_modulus_GPa=0.05,poisson_ratio=0.48", ""),
+        ("youngs_modulus_GPa=0.5,poisson_ratio=0.3", ""),
+        ("youngs_modulus_GPa=3.6,poisson_ratio=0.38", ""),
+        ("youngs_modulus_GPa=5,poisson_ratio=0.4", ""),
+        ("youngs_modulus_GPa=200,poisson_ratio=0.29", ""),
+    ],
+)
+def test_moduli_of_all_tubes_by_what_materials_are(moduli: str, phrase: str) -> None:
+    """Shapes depend on the ratios of stiffnesses alone: all of them a thousand times too small change none."""
+    stated = load_robot(THREE, tubes_of(moduli)).warnings
+    assert len(stated) == bool(phrase) and all(re.search(phrase, text) for text in stated)
+
+
+def test_stiffnesses_of_all_tubes_a_thousand_times_too_small() -> None:
+    stiffnesses = [tube.bending_stiffness_Nm2 / 1e3 for tube in load_robot(THREE).tubes]
+    said = [f"tube.{i}.bending_stiffness_Nm2={EI}" for i, EI in enumerate(stiffnesses, start=1)]
+    (warning,) = load_robot(THREE, said).warnings
+    assert re.search(r"bending_stiffness_Nm2 = 5.07e-05 N m\^2: .* is it in kN m\^2\?", warning)
+
+
 def test_a_radius_in_metres_is_refused_by_name() -> None:
     tube = "outer_diameter_mm=2.64,inner_diameter_mm=2.39,youngs_modulus_GPa=60,poisson_ratio=0.3"
     with pytest.raises(InputError, match="own outer radius: is it its radius in metres"):
@@ -197,7 +233,10 @@ def test_millimetres_given_for_metres_of_joints_are_named() -> None:
         robot.mechanics.solve([0, 0, 0], [0, -17, -50])
 
 
-@pytest.mark.parametrize(("factor", "word"), [(1e3, "millimetres"), (1 / 25.4e-3, "inches"), (100.0, "centimetres")])
+@pytest.mark.parametrize(
+    ("factor", "word"),
+    [(1e3, "millimetres"), (1 / 25.4e-3, "centimetres or inches"), (100.0, "centimetres")],
+)
 def test_measured_tips_by_the_length_of_the_robot(factor: float, word: str, tmp_path: Path) -> None:
     robot = pair_robot()
     data = measured(robot, waypoints(robot, 3))
@@ -207,8 +246,9 @@ def test_measured_tips_by_the_length_of_the_robot(factor: float, word: str, tmp_
 
 
 def test_the_rules_themselves() -> None:
-    assert likely_unit(200.0, "m", 0.1, 0.3) == "mm" and likely_unit(7.9, "m", 0.1, 0.3) == "in"
-    assert likely_unit(0.2e-3, "mm", 0.1, 0.3) == "m" and likely_unit(0.5, "m", 0.1, 0.3) is None
+    assert likely_units(200.0, "m", 0.1, 0.3) == ["mm"] and likely_units(7.9, "m", 0.1, 0.3) == ["in"]
+    assert likely_units(0.2e-3, "mm", 0.1, 0.3) == ["m"] and likely_units(0.5, "m", 0.1, 0.3) == []
+    assert likely_units(11.0, "m", 0.1, 0.3) == ["cm", "in"]
     assert are_radians([3.1416]) and are_radians([0, -6.283]) and are_radians([0.349, -1.047, 1.396])
     assert not any(map(are_radians, ([], [0.0], [3], [1.5], [3.1], [0.35, 20], [2.0, -2.0], [90.0], [np.inf])))
     assert are_degrees([0, 30.0]) and not are_degrees([6.0]) and not are_degrees([6.5]) and not are_degrees([])

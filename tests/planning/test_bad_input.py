@@ -102,7 +102,7 @@ def test_heart_of_80_metres_asks_for_millimetres(tmp_path: Path, capsys: pytest.
         )
         (tmp_path / file).write_text(text)
     code, sentence = refusal(capsys, "plan", str(tmp_path / "ribs.toml"), "-o", str(tmp_path / "out"))
-    assert code == 2 and "is 80 m across" in sentence and "millimetres?" in sentence
+    assert code == 2 and "is 80 m across" in sentence and "(millimetres or centimetres?)" in sentence
 
 
 @pytest.fixture(scope="module")
