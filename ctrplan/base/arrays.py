@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ctrplan.base.arguments import LONGEST_MM as LONGEST_MM
 from ctrplan.base.arguments import MOST_TURNS_DEG as MOST_TURNS_DEG
+from ctrplan.base.package import warn_caller
 from ctrplan.errors import InputError
 
 Array = NDArray[np.float64]
@@ -123,6 +124,13 @@ def are_degrees(theta: ArrayLike) -> bool:
     if largest > MOST_DEGREES:
         return False
     return largest > MOST_WINDING_RAD or (largest > WINDING_RAD and bool((angles == np.round(angles)).all()))
+
+
+def warn_of_degrees(key: str, theta: ArrayLike) -> None:
+    """Warns whoever called this package of angles that are meant to be radians and are most likely degrees."""
+    if are_degrees(theta):
+        shown = np.array2string(np.asarray(theta, dtype=np.float64), threshold=6)
+        warn_caller(f"{key} = {shown} rad: are these degrees? numpy.radians turns them.")
 
 
 CHANCE = 0.01  # by which digits that say radians would be a coincidence: about how often people mix the two up

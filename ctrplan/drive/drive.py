@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ctrplan.base.arguments import Choice, Number, require, rows_of
-from ctrplan.base.arrays import Array, numbers, read_only, vector
+from ctrplan.base.arrays import Array, numbers, read_only, vector, warn_of_degrees
 from ctrplan.base.package import shown
 from ctrplan.errors import InputError
 
@@ -133,6 +133,11 @@ class Drive:
             rule = f"must have shape (m,) or (K, m), m = {len(self.joints)} joints, not {values.shape}"
             raise InputError(rule, key="joint values")
         return self.home_theta_rad + values @ self.matrix_theta.T, self.home_l_m + values @ self.matrix_l.T
+
+    def warn_of_degrees(self, key: str, q: ArrayLike) -> None:
+        """Warns the caller of the package where joint values (m,) or (K, m) most likely have rotations in degrees."""
+        if np.ndim(q) and np.shape(q)[-1] == len(self.joints):
+            warn_of_degrees(f"rotations of {key}", np.asarray(q)[..., self.is_rotation])
 
     def named(self, q: Array) -> dict[str, float]:
         """Joint values (m,) by the joints' names, in deg or mm, as scenario files have them."""

@@ -261,6 +261,7 @@ class TipTracker:
         q = numbers(joints, "joints").copy()
         if q.shape != (len(self._space.weights_mm),) or not np.isfinite(q).all():
             raise InputError(f"must be {len(self._space.weights_mm)} finite numbers", key="joints", value=joints)
+        self._space.drive.warn_of_degrees("joints", q)
         if not self._space.allowed(q):
             raise InputError(self._space.violation(q[None]), key="joints")
         samples = self._walk(q[None])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import warnings
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from ctrplan.errors import InputError
 from ctrplan.files.measurement_file import load_measurements
 from ctrplan.files.robot_file import load_robot
 from ctrplan.robot.magnitudes import likely_units
+from ctrplan.scenario.joint_space import bare_scenario
 
 THREE = ROBOTS / "three_tube.toml"
 IN_NO_DOUBT = "youngs_modulus_GPa=60,poisson_ratio=0.3"
@@ -223,6 +225,38 @@ def test_degrees_given_for_radians_are_warned_about(name: str, theta: list[float
     if is_so:
         assert "theta_b" in str(told[0].message) and "degrees" in str(told[0].message)
         assert told[0].filename == __file__
+
+
+THETA_DEG, COLLARS_M = [0.0, 90.0, 180.0], [0.0, -0.017, -0.05]
+IN_DEGREES = {  # what takes collars or joint values of a scenario in free space, given rotations
+    "MotionChecker.check": lambda s, q: ctrplan.MotionChecker(s).check([q]),
+    "MotionChecker.motion": lambda s, q: ctrplan.MotionChecker(s).motion(s.start, q),
+    "MotionChecker.motions": lambda s, q: ctrplan.MotionChecker(s).motions([s.start], [q]),
+    "MotionChecker.clearance": lambda s, q: ctrplan.MotionChecker(s).clearance(q),
+    "History.advance": lambda s, q: s.robot.history().advance(q[:3], COLLARS_M),
+    "History.follow": lambda s, q: s.robot.history().follow([q[:3]], [COLLARS_M]),
+    "Walker.bound": lambda s, q: s.robot.walker().bound(q[:3], COLLARS_M),
+    "Observer.observe": lambda s, q: s.robot.observer(1e-3).observe(q[:3], COLLARS_M),
+    "TipTracker": lambda s, q: ctrplan.TipTracker(s, q),
+    "certify": lambda s, q: ctrplan.certify(s, [s.start, q]),
+    "reorder": lambda s, q: ctrplan.reorder([s.start, q], s),
+    "l_shaped": lambda s, q: ctrplan.l_shaped([s.start, q], s),
+    "plan_uncertainty": lambda s, q: ctrplan.plan_uncertainty(s, q),
+    "bound_with_parameters": lambda s, q: ctrplan.bound_with_parameters(s.robot, q[:3], COLLARS_M),
+    "Goal": lambda s, q: s.with_(goal=ctrplan.Goal(joints=q, tip_m=None, tolerance_m=1e-3)),
+}
+
+
+@pytest.mark.parametrize("name", IN_DEGREES)
+def test_degrees_given_to_what_takes_joints_are_warned_about(name: str) -> None:
+    scenario = bare_scenario(load_robot(THREE))
+    for theta, is_so in ((THETA_DEG, True), (np.radians(THETA_DEG), False)):
+        with warnings.catch_warnings(record=True) as told, suppress(ctrplan.CtrplanError):
+            warnings.simplefilter("always")
+            IN_DEGREES[name](scenario, np.append(theta, scenario.start[3]))
+        assert bool(told) == is_so
+        if is_so:
+            assert "degrees" in str(told[0].message) and told[0].filename == __file__
 
 
 def test_millimetres_given_for_metres_of_joints_are_named() -> None:
