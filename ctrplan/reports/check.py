@@ -309,6 +309,7 @@ def _of_measurements(data: Measurements, robot: Robot) -> Check:
     readings = read_again(robot, data)
     facts: dict[str, Any] = {"poses": data.count, "reading": [reading.to_json() for reading in readings]}
     flags = [f"{data.file}: {reading.sentence}" for reading in readings]
+    flags += [text for text in data.warnings if text.endswith("?")]
     if len(off):
         facts |= {"error_median_mm": float(np.median(off)) * 1e3, "error_largest_mm": float(off.max()) * 1e3}
         lines.append(
@@ -323,7 +324,7 @@ def _of_measurements(data: Measurements, robot: Robot) -> Check:
         elif not flags and len(turned) and np.median(turned) > FAR_TURNED_DEG:
             hint = "do they point to the base?" if np.median(turned) > 135 else "are their columns in another order?"
             flags.append(f"{data.file}: tangents are {np.median(turned):.3g} deg off those of the robot: {hint}")
-    notes = (*data.warnings, *how_taken(data))
+    notes = (*(text for text in data.warnings if text not in flags), *how_taken(data))
     return Check(str(data.file), "measurements", tuple(lines), tuple(flags), notes, facts, robot)
 
 
