@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from decimal import Decimal
 from typing import Any
@@ -110,7 +110,7 @@ MOST_WINDING_RAD = 50 * math.pi  # beyond which any number is
 
 
 def are_degrees(theta: ArrayLike) -> bool:
-    """Whether angles that are meant to be radians are most likely degrees: whole numbers beyond a turn, or huge."""
+    """Whether angles that are meant to be radians are most likely degrees: whole beyond a turn, or huge."""
     try:
         given = np.asarray(theta)
     except (TypeError, ValueError, OverflowError):
@@ -123,7 +123,7 @@ def are_degrees(theta: ArrayLike) -> bool:
     largest = float(np.abs(angles).max())
     if largest > MOST_DEGREES:
         return False
-    return largest > MOST_WINDING_RAD or (largest > WINDING_RAD and bool((angles == np.round(angles)).all()))
+    return largest > MOST_WINDING_RAD or bool(((angles == np.round(angles)) & (np.abs(angles) > WINDING_RAD)).any())
 
 
 def warn_of_degrees(key: str, theta: ArrayLike) -> None:
@@ -154,6 +154,16 @@ def are_radians(angles_deg: Iterable[float]) -> bool:
         if chance < CHANCE:
             return True
     return False
+
+
+def in_radians(angles_deg: Sequence[float]) -> int | None:
+    """The number of an angle that is meant to be degrees and is most likely in radians; None where there is none.
+
+    The first that is not 0 where all of them are by what they have in common, else one that is so by itself.
+    """
+    if are_radians(angles_deg):
+        return next(k for k, angle in enumerate(angles_deg) if angle)
+    return next((k for k, angle in enumerate(angles_deg) if are_radians([angle])), None)
 
 
 def content_sha256(value: object) -> str:

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from ctrplan.robot.robot import Robot
     from ctrplan.studies.sweep import Sweep
 
+TURNS = ": are whole parts of a turn in radians: are these in radians?"
 LONG_S = 2.0
 FEWEST_TUBES = 6  # that may take so long
 AT_ONCE = 4  # friction states that the core solves side by side
@@ -173,7 +174,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Runs the command; returns its exit code. Raises CtrplanError when there is no bound to print."""
     import numpy as np
 
-    from ctrplan.base.arrays import are_radians
+    from ctrplan.base.arrays import in_radians
     from ctrplan.files.robot_file import load_robot
     from ctrplan.mechanics.shapes import Status
     from ctrplan.motion.play import play_shift
@@ -189,8 +190,8 @@ def run(arguments: argparse.Namespace) -> int:
     theta_b, l_b = robot.collars(*commanded)
     if sentence := nesting_violation(robot, theta_b, l_b):
         raise InputError(sentence, key="--l-mm", value=arguments.l_mm, unit="mm")
-    turns = "--theta-deg: are whole parts of a turn in radians: are these in radians?"
-    warn([*robot.warnings, *range_notes(robot, *commanded), *([turns] if are_radians(arguments.theta_deg) else [])])
+    turns = [] if in_radians(arguments.theta_deg) is None else [f"--theta-deg{TURNS}"]
+    warn([*robot.warnings, *range_notes(robot, *commanded), *turns])
     result = _bounded(robot, theta_b, l_b, arguments)
     play_mm = play_shift(robot, theta_b, l_b) * 1e3
     if arguments.json:

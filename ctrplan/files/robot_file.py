@@ -22,7 +22,15 @@ from ctrplan.files.robot_tables import (
 )
 from ctrplan.measurement.measurements import Marker, SensorNoise
 from ctrplan.mechanics.tube import RANGES, SOFTEST_NM2, STIFFEST_NM2, Contact, Tube, TubeSection
-from ctrplan.robot.magnitudes import bend_readings, robot_doubts, summarised
+from ctrplan.robot.magnitudes import (
+    SLENDER,
+    bend_readings,
+    in_words,
+    likely_units,
+    robot_doubts,
+    summarised,
+    tube_doubts,
+)
 from ctrplan.robot.named_numbers import (
     BENDING,
     CURVATURES,
@@ -260,6 +268,9 @@ def _check_fit(outer: Tube, inner: Tube, i: int, document: Document) -> None:
             f"sections add up to {inner.length_m * 1e3:g} mm, must be at least {needed * 1e3:g} mm: the length of "
             f"tube {i} ({outer.length_m * 1e3:g} mm) and this tube's collar ({inner.collar_length_m * 1e3:g} mm)"
         )
+        if inner.length_m < SLENDER * inner.outer_diameter_m:
+            units = likely_units(inner.length_m, "mm", needed, LONGEST_TUBE_MM * 1e-3)
+            rule += f": are they in {in_words(units)}?" if units else ""
         raise document.fault(rule, "tube", i)
 
 
@@ -321,6 +332,10 @@ def _build(document: Document) -> Robot:
         path=document.file,
     )
     if violation := never_nests(robot):
+        for doubt in tube_doubts(robot):  # lengths in metres beside those in millimetres
+            is_length = len(doubt.key) == 2 or doubt.key[-1] in ("length_mm", "collar_length_mm")
+            if is_length and (key := _key_in_file(doubt.key, document)):
+                raise document.fault(f"{doubt.rule} No joint values nest the tubes", *key)
         raise document.fault(f"no joint values within limits nest the tubes, at home {violation}", "home", "l_mm")
     intervals = build_intervals(entry.uncertainty, robot, document)
     doubts = doubtful_numbers(robot, document)

@@ -230,12 +230,13 @@ def _first_task(robot: Robot, mesh: dict[str, str], path: str) -> FirstTask:
             part = anatomy_part(TomlTable(Document.of({"anatomy": [table]}, "scenario", path or None), ("anatomy", 0)))
         except InputError:  # which `ctrplan check` says
             return FirstTask(start, goal)
-        rooms = _rooms_m(robot, part, starts[:1])
-        if not rooms[0] >= ROOM_M:  # other turns may bend it clear
-            rooms = np.append(rooms, _rooms_m(robot, part, starts[1:]))
-        if not np.nanmax(np.append(rooms, -np.inf)) >= ROOM_M:
-            continue
-        begin = starts[int(np.argmax(rooms >= ROOM_M))]
+        if not _rooms_m(robot, part, starts[:1])[0] >= ROOM_M:  # other turns may bend it clear
+            clear = starts[_rooms_m(robot, part, starts) >= ROOM_M]
+            if not len(clear):
+                continue
+            begin = clear[np.argmax(robot.mechanics.bound_many(*drive.collars(clear)).stability)]
+        else:
+            begin = start
         for share in FARTHER:
             ahead = np.where(drive.is_rotation, drawn, begin + share * (drawn - begin))
             at = robot.mechanics.tips(*drive.collars(ahead))[0]

@@ -28,11 +28,13 @@ from ctrplan.measurement.measurements import Measurements
 from ctrplan.mechanics.shapes import Bound, Status
 from ctrplan.mechanics.tube import TubeSection
 from ctrplan.pipeline.tip_table import point_table
+from ctrplan.planning.room import blocked, start_trouble
 from ctrplan.reports.object_figures import bound_figure, robot_figure
 from ctrplan.robot.magnitudes import implied_young_Pa, reach_m, straightened_strain
 from ctrplan.robot.robot import Robot
 from ctrplan.scenario.joint_space import JointSpace
-from ctrplan.scenario.scenario import Scenario
+from ctrplan.scenario.scenario import Goal, Scenario
+from ctrplan.scenario.sizes import nearest_tip_m
 from ctrplan.storage.toml_document import Document, read_document
 
 if TYPE_CHECKING:
@@ -248,7 +250,9 @@ def _of_scenario(scenario: Scenario) -> Check:
         lines.append(f"anatomy.{k}: {part.shape.name}, {_point(size / MM_PER_M)} mm across, {role}, {margin}")
     start, fault = _start(scenario)
     lines += [f"start: {_shown(scenario.robot, scenario.start)}", *([start] if start else [])]
-    flags = [*doubtful_sizes(scenario), *([f"{scenario.path or scenario.name}: start: {fault}"] if fault else [])]
+    faults = {"start": fault} | {goal.place: _goal_fault(scenario, goal) for goal in scenario.targets}
+    where = scenario.path or scenario.name
+    flags = [*doubtful_sizes(scenario), *(f"{where}: {key}: {text}" for key, text in faults.items() if text)]
     notes = [text for text in scenario.warnings if text not in (*scenario.robot.warnings, *flags) and MORE not in text]
     return Check(
         name=scenario.name,
@@ -270,14 +274,38 @@ def _start(scenario: Scenario) -> tuple[str, str]:
     from ctrplan.motion.checker import MotionChecker  # with its own solver
 
     status = scenario.robot.mechanics.bound(*scenario.robot.drive.collars(scenario.start))
-    room_m = float(MotionChecker(scenario).clearance(scenario.start).clearance_m[0])
+    checker = MotionChecker(scenario)
+    room_m = float(checker.clearance(scenario.start).clearance_m[0])
     line = (
         f"       stability {status.frictionless.stability:.2g}, strain {100 * status.frictionless.max_strain:.2g} %, "
         f"friction may move the tip by {status.position_m * 1e3:.3g} mm there"
     )
     if np.isfinite(room_m):
         line += f"; {room_m * MM_PER_M:.3g} mm are left beyond the margins"
-    return line, f"the body is {-room_m * MM_PER_M:.3g} mm too near to the anatomy, or in it" if room_m < 0 else ""
+    near = f"the body is {-room_m * MM_PER_M:.3g} mm too near to the anatomy, or in it" if room_m < 0 else ""
+    return line, near and (start_trouble(checker) or near)
+
+
+def _goal_fault(scenario: Scenario, goal: Goal) -> str:
+    """What makes it impossible that any tip gets to a goal; empty if nothing is seen."""
+    robot, tip = scenario.robot, goal.tip_m
+    if tip is None or goal.joints is not None:
+        return ""
+    if trouble := blocked(scenario, tip, robot.tubes[-1].outer_diameter_m / 2, goal.tolerance_m):
+        return trouble
+    at = scenario.base_R.T @ (tip - scenario.base_position_m)
+    away, reach = float(np.linalg.norm(at)), reach_m(robot)
+    same = "are the goal and [base] in the same frame?"
+    if away > reach + goal.tolerance_m:
+        return f"lies {away * 1e3:.3g} mm from the base, the robot is {reach * 1e3:.3g} mm long: {same}"
+    if away < nearest_tip_m(robot) - goal.tolerance_m:
+        return (
+            f"lies {away * 1e3:.3g} mm from the base, no tip ends nearer to it than {nearest_tip_m(robot) * 1e3:.3g} mm"
+        )
+    q = JointSpace.of_robot(robot).sample(np.random.default_rng(0), SAMPLES)
+    if at[2] < 0 and len(q) and np.nanmin(robot.mechanics.tips(*robot.drive.collars(q))[0][:, 2]) > 0:
+        return f"lies {-at[2] * 1e3:.3g} mm behind the base, where none of {len(q)} tips was: {same}"
+    return ""
 
 
 def _point(point_m: Array) -> str:

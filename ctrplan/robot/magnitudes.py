@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from ctrplan.base.arrays import are_degrees, are_radians
+from ctrplan.base.arrays import are_degrees, are_radians, in_radians
 from ctrplan.drive.drive import UNITS
 from ctrplan.robot.robot import diametral_gap_m
 
@@ -86,8 +86,7 @@ def straightened_strain(tube: Tube) -> float:
 
 def robot_doubts(robot: Robot) -> Iterator[Doubt]:
     """Numbers of a robot that are most likely in another unit, tube by tube."""
-    for i, tube in enumerate(robot.tubes):
-        yield from _tube_doubts(tube, i)
+    yield from tube_doubts(robot)
     radii = _radii_doubt(robot)
     yield from radii
     yield from _softness_doubts(robot)
@@ -116,6 +115,12 @@ def robot_doubts(robot: Robot) -> Iterator[Doubt]:
     if robot.model_error_m > 0.1 * reach_m(robot):
         rule = f"is more than a tenth of the robot's {reach_m(robot) * 1e3:.3g} mm"
         yield Doubt(("model_error_mm",), rule + _unit_question(likely_units(robot.model_error_m, "mm", 0, 0.01)))
+
+
+def tube_doubts(robot: Robot) -> Iterator[Doubt]:
+    """Numbers of the tubes by themselves that are most likely in another unit."""
+    for i, tube in enumerate(robot.tubes):
+        yield from _tube_doubts(tube, i)
 
 
 def _tube_doubts(tube: Tube, i: int) -> Iterator[Doubt]:
@@ -288,7 +293,7 @@ def _or(words: Sequence[str]) -> str:
 
 def _drive_doubts(robot: Robot) -> Iterator[Doubt]:
     longest, drive = reach_m(robot), robot.drive
-    if are_radians(np.degrees(drive.home_theta_rad)):
+    if in_radians(np.degrees(drive.home_theta_rad).tolist()) is not None:
         yield Doubt(("home", "theta_deg"), "are whole parts of a turn in radians: are they in radians?")
     if are_degrees(np.round(drive.home_theta_rad, WRITTEN)):
         yield Doubt(("home", "theta_deg"), "are whole numbers of radians: are they degrees given for radians?")

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ctrplan.anatomy.parts import AnatomyPart
-from ctrplan.base.arrays import Array, are_degrees, are_radians
+from ctrplan.base.arrays import Array, are_degrees, are_radians, in_radians
 from ctrplan.mechanics.tube import Loads
 from ctrplan.robot.magnitudes import UNITS_M, in_words, reach_m
 from ctrplan.robot.robot import Robot
@@ -91,9 +91,9 @@ def joint_doubts(robot: Robot, values: Mapping[str, object]) -> Iterator[tuple[s
     joints = {joint.name: joint for joint in robot.drive.joints}
     given = {name: float(x) for name, x in values.items() if name in joints and isinstance(x, (int, float))}
     angles = {name: x for name, x in given.items() if joints[name].kind == "rotation" and x}
-    if are_radians(angles.values()):
-        rule = "is a whole part of a turn in radians, as its neighbours are: are these in radians?"
-        yield next(iter(angles)), SizeDoubt(rule, False)
+    if (k := in_radians([*angles.values()])) is not None:
+        alike = ", as its neighbours are: are these" if are_radians(angles.values()) else ": is it"
+        yield [*angles][k], SizeDoubt(f"is a whole part of a turn in radians{alike} in radians?", False)
     if are_degrees(np.round(np.radians(list(angles.values())), 9)):
         rule = "is a whole number of radians, as its neighbours are: are these degrees given for radians?"
         yield next(iter(angles)), SizeDoubt(rule, False)

@@ -177,7 +177,8 @@ def _beyond(value: float, kind: inspect.FloatType | inspect.IntType, path: Path)
         ("<=", kind.le, kind.le is None or value <= kind.le),
     ):
         if not is_kept and limit is not None:
-            return path, f"must be {_range(kind) or f'{sign} {limit:g}'}"
+            hint = ", a share: is it in %?" if limit == 1 and 2 <= value <= 100 and sign == "<=" else ""
+            return path, f"must be {_range(kind) or f'{sign} {limit:g}'}{hint}"
     return None
 
 

@@ -54,6 +54,10 @@ def test_no_shipped_scenario_is_in_doubt(file: Path) -> None:
             {"rotate outer": 0.0, "rotate middle": 3.1416, "rotate inner": 0.0},
             "start.rotate middle = 3.1416: is a whole",
         ),
+        (
+            {"rotate outer": 0.0, "rotate middle": 3.14159, "rotate inner": 90.0},
+            "start.rotate middle = .*: is it in rad",
+        ),
         ({"translate inner": -0.0864}, "start.translate inner = -0.0864: moves by 0.0864 mm, .*are these in metres"),
         ({"rotate outer": 3.0, "rotate middle": -1.5, "rotate inner": 0.5}, ""),
         ({"translate inner": -0.5}, ""),
@@ -216,6 +220,30 @@ def test_tolerances_and_margins_of_a_scenario_by_what_they_would_mean(said: str,
     flags = ctrplan.check(scenario).flags
     assert len(told) == len(flags) == bool(phrase)
     assert all(re.search(phrase, text) for text in (*told, *flags))
+
+
+@pytest.mark.parametrize(
+    ("said", "phrase"),
+    [
+        ("goal.tip_mm=[34, -47, -200]", r"goal.tip_mm = .*: lies 200 mm behind the base, where none of 64 tips was"),
+        (
+            "goal.tip_mm=[134, -247, 1200]",
+            r"lies 1.23e\+03 mm from the base, .*: are the goal and \[base\] in the same",
+        ),
+        ("goal.tip_mm=[30, 10, 60]", r"lies 67.8 mm from the base, no tip ends nearer to it than 108 mm"),
+        ("base.direction=[0, 0, -1]", r"lies 200 mm behind the base"),
+        ("goal.tip_mm=[34, -47, 200]", ""),
+    ],
+)
+def test_check_marks_goals_that_no_tip_gets_to(said: str, phrase: str) -> None:
+    flags = ctrplan.check(load_scenario(SCENARIOS / "ribs.toml", [said])).flags
+    assert len(flags) == bool(phrase) and all(re.search(phrase, text) for text in flags)
+
+
+def test_check_marks_a_target_within_an_obstacle() -> None:
+    scenario = load_scenario(SCENARIOS / "biopsy_tour.toml", ["target.2.tip_mm=[21, -30, 77.5]"])
+    (flag,) = ctrplan.check(scenario).flags
+    assert "target.2.tip_mm" in flag and "mm inside anatomy.1 (ribs.stl), which is to be avoided" in flag
 
 
 def test_a_start_in_degrees_given_in_code_is_named() -> None:

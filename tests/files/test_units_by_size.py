@@ -16,7 +16,7 @@ from places import ROBOTS
 
 import ctrplan
 from ctrplan.__main__ import main
-from ctrplan.base.arrays import are_degrees, are_radians
+from ctrplan.base.arrays import are_degrees, are_radians, in_radians
 from ctrplan.errors import InputError
 from ctrplan.files.measurement_file import load_measurements
 from ctrplan.files.robot_file import load_robot
@@ -44,6 +44,7 @@ IN_NO_DOUBT = "youngs_modulus_GPa=60,poisson_ratio=0.3"
         ("tube.1.bending_stiffness_Nm2=17.67", r"is it in N cm\^2 or lb in\^2\?"),
         ("tube.1.max_strain=0.8", r"no material of 65 GPa bears 80 % and comes back: is it in %\?"),
         ("model_error_mm=500", r"is more than a tenth of the robot's 270 mm: is it in micrometres\?"),
+        ("home.theta_deg=[0, 3.14159, 20]", r"home.theta_deg = .*: are they in radians\?"),
         ("home.theta_deg=[0, 3.14159, 1.5708]", r"home.theta_deg = .*: are they in radians\?"),
         ("joint.1.min_deg=-1.5708;joint.1.max_deg=1.5708", "are its limits in radians"),
         ("joint.4.moves={l=[0,0,1000]}", r"moves a tube by 86.4 m within its limits, .*: are these m per m\?"),
@@ -173,6 +174,15 @@ def test_a_tube_that_is_straight_in_any_unit_is_in_no_doubt() -> None:
     assert load_robot(THREE, ["tube.1.section.1.curvature_y_per_m=0"]).warnings == ()
 
 
+def test_lengths_in_metres_beside_a_home_in_millimetres_are_named_before_nesting() -> None:
+    said = [f"tube.{i}.section.{k}.length_mm={x}" for i, k, x in ((1, 1, 0.15), (2, 1, 0.017), (2, 2, 0.15))]
+    with pytest.raises(InputError, match=r"tube.2: sections add up to 0.167 mm, .*: are they in metres\?"):
+        load_robot(THREE, said)
+    said += [f"tube.{i}.collar_length_mm=0.017" for i in (2, 3)]
+    with pytest.raises(InputError, match=r"tube.1.*: is 0.15 mm long, .*: are its lengths in metres\? No joint values"):
+        load_robot(THREE, said)
+
+
 def test_many_doubts_are_one_line_that_says_how_many_more_there_are() -> None:
     (warning,) = load_robot(THREE, [f"tube.{i}.bending_stiffness_Nm2=50700" for i in (1, 2, 3)]).warnings
     assert f"(2 more numbers in doubt: ctrplan check {THREE})" in warning
@@ -285,6 +295,8 @@ def test_the_rules_themselves() -> None:
     assert likely_units(11.0, "m", 0.1, 0.3) == ["cm", "in"]
     assert are_radians([3.1416]) and are_radians([0, -6.283]) and are_radians([0.349, -1.047, 1.396])
     assert not any(map(are_radians, ([], [0.0], [3], [1.5], [3.1], [0.35, 20], [2.0, -2.0], [90.0], [np.inf])))
+    assert in_radians([0, 3.1416, 90]) == 1 and in_radians([0, 1.5, 90]) is None and in_radians([0, 0.349, -1.047]) == 1
+    assert are_degrees([0.5, 90.0, 1.2]) and not are_degrees([0.5, 6.0, 1.2])
     assert are_degrees([0, 30.0]) and not are_degrees([6.0]) and not are_degrees([6.5]) and not are_degrees([])
     assert not are_degrees([np.nan]) and are_degrees([400.3])
 
