@@ -19,6 +19,7 @@ from ctrplan.robot.robot import Robot
 
 NEAR = 0.01  # share of the robot's length: a tip that is nearer to the base lies in the plate
 PLAUSIBLE = 0.05, 1.05  # shares of it at which goals are
+BESIDE = 2.0  # lengths of the robot within which obstacles may be meant that it does not reach
 LARGEST_PART = 25.0  # lengths of the robot
 USUAL_PART = 0.02, 5.0  # of a part that is meant to be next to it
 FACTORS = {  # by which numbers are too small or too large that are read in the wrong one of two units, usual ones first
@@ -177,24 +178,27 @@ def scene_doubts(
 ) -> Iterator[tuple[int, SizeDoubt]]:
     """Parts, by number from 0, whose scene as a whole is of another size than the robot's way.
 
-    Obstacles that all end before a tenth of the robot's length, or begin beyond it, hinder nothing; goals that are
-    nearer to the wall of a lumen than the thinnest tube is wide are reached by no tube.
+    Obstacles that all end before a tenth of the way to the goals, or begin far beyond the robot, hinder nothing;
+    goals that are nearer to the wall of a lumen than the thinnest tube is wide are reached by no tube.
     """
     length, thinnest = reach_m(robot), robot.tubes[-1].outer_diameter_m
+    way = max((float(np.linalg.norm(tip - base_m)) for tip in tips_m), default=length)
     obstacles = [k for k, part in enumerate(parts) if part.role == "avoid"]
     boxes = [parts[k].shape.box() for k in obstacles]
 
     def on_the_way(factor: float) -> bool:
         """Whether any of the obstacles is where the robot may be, their numbers multiplied by a factor."""
         ends = [_away_from(base_m, low * factor, high * factor) for low, high in boxes]
-        return any(nearest <= length and farthest > length / SMALLEST_FACTOR for nearest, farthest in ends)
+        return any(nearest <= BESIDE * length and farthest > way / SMALLEST_FACTOR for nearest, farthest in ends)
 
     if boxes and not on_the_way(1.0) and (likely := [factor for factor in FACTORS if on_the_way(factor)]):
         ends = [_away_from(base_m, *box) for box in boxes]
         nearest, farthest = min(end[0] for end in ends), max(end[1] for end in ends)
-        where = f"begins {nearest * 1e3:.3g}" if nearest > length else f"ends {farthest * 1e3:.3g}"
-        rule = f"{where} mm from the base, the robot is {length * 1e3:.3g} mm long: is it {_words(likely)}"
-        rule += ", or in another frame than [base]?" if nearest > length else "?"
+        where = f"ends {farthest * 1e3:.3g} mm from the base, the goals are {way * 1e3:.3g} mm away"
+        rule = f"{where}: is it {_words(likely)}?"
+        if nearest > length:
+            where = f"begins {nearest * 1e3:.3g} mm from the base, the robot is {length * 1e3:.3g} mm long"
+            rule = f"{where}: is it {_words(likely)}, or in another frame than [base]?"
         yield obstacles[0], SizeDoubt(rule, False, _key(parts[obstacles[0]]))
     lumens = [k for k, part in enumerate(parts) if part.role == "inside"]
     rooms = [max(-float(parts[k].shape.distance(tip[None])[0]) for k in lumens) for tip in tips_m if lumens]

@@ -126,7 +126,7 @@ def shipped_with_meshes_times(folder: Path, name: str, factor: float, **changes:
         (
             "ribs",
             0.1,
-            r"ends 11.1 mm from the base, the robot is 270 mm long: is it 10 times too small \(cm read as mm\)",
+            r"ends 11.1 mm from the base, the goals are 208 mm away: is it 10 times too small \(cm read as mm\)",
         ),
         ("deploy", 1 / 25.4, r"ends 4.38 mm .* or 25.4 times too small \(inches read as mm\)\?"),
         ("ribs", 10.0, r"begins 710 mm .*: is it 10 times too large \(mm read as cm\) .* or in another frame than"),
