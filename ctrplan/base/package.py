@@ -149,8 +149,10 @@ def _cut(text: str, most: int = WIDEST) -> str:
 
 
 def warn_caller(text: str) -> None:
-    """Warns whoever called this package, at the line that did."""
+    """Warns whoever called this package, at the line that did; commands warn in words of their own."""
     level, frame = 1, sys._getframe()
     while frame.f_back and frame.f_globals.get("__name__", "").split(".")[0] in ("ctrplan", "dataclasses"):
+        if frame.f_globals["__name__"].startswith("ctrplan.commands."):
+            return
         level, frame = level + 1, frame.f_back
     warnings.warn(text, stacklevel=level)

@@ -179,6 +179,7 @@ def run(arguments: argparse.Namespace) -> int:
     from ctrplan.mechanics.shapes import Status
     from ctrplan.motion.play import play_shift
     from ctrplan.pipeline.chain import range_notes
+    from ctrplan.robot.magnitudes import in_words, likely_units, reach_m
     from ctrplan.robot.robot import nesting_violation
 
     if arguments.sweep:
@@ -189,6 +190,8 @@ def run(arguments: argparse.Namespace) -> int:
     commanded = configuration(arguments, robot.n)
     theta_b, l_b = robot.collars(*commanded)
     if sentence := nesting_violation(robot, theta_b, l_b):
+        units = likely_units(float(np.abs(l_b).max()), "mm", 0.05 * reach_m(robot), reach_m(robot))
+        sentence += f": are these in {in_words(units[:1])}?" if units else ""
         raise InputError(sentence, key="--l-mm", value=arguments.l_mm, unit="mm")
     turns = [] if in_radians(arguments.theta_deg) is None else [f"--theta-deg{TURNS}"]
     warn([*robot.warnings, *range_notes(robot, *commanded), *turns])

@@ -236,6 +236,7 @@ def _time_doubt(robot: Robot, data: Measurements) -> Iterator[str]:
     speed = [joint.max_velocity for joint in drive.joints]
     turned, moved = np.abs(drive.matrix_theta) @ speed, np.abs(drive.matrix_l) @ speed
     steps = [np.abs(np.diff(values, axis=0)) for values in (data.theta_commanded, data.l_commanded)]
+    steps[0] = np.minimum(steps[0], 2 * np.pi)  # turns are not made in vain: more are degrees
     with np.errstate(divide="ignore", invalid="ignore"):  # of tubes that no joint moves
         by_tube = np.hstack([steps[0] / turned, steps[1] / moved])
     need, left = np.where(np.isfinite(by_tube), by_tube, 0.0).max(axis=1), np.diff(data.time_s)

@@ -218,6 +218,11 @@ def test_points_for_the_tip_in_python_and_on_the_command_line(capsys: pytest.Cap
     robot = load_robot(THREE)
     with pytest.raises(InputError, match=r"tip_m = \[34.0, -47.0, 200.0\] m: lies .* are these in millimetres"):
         ctrplan.inverse_kinematics(robot, [34, -47, 200])
+    assert main(["ik", str(THREE), "--tip-mm", "3.4", "-4.7", "20"]) == 1
+    assert "--tip-mm = [3.4, -4.7, 20.0] mm: lies 20.8 mm from the base, " in (told := capsys.readouterr().err)
+    assert "are these in centimetres?" in told and "UserWarning" not in told
+    assert main(["bound", str(THREE), "--theta-deg", "0", "180", "90", "--l-mm", "0", "-0.017", "-0.06"]) == 2
+    assert "are these in metres?" in capsys.readouterr().err
     assert main(["ik", str(THREE), "--tip-mm", "0.034", "-0.047", "0.2"]) == 2
     assert "--tip-mm = [0.034, -0.047, 0.2] mm: lies 0.208 mm from the base" in capsys.readouterr().err
 
