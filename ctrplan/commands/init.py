@@ -37,7 +37,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--tube", action="append", metavar="OxI,S,B,R", help="of a robot, outermost first; repeatable")
     parser.add_argument("--name", default="my robot", help="of a robot (default: %(default)s)")
     parser.add_argument("--robot", metavar="ROBOT.toml", help="that a scenario or measurements are of")
-    parser.add_argument("--mesh", metavar="FILE", help="of a scenario: what to avoid")
+    parser.add_argument("--mesh", metavar="FILE", help="of a scenario: what to avoid, or the lumen around it")
     parser.add_argument("--unit", choices=("mm", "cm", "m", "in"), help="of the mesh (default: mm, of glTF m)")
     parser.add_argument("--table", metavar="FILE.csv", help="of a mapping file: the measurements")
 

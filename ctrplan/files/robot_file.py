@@ -24,6 +24,7 @@ from ctrplan.measurement.measurements import Marker, SensorNoise
 from ctrplan.mechanics.tube import RANGES, SOFTEST_NM2, STIFFEST_NM2, Contact, Tube, TubeSection
 from ctrplan.robot.magnitudes import (
     SLENDER,
+    USUAL_OUTER_M,
     bend_readings,
     in_words,
     likely_units,
@@ -229,6 +230,8 @@ def _check_stiffnesses(entry: TubeEntry, EI: float, ratio: float, i: int, docume
     """Raises InputError for a Poisson's ratio or stiffnesses that go beyond what the model takes."""
     if not SOFTEST_NM2 <= EI <= STIFFEST_NM2:
         rule = f"makes a bending stiffness of {EI:.3g} N m^2, must be from {SOFTEST_NM2:g} to {STIFFEST_NM2:g}"
+        if units := likely_units(entry.outer_diameter_mm * 1e-3, "mm", *USUAL_OUTER_M):
+            rule += f": are the diameters in {in_words(units)}?"
         raise document.fault(rule, "tube", i, YOUNG)
     if not LEAST_RATIO < ratio <= LARGEST_RATIO:
         given = (TORSIONAL, entry.torsional_stiffness_Nm2), (SHEAR, entry.shear_modulus_GPa)

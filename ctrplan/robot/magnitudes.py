@@ -32,6 +32,7 @@ MOST_ARC_RAD = 4 * math.pi  # of a section
 USUAL_ARC_RAD = math.radians(10), math.radians(225)  # of a reading that explains a number
 MOST_ELASTIC = 0.12  # strain from which no stiff tube comes back: superelastic ones bear a tenth
 OUTER_M = 1e-4, 0.04  # outer diameters
+USUAL_OUTER_M = 3e-4, 0.02  # of a reading that explains a number
 SLENDER = 8.0  # length over outer diameter of the shortest tube
 DENSITY = 200.0, 25_000.0  # kg/m^3, foam to platinum
 NOISE_M = 2e-6, 0.02  # standard deviation of a tracker
@@ -127,7 +128,7 @@ def _tube_doubts(tube: Tube, i: int) -> Iterator[Doubt]:
     outer = tube.outer_diameter_m
     if not OUTER_M[0] <= outer <= OUTER_M[1]:
         yield Doubt(
-            ("tube", i, "outer_diameter_mm"), f"is no tube{_unit_question(likely_units(outer, 'mm', 3e-4, 0.02))}"
+            ("tube", i, "outer_diameter_mm"), f"is no tube{_unit_question(likely_units(outer, 'mm', *USUAL_OUTER_M))}"
         )
         return
     if tube.length_m < SLENDER * outer:
@@ -157,7 +158,11 @@ def _stiffness_doubts(tube: Tube, i: int) -> Iterator[Doubt]:
         of_EI = {"N mm^2": 1e-6, "N cm^2": 1e-4, "lb in^2": 2.87e-3, "kN m^2": 1e3, "MPa m^4": 1e6}
         of_E = {"MPa": 1e-3, "N/cm^2": 1e-5, "ksi": 6.895e-3, "Pa": 1e-9, "TPa": 1e3}
         sizes = {"in inches": 25.4, "in centimetres": 10.0, "in metres": 1e3, "radii": 2.0}
-        bore = [word for word, k in sizes.items() if low <= young / k**4 <= high and 3e-4 <= outer * k <= 0.02]
+        bore = [
+            word
+            for word, k in sizes.items()
+            if low <= young / k**4 <= high and USUAL_OUTER_M[0] <= outer * k <= USUAL_OUTER_M[1]
+        ]
         rules = []
         for factors in (of_EI, of_E):
             units = [unit for unit, factor in factors.items() if low <= young * factor <= high]

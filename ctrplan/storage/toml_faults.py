@@ -222,6 +222,8 @@ def _unknown_key(key: str, known: Mapping[str, Any]) -> str:
         return "is a key of scenarios, this must be a robot file"
     if key in {"name", *_OF_ROBOTS, *_OF_SCENARIOS} and known.keys() >= {"run", "columns"}:
         return "unknown key: measurements are a CSV table or its mapping file, not a robot or scenario"
+    if key in {*_OF_ROBOTS, *_OF_SCENARIOS} and "scenario" in known:
+        return "is a key of scenarios or robots, this must be a file that names a scenario: are two files exchanged?"
     quantity = _ANY_UNIT.sub("", key)
     if same := [name for name in known if _ANY_UNIT.sub("", name) == quantity]:
         return "unknown key, expected " + " or ".join(f"{n} (in {unit_of(n)})" if unit_of(n) else n for n in same)

@@ -68,6 +68,11 @@ def test_what_is_no_tube_is_refused(text: str) -> None:
         tube_choice(text)
 
 
+def test_tubes_in_metres_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["init", "robot", str(tmp_path / "r.toml"), "--tube", "0.0026x0.0024,0,0.15,0.265"]) == 2
+    assert "are the diameters in metres?" in capsys.readouterr().err and not (tmp_path / "r.toml").exists()
+
+
 def test_tubes_that_do_not_fit_are_refused_and_nothing_is_written(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
