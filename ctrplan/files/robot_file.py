@@ -23,6 +23,7 @@ from ctrplan.files.robot_tables import (
 from ctrplan.measurement.measurements import Marker, SensorNoise
 from ctrplan.mechanics.tube import RANGES, SOFTEST_NM2, STIFFEST_NM2, Contact, Tube, TubeSection
 from ctrplan.robot.magnitudes import (
+    PERCENT_RATIO,
     SLENDER,
     USUAL_OUTER_M,
     bend_readings,
@@ -396,7 +397,8 @@ def _key_in_file(key: tuple[str | int, ...], document: Document) -> tuple[str | 
 
 def _ratio_warnings(entry: RobotEntry, document: Document) -> Iterator[str]:
     for i, tube in enumerate(entry.tube):
-        if tube.poisson_ratio is not None and tube.poisson_ratio > MOST_RATIO:
+        given = tube.poisson_ratio
+        if given is not None and given > MOST_RATIO and not PERCENT_RATIO[0] <= given <= PERCENT_RATIO[1]:
             EI, ratio = stiffnesses(to_builtins(tube))
             rule = (
                 f"is above {MOST_RATIO}, which no material is: of stiffnesses that were fitted apart, say "

@@ -357,6 +357,7 @@ BODIES = ("anatomy", "fixture")
 WITHIN = (
     "tolerance_mm",
     "margin_mm",
+    "radius_mm",
     "max_error_goal_mm",
     "position_sigma_mm",
     "rotation_sigma_deg",

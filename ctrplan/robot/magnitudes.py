@@ -27,6 +27,7 @@ YOUNG_PA = 5e7, 1.2e12  # a soft polymer, and diamond, the stiffest that there i
 WALL = 10.0  # times by which rounded diameters of thin walls may make an implied modulus greater
 USUAL_YOUNG_PA = 1e9, 3e11  # of a reading that explains a number
 METALS_PA = (2.8e10, 8.3e10), (1.8e11, 2.15e11)  # nickel-titanium (martensite to austenite) and steel, by data sheets
+PERCENT_RATIO = 20.0, 50.0  # Poisson's ratio of solids, in %
 METAL_RATIO = 0.25, 0.36  # Poisson's ratio of steel, nickel-titanium and titanium
 MOST_ARC_RAD = 4 * math.pi  # of a section
 USUAL_ARC_RAD = math.radians(10), math.radians(225)  # of a reading that explains a number
@@ -177,6 +178,9 @@ def _stiffness_doubts(tube: Tube, i: int) -> Iterator[Doubt]:
         units = [unit for unit, factor in {"MPa": 1e-3, "ksi": 6.895e-3}.items() if 0.2 <= times * factor <= 0.7]
         rule = f"shear modulus would be {times:.3g} times Young's, of materials it is a third to a half"
         yield Doubt(("tube", i, "poisson_ratio"), rule, f"{rule}: is it in {_or(units)}?" if units else rule)
+    if PERCENT_RATIO[0] <= tube.poisson_ratio <= PERCENT_RATIO[1]:
+        rule = f"makes the shear modulus {2 * (1 + tube.poisson_ratio):.3g} times less than Young's: is it in %?"
+        yield Doubt(("tube", i, "poisson_ratio"), rule, rule.partition(":")[0])
     if tube.max_strain > MOST_ELASTIC and young > low:
         rule = f"no material of {young / 1e9:.2g} GPa bears {100 * tube.max_strain:.3g} % and comes back: is it in %?"
         yield Doubt(("tube", i, "max_strain"), rule)
@@ -258,8 +262,13 @@ def bend_readings(tube: Tube, section: TubeSection) -> tuple[list[str], list[str
     as_curvature |= {f"its radius in {IN_WORDS[unit]}": 1 / curvature / UNITS_M[unit] for unit in ("cm", "in")}
     as_radius = {f"its radius in {IN_WORDS[unit]}": 1 / radius_mm / UNITS_M[unit] for unit in ("cm", "in", "m")}
     as_radius["its curvature in 1/m (curvature_y_per_m)"] = radius_mm
+    lengths = [
+        f"its length in {IN_WORDS[unit]}"
+        for unit in likely_units(section.length_m, "mm", 5e-3, 1.0)
+        if USUAL_ARC_RAD[0] <= curvature * section.length_m * UNITS_M[unit] / UNITS_M["mm"] <= USUAL_ARC_RAD[1]
+    ]
     usual = [
-        [word for word, per_m in words.items() if _is_usual(tube, section, per_m)]
+        [word for word, per_m in words.items() if _is_usual(tube, section, per_m)] + lengths
         for words in (as_curvature, as_radius)
     ]
     return usual[0], usual[1]

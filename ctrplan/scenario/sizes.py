@@ -237,9 +237,10 @@ def tolerance_doubts(
             continue
         is_fine = value < WITHIN_M[0] / UNITS_M["mm"]
         units = [unit for unit in _others("mm") if WITHIN_M[1] <= value * UNITS_M[unit] <= WITHIN_M[2]]
-        if units and (is_fine or value > most):
+        is_coarse = value > most and key[-1] != "radius_mm"
+        if units and is_fine or is_coarse and (units or key[-1] == "tolerance_mm"):
             rule = "is finer than any tracker sees" if is_fine else "is more than a fifth of the robot's length"
-            yield key, SizeDoubt(f"{rule}: is it in {in_words(units)}?", False)
+            yield key, SizeDoubt(f"{rule}: is it in {in_words(units)}?" if units else rule, False)
 
 
 def _words(factors: Sequence[float]) -> str:

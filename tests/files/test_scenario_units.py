@@ -188,6 +188,15 @@ def test_places_of_obstacles_and_of_the_base(keys: dict[str, Any], phrase: str, 
     assert len(warned) == bool(phrase) and all(re.search(phrase, text) for text in warned)
 
 
+def test_a_thickness_in_metres_beside_places_in_millimetres(tmp_path: Path) -> None:
+    rod = {"kind": "capsule", "from_mm": [-40, 30, 90], "to_mm": [40, 30, 90], "radius_mm": 0.004, "margin_mm": 1.0}
+    (told,) = scenario(tmp_path, anatomy=[rod]).warnings
+    assert re.search(
+        r"anatomy.1.radius_mm = 0.004 mm: is finer than any tracker sees: is it in metres or inches\?", told
+    )
+    assert scenario(tmp_path, anatomy=[rod | {"radius_mm": 0.4}]).warnings == ()
+
+
 def test_obstacles_in_millimetres_in_code() -> None:
     given = scenario(Path())
     far = ctrplan.Anatomy(ctrplan.Capsule([30, -40, 115], [30, 8, 115], 4), margin_m=1e-3)
@@ -205,6 +214,7 @@ def test_obstacles_in_millimetres_in_code() -> None:
             "goal.direction=[0,0,1];goal.direction_tolerance_deg=0.0873",
             r"direction_tolerance_deg = .*: is it in radians\?",
         ),
+        ("goal.tolerance_mm=100", r"goal.tolerance_mm = 100 mm: is more than a fifth of the robot's length"),
         ("anatomy.1.margin_mm=0.0005", r"anatomy.1.margin_mm = 0.0005 mm: .*: is it in metres\?"),
         ("cost.max_error_goal_mm=0.002", r"cost.max_error_goal_mm = 0.002 mm: .*: is it in metres\?"),
         ("base.position_sigma_mm=0.0005", r"base.position_sigma_mm = 0.0005 mm: .*: is it in metres\?"),

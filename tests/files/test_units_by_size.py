@@ -42,6 +42,11 @@ IN_NO_DOUBT = "youngs_modulus_GPa=60,poisson_ratio=0.3"
         ("tube.3.section.2.curvature_y_per_m=0.1818", r"0.9 deg over its length: is its curvature in 1/cm"),
         ("tube.1.section.1.curvature_y_per_m=26.5", r"228 deg over its length: is 26.5 its radius in centimetres"),
         ("tube.1.bending_stiffness_Nm2=17.67", r"is it in N cm\^2 or lb in\^2\?"),
+        ("tube.1.poisson_ratio=30", r"poisson_ratio = 30: .* 62 times less than Young's: is it in %\?"),
+        (
+            "tube.3.section.2.length_mm=8.64",
+            r"9 deg over its length: is its radius in mm \(radius_mm\) or its length in centimetres\?",
+        ),
         ("tube.1.max_strain=0.8", r"no material of 65 GPa bears 80 % and comes back: is it in %\?"),
         ("model_error_mm=500", r"is more than a tenth of the robot's 270 mm: is it in micrometres\?"),
         ("home.theta_deg=[0, 3.14159, 20]", r"home.theta_deg = .*: are they in radians\?"),
