@@ -65,7 +65,8 @@ def joint_path(source: Source, robot: Robot, needed: Sequence[str] = (), known: 
     theta, notes = _whole_turns(source, theta, sequence.astype(int))
     if not source.is_mapped and are_degrees(theta):
         largest = float(np.abs(theta).max())
-        notes += (f"{table.file}: rotations go to {largest:g} rad: are these degrees?",)
+        whole = ", in whole numbers" if (theta == np.round(theta)).all() else ""
+        notes += (f"{table.file}: rotations go to {largest:g} rad{whole}: are these degrees?",)
     _check_joints(table, theta, l, robot, of_collars=source.of_collars)
     read = {"sequence", "time_s", *rotations, *translations, *needed, *known}
     others = table.others(read)

@@ -344,12 +344,12 @@ def _of_measurements(data: Measurements, robot: Robot) -> Check:
             f"the robot file explains them, without friction, to {np.median(off) * 1e3:.3g} mm in the middle, "
             f"{off.max() * 1e3:.3g} mm at most"
         )
-        if not flags and np.median(off) > FAR_OFF * reach_m(robot):
+        if not readings and np.median(off) > FAR_OFF * reach_m(robot):
             rule = "is too far for any effect: are columns in another order, axis or unit, or is the frame another one"
             flags.append(
                 f'{data.file}: {np.median(off) * 1e3:.3g} mm {rule}? frame = "unknown" in a mapping file finds it.'
             )
-        elif not flags and len(turned) and np.median(turned) > FAR_TURNED_DEG:
+        elif not readings and len(turned) and np.median(turned) > FAR_TURNED_DEG:
             hint = "do they point to the base?" if np.median(turned) > 135 else "are their columns in another order?"
             flags.append(f"{data.file}: tangents are {np.median(turned):.3g} deg off those of the robot: {hint}")
     notes = (*(text for text in data.warnings if text not in flags), *how_taken(data))

@@ -115,8 +115,9 @@ class CsvTable:
             filled = _numbered(filled)
         self.header = _column_names(filled[0], file)
         if header and any(self.header) and all(in_plain_digits(name or "0") is not None for name in self.header):
-            rule = "has no header: its first row holds numbers, the names of the columns must stand above it"
-            raise InputError(rule, file=file)
+            raise self.fault(
+                "is missing: the first row holds numbers, names of columns must stand above", column="header"
+            )
         self.rows = filled[1:]
         for name, count in Counter(self.header).items():
             if count > 1:

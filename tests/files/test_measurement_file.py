@@ -201,7 +201,7 @@ REFUSED = {
     "half a pose": (_set(2, "tz", ""), "row 2, tz: is empty, a pose needs all of"),
     "no pose": (_no_pose, "holds no pose"),
     "not nested": (_set(2, "l_2_m", "0.01"), "row 2: "),
-    "no header": (lambda table: table.pop(0), "has no header: its first row holds numbers"),
+    "no header": (lambda table: table.pop(0), "header: is missing: the first row holds numbers"),
     "x alone in mm": (_scale(("x_m",), 1000.0), "beyond the reach of 0.2 m, are these millimetres or centimetres?"),
     "decimal commas": (lambda table: _commas(table), "decimal commas"),
     "run comes back": (_set(30, "sequence", "0"), "this run was over"),
