@@ -10,6 +10,8 @@ from typing import Any, Literal, get_args, get_origin
 import msgspec
 from msgspec import inspect
 
+from ctrplan.base.arguments import percent_hint
+
 Path = tuple[str | int, ...]  # of keys and positions, these from 0
 Fault = tuple[Path, str]  # the place, and the rule that the value there breaks
 
@@ -177,7 +179,7 @@ def _beyond(value: float, kind: inspect.FloatType | inspect.IntType, path: Path)
         ("<=", kind.le, kind.le is None or value <= kind.le),
     ):
         if not is_kept and limit is not None:
-            hint = ", a share: is it in %?" if limit == 1 and 2 <= value <= 100 and sign == "<=" else ""
+            hint = percent_hint(value, limit) if sign == "<=" else ""
             return path, f"must be {_range(kind) or f'{sign} {limit:g}'}{hint}"
     return None
 

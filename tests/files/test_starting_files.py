@@ -216,7 +216,7 @@ def test_a_start_keeps_its_limits_in_the_digits_that_are_written(
     ("start", "phrase"),
     [
         ((-120.0, -180.0), "nothing of it is in front"),
-        ((-60.0, -80.0), "the body is .* mm too near to the anatomy, or in it"),
+        ((-60.0, -80.0), r"the robot cuts .* mm into anatomy.1 \(sphere\) at"),
     ],
 )
 def test_a_start_that_cannot_be_is_marked(
