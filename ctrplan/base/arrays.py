@@ -110,7 +110,7 @@ MOST_WINDING_RAD = 50 * math.pi  # beyond which any number is
 
 
 def are_degrees(theta: ArrayLike) -> bool:
-    """Whether angles that are meant to be radians are most likely degrees: whole beyond a turn, or huge."""
+    """Whether angles that are meant to be radians are most likely degrees: whole wherever beyond a turn, or huge."""
     try:
         given = np.asarray(theta)
     except (TypeError, ValueError, OverflowError):
@@ -123,7 +123,8 @@ def are_degrees(theta: ArrayLike) -> bool:
     largest = float(np.abs(angles).max())
     if largest > MOST_DEGREES:
         return False
-    return largest > MOST_WINDING_RAD or bool(((angles == np.round(angles)) & (np.abs(angles) > WINDING_RAD)).any())
+    beyond = angles[np.abs(angles) > WINDING_RAD]
+    return largest > MOST_WINDING_RAD or bool(beyond.size and (beyond == np.round(beyond)).all())
 
 
 def warn_of_degrees(key: str, theta: ArrayLike) -> None:

@@ -306,7 +306,7 @@ def test_the_rules_themselves() -> None:
     assert are_radians([3.1416]) and are_radians([0, -6.283]) and are_radians([0.349, -1.047, 1.396])
     assert not any(map(are_radians, ([], [0.0], [3], [1.5], [3.1], [0.35, 20], [2.0, -2.0], [90.0], [np.inf])))
     assert in_radians([0, 3.1416, 90]) == 1 and in_radians([0, 1.5, 90]) is None and in_radians([0, 0.349, -1.047]) == 1
-    assert are_degrees([0.5, 90.0, 1.2]) and not are_degrees([0.5, 6.0, 1.2])
+    assert are_degrees([0.5, 90.0, 1.2]) and not are_degrees([0.5, 6.0, 1.2]) and not are_degrees([6.3, 7.0, 7.7])
     assert are_degrees([0, 30.0]) and not are_degrees([6.0]) and not are_degrees([6.5]) and not are_degrees([])
     assert not are_degrees([np.nan]) and are_degrees([400.3])
 
