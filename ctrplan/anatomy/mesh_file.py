@@ -26,11 +26,13 @@ Number = TypeVar("Number", np.float64, np.int64)
 Unit = Literal["mm", "cm", "m", "in"]
 Up = Literal["y", "z"]
 UNITS_M: dict[Unit, float] = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 25.4e-3}
+WORDS: dict[Unit, str] = {"mm": "millimetres", "cm": "centimetres", "m": "metres", "in": "inches"}
 SUFFIXES = (".stl", ".ply", ".obj", ".vtk", ".vtp", ".vtu", ".glb")
 WITH_GROUPS = (".obj", ".glb")
 MAX_BYTES = 500_000_000
 HEADER_BYTES = 4096
 LARGEST_M, SMALLEST_M = 2.0, 1e-4
+ORGAN_M = 5e-3, 1.0  # across, in a unit that explains a size beyond these
 VTK = (".vtk", ".vtp", ".vtu")
 MARKS: dict[tuple[str, ...], re.Pattern[bytes]] = {  # first bytes of formats, by how the names of their files end
     **{(".ply",): re.compile(rb"ply\s"), (".glb",): re.compile(b"glTF"), VTK: re.compile(b"# vtk DataFile|<VTKFile")},
@@ -322,14 +324,17 @@ def _rows(mesh: object, name: str, dtype: type[Number]) -> NDArray[Number]:
     return rows.reshape(-1, 3)
 
 
-def _check_size(vertices: Array, faces: Indices, unit: str) -> None:
+def _check_size(vertices: Array, faces: Indices, unit: Unit) -> None:
     used = vertices[np.bincount(faces.reshape(-1), minlength=len(vertices)) > 0]
     bad = ~np.isfinite(used).all(axis=1)
     if bad.any():
         raise MeshRefusal(f"has {bad.sum()} vertices with NaN or infinite coordinates: all must be finite")
     extent = float(np.ptp(used, axis=0).max())
     across = f"m across when read in {unit!r}: must be"
+    read = extent / UNITS_M[unit]
+    usual = [WORDS[other] for other, si in UNITS_M.items() if ORGAN_M[0] <= read * si <= ORGAN_M[1]]
+    hint = f"({' or '.join(usual)}?)" if usual else "(converted twice?)"
     if extent > LARGEST_M:
-        raise MeshRefusal(f"is {extent:.3g} {across} at most {LARGEST_M:g} m (millimetres?)")
+        raise MeshRefusal(f"is {extent:.3g} {across} at most {LARGEST_M:g} m {hint}")
     if extent < SMALLEST_M:
-        raise MeshRefusal(f"is {extent * 1e3:.3g} m{across} at least {SMALLEST_M * 1e3:g} mm (metres?)")
+        raise MeshRefusal(f"is {extent * 1e3:.3g} m{across} at least {SMALLEST_M * 1e3:g} mm {hint}")

@@ -75,6 +75,11 @@ class Number(Kind):
         return f"must be a number from {self.low:g} to {self.high:g}"
 
 
+def percent_hint(value: object, most: float) -> str:
+    """The end of a rule about a share of at most 1, where the value is most likely in %; empty otherwise."""
+    return ", a share: is it in %?" if most == 1 and isinstance(value, (int, float)) and 2 <= value <= 100 else ""
+
+
 class Limited(Number):
     """A number within limits; its rule is worded as those of files are, without the kind."""
 
@@ -279,6 +284,7 @@ def require(key: str, value: Any, kind: Kind) -> None:
     if not fits:
         reader = READERS.get(kind.name) if isinstance(kind, Made) and isinstance(value, (str, os.PathLike)) else None
         rule = f"{kind.rule}; ctrplan.{reader} reads one from a file" if reader else kind.rule
+        rule += percent_hint(value, kind.high) if isinstance(kind, Limited) else ""
         raise InputError(rule, key=key, value=value, unit=kind.unit)
 
 

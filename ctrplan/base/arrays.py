@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from decimal import Decimal
 from typing import Any
@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ctrplan.base.arguments import LONGEST_MM as LONGEST_MM
 from ctrplan.base.arguments import MOST_TURNS_DEG as MOST_TURNS_DEG
+from ctrplan.base.package import warn_caller
 from ctrplan.errors import InputError
 
 Array = NDArray[np.float64]
@@ -109,7 +110,7 @@ MOST_WINDING_RAD = 50 * math.pi  # beyond which any number is
 
 
 def are_degrees(theta: ArrayLike) -> bool:
-    """Whether angles that are meant to be radians are most likely degrees: whole numbers beyond a turn, or huge."""
+    """Whether angles that are meant to be radians are most likely degrees: whole wherever beyond a turn, or huge."""
     try:
         given = np.asarray(theta)
     except (TypeError, ValueError, OverflowError):
@@ -122,7 +123,15 @@ def are_degrees(theta: ArrayLike) -> bool:
     largest = float(np.abs(angles).max())
     if largest > MOST_DEGREES:
         return False
-    return largest > MOST_WINDING_RAD or (largest > WINDING_RAD and bool((angles == np.round(angles)).all()))
+    beyond = angles[np.abs(angles) > WINDING_RAD]
+    return largest > MOST_WINDING_RAD or bool(beyond.size and (beyond == np.round(beyond)).all())
+
+
+def warn_of_degrees(key: str, theta: ArrayLike) -> None:
+    """Warns whoever called this package of angles that are meant to be radians and are most likely degrees."""
+    if are_degrees(theta):
+        shown = np.array2string(np.asarray(theta, dtype=np.float64), threshold=6)
+        warn_caller(f"{key} = {shown} rad: are these degrees? numpy.radians turns them.")
 
 
 CHANCE = 0.01  # by which digits that say radians would be a coincidence: about how often people mix the two up
@@ -146,6 +155,16 @@ def are_radians(angles_deg: Iterable[float]) -> bool:
         if chance < CHANCE:
             return True
     return False
+
+
+def in_radians(angles_deg: Sequence[float]) -> int | None:
+    """The number of an angle that is meant to be degrees and is most likely in radians; None where there is none.
+
+    The first that is not 0 where all of them are by what they have in common, else one that is so by itself.
+    """
+    if are_radians(angles_deg):
+        return next(k for k, angle in enumerate(angles_deg) if angle)
+    return next((k for k, angle in enumerate(angles_deg) if are_radians([angle])), None)
 
 
 def content_sha256(value: object) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import html
 import importlib
 import sys
+import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass
 from enum import Enum
@@ -145,3 +146,13 @@ def _sequence(values: Any) -> str:
 def _cut(text: str, most: int = WIDEST) -> str:
     line = " ".join(text.splitlines())
     return line if len(line) <= most else line[: most - 3] + "..."
+
+
+def warn_caller(text: str) -> None:
+    """Warns whoever called this package, at the line that did; commands warn in words of their own."""
+    level, frame = 1, sys._getframe()
+    while frame.f_back and frame.f_globals.get("__name__", "").split(".")[0] in ("ctrplan", "dataclasses"):
+        if frame.f_globals["__name__"].startswith("ctrplan.commands."):
+            return
+        level, frame = level + 1, frame.f_back
+    warnings.warn(text, stacklevel=level)

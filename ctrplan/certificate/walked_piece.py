@@ -36,9 +36,9 @@ from ctrplan.certificate.variants import (
     walk_variants,
 )
 from ctrplan.drive.trajectory import driven_ways
+from ctrplan.mechanics.friction import released_error
 from ctrplan.mechanics.shapes import Status
 from ctrplan.mechanics.walk import PathDensity, PathSamples
-from ctrplan.motion.checker import released_error
 from ctrplan.robot.friction_calibration import friction_law
 from ctrplan.scenario.joint_space import JointSpace
 from ctrplan.scenario.prediction import start_load

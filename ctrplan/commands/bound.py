@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from ctrplan.robot.robot import Robot
     from ctrplan.studies.sweep import Sweep
 
+TURNS = ": are whole parts of a turn in radians: are these in radians?"
 LONG_S = 2.0
 FEWEST_TUBES = 6  # that may take so long
 AT_ONCE = 4  # friction states that the core solves side by side
@@ -173,11 +174,12 @@ def run(arguments: argparse.Namespace) -> int:
     """Runs the command; returns its exit code. Raises CtrplanError when there is no bound to print."""
     import numpy as np
 
-    from ctrplan.base.arrays import are_radians
+    from ctrplan.base.arrays import in_radians
     from ctrplan.files.robot_file import load_robot
     from ctrplan.mechanics.shapes import Status
     from ctrplan.motion.play import play_shift
     from ctrplan.pipeline.chain import range_notes
+    from ctrplan.robot.magnitudes import in_words, likely_units, reach_m
     from ctrplan.robot.robot import nesting_violation
 
     if arguments.sweep:
@@ -188,9 +190,11 @@ def run(arguments: argparse.Namespace) -> int:
     commanded = configuration(arguments, robot.n)
     theta_b, l_b = robot.collars(*commanded)
     if sentence := nesting_violation(robot, theta_b, l_b):
+        units = likely_units(float(np.abs(l_b).max()), "mm", 0.05 * reach_m(robot), reach_m(robot))
+        sentence += f": are these in {in_words(units[:1])}?" if units else ""
         raise InputError(sentence, key="--l-mm", value=arguments.l_mm, unit="mm")
-    turns = "--theta-deg: are whole parts of a turn in radians: are these in radians?"
-    warn([*robot.warnings, *range_notes(robot, *commanded), *([turns] if are_radians(arguments.theta_deg) else [])])
+    turns = [] if in_radians(arguments.theta_deg) is None else [f"--theta-deg{TURNS}"]
+    warn([*robot.warnings, *range_notes(robot, *commanded), *turns])
     result = _bounded(robot, theta_b, l_b, arguments)
     play_mm = play_shift(robot, theta_b, l_b) * 1e3
     if arguments.json:

@@ -64,9 +64,9 @@ def run(arguments: argparse.Namespace) -> int:
 
     scenario = load_robot_or_scenario(arguments.file, arguments.overrides, allow_outside=arguments.allow_outside)
     _check_direction(arguments)
-    refuse_wrong_unit(scenario, arguments.tip_mm, "mm", "--tip-mm")
+    doubt = refuse_wrong_unit(scenario, arguments.tip_mm, "mm", "--tip-mm")
     folder = output_folder(arguments.output, OUTPUTS) if arguments.output is not None else None
-    warn(scenario.warnings)
+    warn([*scenario.warnings, *([doubt] if doubt else [])])
     tolerance_deg = arguments.direction_tolerance_deg
     result = inverse_kinematics(
         scenario,

@@ -37,7 +37,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--tube", action="append", metavar="OxI,S,B,R", help="of a robot, outermost first; repeatable")
     parser.add_argument("--name", default="my robot", help="of a robot (default: %(default)s)")
     parser.add_argument("--robot", metavar="ROBOT.toml", help="that a scenario or measurements are of")
-    parser.add_argument("--mesh", metavar="FILE", help="of a scenario: what to avoid")
+    parser.add_argument("--mesh", metavar="FILE", help="of a scenario: what to avoid, or the lumen around it")
     parser.add_argument("--unit", choices=("mm", "cm", "m", "in"), help="of the mesh (default: mm, of glTF m)")
     parser.add_argument("--table", metavar="FILE.csv", help="of a mapping file: the measurements")
 
@@ -58,7 +58,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _text(arguments: argparse.Namespace, path: Path) -> tuple[str, str]:
     """The file's text, and the command to go on with."""
     from ctrplan.files.robot_file import load_robot, robot_from_dict
-    from ctrplan.files.starting_files import USUAL, mapping_text, robot_text, scenario_text, tube_choice
+    from ctrplan.files.starting_files import NO_ROOM, USUAL, mapping_text, robot_text, scenario_text, tube_choice
     from ctrplan.storage.toml_document import Document, parsed_toml
 
     if arguments.kind == "robot":
@@ -78,9 +78,12 @@ def _text(arguments: argparse.Namespace, path: Path) -> tuple[str, str]:
     inside = [
         _beside(name, path, key) for key, name in (("--robot", arguments.robot), ("--mesh", arguments.mesh)) if name
     ]
-    text = scenario_text(robot, inside[0], inside[1] if arguments.mesh else None, arguments.unit)
+    text = scenario_text(robot, inside[0], inside[1] if arguments.mesh else None, arguments.unit, str(path))
     Document(parsed_toml(text, str(path)), str(path))
-    return text, f"ctrplan plan {path} -o out"
+    return (
+        text,
+        f"say in it where the base is, ctrplan check {path}" if NO_ROOM in text else f"ctrplan plan {path} -o out",
+    )
 
 
 def _beside(name: str, path: Path, key: str) -> str:

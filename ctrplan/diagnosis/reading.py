@@ -236,6 +236,9 @@ def _readings(robot: Robot) -> Iterator[_Again]:
     }
     for factor, words in (angles | {10.0: POWERS[10.0], 0.1: POWERS[0.1]}).items():
         yield _Again(f"rotations are {words}", theta, _all_turned(factor))
+    for i in range(n if n > 1 else 0):
+        for factor in (np.pi / 180, 180 / np.pi):
+            yield _Again(f"rotation {i + 1} is {angles[factor]}", (theta[i],), _turned(i, factor))
     for i in range(n):
         for factor, words in ((2.0, "half"), (0.5, "twice")):
             yield _Again(f"rotation {i + 1} is {words} of what the tube turns", (theta[i],), _turned(i, factor))
@@ -249,6 +252,9 @@ def _readings(robot: Robot) -> Iterator[_Again]:
     )
     for factor, words in POWERS.items():
         yield _Again(f"translations are {words}", slide, lambda t, x, f=factor: (t, f * x))  # type: ignore[misc]
+    for i in range(n if n > 1 else 0):
+        for factor in (1e3, 1e-3):
+            yield _Again(f"translation {i + 1} is {POWERS[factor]}", (slide[i],), _slid(i, factor))
     for i, j in combinations(range(n), 2):
         yield _Again(f"rotations {i + 1} and {j + 1} are exchanged", (theta[i], theta[j]), _swapped(i, j, True, False))
         yield _Again(

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ctrplan.base.arguments import Choice, Number, require, rows_of
-from ctrplan.base.arrays import Array, numbers, read_only, vector
+from ctrplan.base.arrays import Array, numbers, read_only, vector, warn_of_degrees
 from ctrplan.base.package import shown
 from ctrplan.errors import InputError
 
@@ -134,6 +134,11 @@ class Drive:
             raise InputError(rule, key="joint values")
         return self.home_theta_rad + values @ self.matrix_theta.T, self.home_l_m + values @ self.matrix_l.T
 
+    def warn_of_degrees(self, key: str, q: ArrayLike) -> None:
+        """Warns the caller of the package where joint values (m,) or (K, m) most likely have rotations in degrees."""
+        if np.ndim(q) and np.shape(q)[-1] == len(self.joints):
+            warn_of_degrees(f"rotations of {key}", np.asarray(q)[..., self.is_rotation])
+
     def named(self, q: Array) -> dict[str, float]:
         """Joint values (m,) by the joints' names, in deg or mm, as scenario files have them."""
         return {joint.name: float(value) / joint.si_per_unit for joint, value in zip(self.joints, q, strict=True)}
@@ -165,6 +170,16 @@ class Drive:
             by[:, :, j] = (up - down) / (2 * step)
         slopes: Array = by @ gears
         return slopes
+
+    @cached_property
+    def travel_m(self) -> tuple[Array, Array]:
+        """(n,), (n,) [m] least and greatest base translations within the limits, those without limits at home."""
+        slope = self.matrix_l[:, ~self.is_rotation]
+        ends = np.stack([self.lower, self.upper])[:, ~self.is_rotation]
+        ends = np.where(np.isfinite(ends), ends, 0.0)
+        both = slope * ends[0], slope * ends[1]
+        home = np.asarray(self.home_l_m)
+        return home + np.minimum(*both).sum(axis=1), home + np.maximum(*both).sum(axis=1)
 
     @cached_property
     def joint_late_s(self) -> Array:

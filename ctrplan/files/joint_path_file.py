@@ -65,7 +65,8 @@ def joint_path(source: Source, robot: Robot, needed: Sequence[str] = (), known: 
     theta, notes = _whole_turns(source, theta, sequence.astype(int))
     if not source.is_mapped and are_degrees(theta):
         largest = float(np.abs(theta).max())
-        notes += (f"{table.file}: rotations go to {largest:g} rad, in whole numbers: are these degrees?",)
+        whole = ", in whole numbers" if (theta == np.round(theta)).all() else ""
+        notes += (f"{table.file}: rotations go to {largest:g} rad{whole}: are these degrees?",)
     _check_joints(table, theta, l, robot, of_collars=source.of_collars)
     read = {"sequence", "time_s", *rotations, *translations, *needed, *known}
     others = table.others(read)
@@ -150,6 +151,8 @@ def _check_joints(table: CsvTable, theta: Array, l: Array, robot: Robot, *, of_c
         row, rule = refused
         sentence = nesting_violation(robot, driven[0][row], driven[1][row]) or rule.rstrip(".")
         hint = " (a tube that may be drawn back has retractable = true)" if "tips in order" in sentence else ""
+        if (beyond := np.abs(l[row]) > longest_m).any():
+            hint = f": is {translations[int(np.argmax(beyond))]} in millimetres?"
         raise table.fault(sentence + hint, row)
 
 

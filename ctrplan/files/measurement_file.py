@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,7 +17,7 @@ from ctrplan.measurement.joint_path import joined_measurements
 from ctrplan.measurement.measurements import Measurements, is_streamed
 from ctrplan.pipeline.chain import Chain
 from ctrplan.pipeline.tip_table import registered
-from ctrplan.robot.magnitudes import IN_WORDS, likely_unit
+from ctrplan.robot.magnitudes import in_words, likely_units
 from ctrplan.robot.robot import Robot
 from ctrplan.storage.csv_table import CsvTable
 
@@ -103,7 +103,8 @@ def load_measurements(path: str | os.PathLike[str], robot: Robot) -> Measurement
     trackers = list(dict.fromkeys(source.tracker for source in given))
     data = registered(robot, data, {trackers.index(name) + 1: name for name in unknown})
     theta, l = data.theta_commanded[data.rows], data.l_commanded[data.rows]  # noqa: E741 (as in the equations)
-    return replace(data, warnings=(*data.warnings, *_still_joints(theta, l, str(data.file)), *_left_out(robot, data)))
+    more = *_still_joints(theta, l, str(data.file)), *_left_out(robot, data), *_time_doubt(robot, data)
+    return replace(data, warnings=(*data.warnings, *more))
 
 
 def _measurements(source: Source, robot: Robot) -> Measurements:
@@ -193,15 +194,21 @@ def _check_positions(
     for k in np.flatnonzero((position == 0).all(axis=1)).tolist():
         rule = f"{what} is 0 in all coordinates, as trackers write what they do not see: leave it empty there"
         raise table.fault(rule, int(rows[k]), columns[0], position[k, 0])
-    position = position[:, np.isfinite(position).all(axis=0)]
+    seen = np.isfinite(position).all(axis=0)
+    position = position[:, seen]
     with np.errstate(over="ignore"):  # what is beyond all numbers is too far
-        far = np.linalg.norm(position - (np.median(position, axis=0) if anywhere else 0.0), axis=1)
+        middle = np.median(position, axis=0) if anywhere else np.zeros(position.shape[1])
+        far = np.linalg.norm(position - middle, axis=1)
     limit = FURTHEST * max(tube.length_m for tube in robot.tubes)
     for k in np.flatnonzero(far > limit).tolist():
-        likely = likely_unit(float(np.median(far)), "m", 0.1 * limit, limit)
-        unit = f", are these {IN_WORDS[likely]}?" if likely else ""
+        wide = np.abs(position[k] - middle) > limit  # of some axes alone, whose place the others say
+        is_some = bool(wide.any() and not wide.all())
+        size = np.linalg.norm((position - middle)[:, wide], axis=1) if is_some else far
+        likely = likely_units(float(np.median(size)), "m", (0.01 if is_some else 0.1) * limit, limit)
+        first = int(np.argmax(wide))
+        unit = f", are these {in_words(likely)}?" if likely else ""
         rule = f"{what} is {far[k]:g} m from the base, beyond the reach of {limit:.3g} m{unit}"
-        raise table.fault(rule, int(rows[k]), columns[0], position[k, 0])
+        raise table.fault(rule, int(rows[k]), np.array(columns)[seen].tolist()[first], position[k, first])
     if np.median(far) < limit / 2000 and not anywhere:
         raise table.fault(f"{what}s are {np.median(far):.2g} m from the base, are these metres?", column=columns[0])
 
@@ -215,6 +222,32 @@ def _still_joints(theta_b: Array, l_b: Array, file: str) -> list[str]:
     if np.ptp(l_b, axis=0).max() < STILL_M:
         still.append(f"{file}: no tube is ever moved along: lengths and translations are not testable.")
     return still
+
+
+CLOCKS_S = {"milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9, "minutes": 60.0, "hours": 3600.0}
+WAITS = 0.2, 200.0  # times that the drive needs at full speed from row to row, which people and programs leave it
+
+
+def _time_doubt(robot: Robot, data: Measurements) -> Iterator[str]:
+    """A sentence about times from row to row in which the drive can't have moved so, or would have stood for hours."""
+    if data.time_s is None:
+        return
+    drive = robot.drive
+    speed = [joint.max_velocity for joint in drive.joints]
+    turned, moved = np.abs(drive.matrix_theta) @ speed, np.abs(drive.matrix_l) @ speed
+    steps = [np.abs(np.diff(values, axis=0)) for values in (data.theta_commanded, data.l_commanded)]
+    steps[0] = np.minimum(steps[0], 2 * np.pi)  # turns are not made in vain: more are degrees
+    with np.errstate(divide="ignore", invalid="ignore"):  # of tubes that no joint moves
+        by_tube = np.hstack([steps[0] / turned, steps[1] / moved])
+    need, left = np.where(np.isfinite(by_tube), by_tube, 0.0).max(axis=1), np.diff(data.time_s)
+    need = np.where(left > 0, need, 0.0)  # clocks of several files begin again
+    if not (need > 0).any():
+        return
+    share = float(np.median(left[need > 0] / need[need > 0]))
+    likely = [words for words, unit in CLOCKS_S.items() if WAITS[0] <= share * unit <= WAITS[1]]
+    if likely and not WAITS[0] <= share <= WAITS[1]:
+        rule = f"rows are {share:.2g} times as far apart as the drive needs at full speed: is it in {likely[0]}?"
+        yield f"{data.file}: time_s: {rule}"
 
 
 def _marker_poses(table: CsvTable) -> list[str]:

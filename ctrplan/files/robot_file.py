@@ -22,7 +22,17 @@ from ctrplan.files.robot_tables import (
 )
 from ctrplan.measurement.measurements import Marker, SensorNoise
 from ctrplan.mechanics.tube import RANGES, SOFTEST_NM2, STIFFEST_NM2, Contact, Tube, TubeSection
-from ctrplan.robot.magnitudes import bend_readings, robot_doubts, summarised
+from ctrplan.robot.magnitudes import (
+    PERCENT_RATIO,
+    SLENDER,
+    USUAL_OUTER_M,
+    bend_readings,
+    in_words,
+    likely_units,
+    robot_doubts,
+    summarised,
+    tube_doubts,
+)
 from ctrplan.robot.named_numbers import (
     BENDING,
     CURVATURES,
@@ -221,6 +231,8 @@ def _check_stiffnesses(entry: TubeEntry, EI: float, ratio: float, i: int, docume
     """Raises InputError for a Poisson's ratio or stiffnesses that go beyond what the model takes."""
     if not SOFTEST_NM2 <= EI <= STIFFEST_NM2:
         rule = f"makes a bending stiffness of {EI:.3g} N m^2, must be from {SOFTEST_NM2:g} to {STIFFEST_NM2:g}"
+        if units := likely_units(entry.outer_diameter_mm * 1e-3, "mm", *USUAL_OUTER_M):
+            rule += f": are the diameters in {in_words(units)}?"
         raise document.fault(rule, "tube", i, YOUNG)
     if not LEAST_RATIO < ratio <= LARGEST_RATIO:
         given = (TORSIONAL, entry.torsional_stiffness_Nm2), (SHEAR, entry.shear_modulus_GPa)
@@ -260,6 +272,9 @@ def _check_fit(outer: Tube, inner: Tube, i: int, document: Document) -> None:
             f"sections add up to {inner.length_m * 1e3:g} mm, must be at least {needed * 1e3:g} mm: the length of "
             f"tube {i} ({outer.length_m * 1e3:g} mm) and this tube's collar ({inner.collar_length_m * 1e3:g} mm)"
         )
+        if inner.length_m < SLENDER * inner.outer_diameter_m:
+            units = likely_units(inner.length_m, "mm", needed, LONGEST_TUBE_MM * 1e-3)
+            rule += f": are they in {in_words(units)}?" if units else ""
         raise document.fault(rule, "tube", i)
 
 
@@ -321,6 +336,10 @@ def _build(document: Document) -> Robot:
         path=document.file,
     )
     if violation := never_nests(robot):
+        for doubt in tube_doubts(robot):  # lengths in metres beside those in millimetres
+            is_length = len(doubt.key) == 2 or doubt.key[-1] in ("length_mm", "collar_length_mm")
+            if is_length and (key := _key_in_file(doubt.key, document)):
+                raise document.fault(f"{doubt.rule} No joint values nest the tubes", *key)
         raise document.fault(f"no joint values within limits nest the tubes, at home {violation}", "home", "l_mm")
     intervals = build_intervals(entry.uncertainty, robot, document)
     doubts = doubtful_numbers(robot, document)
@@ -378,7 +397,8 @@ def _key_in_file(key: tuple[str | int, ...], document: Document) -> tuple[str | 
 
 def _ratio_warnings(entry: RobotEntry, document: Document) -> Iterator[str]:
     for i, tube in enumerate(entry.tube):
-        if tube.poisson_ratio is not None and tube.poisson_ratio > MOST_RATIO:
+        given = tube.poisson_ratio
+        if given is not None and given > MOST_RATIO and not PERCENT_RATIO[0] <= given <= PERCENT_RATIO[1]:
             EI, ratio = stiffnesses(to_builtins(tube))
             rule = (
                 f"is above {MOST_RATIO}, which no material is: of stiffnesses that were fitted apart, say "

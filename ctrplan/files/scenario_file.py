@@ -332,7 +332,8 @@ def _size_doubts(
             steps = [int(step) - 1 if step.isdecimal() else step for step in f"{goal.table}.{goal.tip_key}".split(".")]
             yield doubt, document.fault(doubt.rule, *steps)
             break
-    for k, doubt in sizes.part_doubts(robot, anatomy, tips, base_m):
+    in_parts = list(sizes.part_doubts(robot, anatomy, tips, base_m))
+    for k, doubt in in_parts or sizes.scene_doubts(robot, anatomy, tips, base_m):
         yield doubt, document.fault(doubt.rule, "anatomy", k, doubt.key)
     content = document.content
     for doubt in sizes.turn_doubts(_table(content, ("base",))):
@@ -356,6 +357,7 @@ BODIES = ("anatomy", "fixture")
 WITHIN = (
     "tolerance_mm",
     "margin_mm",
+    "radius_mm",
     "max_error_goal_mm",
     "position_sigma_mm",
     "rotation_sigma_deg",

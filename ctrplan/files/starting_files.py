@@ -10,24 +10,36 @@ import os
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from ctrplan.anatomy.mesh_file import usual_unit
-from ctrplan.base.arrays import MM_PER_M
+from ctrplan.anatomy.parts import AnatomyPart, exact_clearance_of_many
+from ctrplan.anatomy.shape import Role
+from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.drive.drive import DEFAULT_MOTION
 from ctrplan.errors import InputError
+from ctrplan.files.scenario_anatomy import anatomy_part
+from ctrplan.mechanics.gradients import clearances
 from ctrplan.mechanics.shapes import Status
+from ctrplan.mechanics.walk import PathDensity
 from ctrplan.robot.robot import Robot
 from ctrplan.scenario.joint_space import JointSpace, retracted
 from ctrplan.storage.csv_table import CsvTable, file_name
+from ctrplan.storage.toml_document import Document, TomlTable
 
 # What a first file says where nobody measured: austenitic nitinol, and the friction and collars of the paper's robot.
 NITINOL_GPA, NITINOL_RATIO, FRICTION = 65.0, 0.3, 0.2
 COLLAR_MM = 17.0
 DRAWN = 400  # configurations among which the goal of a first scenario is chosen
 TOLERANCE_MM = 2.0  # of a first goal, which nearly every robot can keep
+MARGIN_MM: dict[Role, float] = {"avoid": 1.0, "inside": 0.5}  # of a first scenario
+ROOM_M = 1e-3  # beyond the margin, for what certificates take off
+FARTHER = (1.0, 0.7, 0.5, 0.35, 0.2, 0.1)  # shares of the way from the start at which a goal is sought, by turns
+LOOKED_AT = 40  # configurations whose room is solved, of those whose tip has it
+NO_ROOM = "the robot drawn back does not stand clear of this mesh: say where its base is, in [base]"
 INWARD = (1e-3, 1e-2, 0.1)  # of the way to the goal, that a start may be on to keep all limits
 WRITTEN_M = 1e-5  # what a start keeps of every limit, so that six digits of it keep them
 
@@ -142,23 +154,27 @@ def _joint(name: str, kind: str, i: int, n: int, unit: str, limits: str) -> list
     ]
 
 
-def scenario_text(robot: Robot, file: str, mesh: str | None = None, unit: str | None = None) -> str:
-    """A scenario in free space, or within a mesh to avoid: from the robot drawn back to a tip that it can reach.
+@dataclass(frozen=True, eq=False)
+class FirstTask:
+    """Where a first scenario begins and goes to, and what its mesh is to the robot; fits: whether all that is clear."""
 
-    file: of the robot, as the scenario is to name it. Raises InputError where nothing is reached.
+    start: Array  # (m,) rad or m
+    goal: Array  # (m,)
+    role: Role = "avoid"
+    fits: bool = True
+
+
+def scenario_text(robot: Robot, file: str, mesh: str | None = None, unit: str | None = None, path: str = "") -> str:
+    """A scenario in free space, or with a mesh: from the robot drawn back to a tip that it can reach.
+
+    file, mesh: as the scenario at `path` is to name them. A mesh that holds the robot drawn back is a lumen, any other
+    one is avoided; start and goal are such as leave room. Raises InputError where nothing is reached.
     """
-    space, drive = JointSpace.of_robot(robot), robot.drive
-    drawn = space.sample(np.random.default_rng(0), DRAWN)
-    bounds = robot.mechanics.bound_many(*drive.collars(drawn))
-    sound = np.isfinite(bounds.position_m) & (bounds.status == Status.CONVERGED) & (bounds.stability > 0.5)
-    if not sound.any():
-        raise InputError("no configuration with one stable equilibrium was found to go to", file=robot.path)
-    goal = int(np.argmin(np.where(sound, bounds.position_m, np.inf)))
-    tip = np.round(bounds.tip_m[goal] * MM_PER_M, 1).tolist()
-    back, inward = retracted(robot), replace(space, nesting_h=space.nesting_h - WRITTEN_M)
-    ways = (back + share * (drawn[goal] - back) * ~drive.is_rotation for share in (0.0, *INWARD))
-    start = next((q for q in ways if inward.allowed(q)), back)
-    joints = zip(drive.joints, start.tolist(), strict=True)
+    drive = robot.drive
+    shape = {} if mesh is None else {"kind": "mesh", "file": mesh, "unit": unit or usual_unit(Path(mesh))}
+    task = _first_task(robot, shape, path)
+    tip = np.round(robot.mechanics.bound(*drive.collars(task.goal)).frictionless.tip_m * MM_PER_M, 1).tolist()
+    joints = zip(drive.joints, task.start.tolist(), strict=True)
     lines = [
         "# Written by `ctrplan init scenario`: plan it with `ctrplan plan`, then change it to your task.",
         'name = "my task"',
@@ -183,10 +199,75 @@ def scenario_text(robot: Robot, file: str, mesh: str | None = None, unit: str | 
             '# kind = "mesh"',
         ]
         lines += ['# file = "organ.stl"', '# unit = "mm"', '# role = "avoid"', "# margin_mm = 1.0"]
-    else:
-        lines += ["[[anatomy]]", 'kind = "mesh"', f'file = "{mesh}"', f'unit = "{unit or usual_unit(Path(mesh))}"']
-        lines += ['role = "avoid"                  # or "inside": a lumen that the robot stays in', "margin_mm = 1.0"]
-    return "\n".join([*lines, ""])
+        return "\n".join([*lines, ""])
+    why = {
+        "inside": 'role = "inside"                 # a lumen that the robot stays in, as it holds the robot drawn back',
+        "avoid": 'role = "avoid"                  # or "inside": a lumen that the robot stays in',
+    }
+    if not task.fits:
+        lines.append(f"# {NO_ROOM}")
+    lines += ["[[anatomy]]", *(f'{key} = "{value}"' for key, value in shape.items()), why[task.role]]
+    return "\n".join([*lines, f"margin_mm = {MARGIN_MM[task.role]:g}", ""])
+
+
+def _first_task(robot: Robot, mesh: dict[str, str], path: str) -> FirstTask:
+    """A start drawn back and a goal of little friction error, clear of the table of a mesh where one is given."""
+    space, drive = JointSpace.of_robot(robot), robot.drive
+    drawn = space.sample(np.random.default_rng(0), DRAWN * (len(FARTHER) if mesh else 1))
+    goal = _surest(robot, drawn[:DRAWN])
+    if goal is None:
+        raise InputError("no configuration with one stable equilibrium was found to go to", file=robot.path)
+    back, inward = retracted(robot), replace(space, nesting_h=space.nesting_h - WRITTEN_M)
+    ways = (back + share * (goal - back) * ~drive.is_rotation for share in (0.0, *INWARD))
+    start = next((q for q in ways if inward.allowed(q)), back)
+    if not mesh:
+        return FirstTask(start, goal)
+    starts = np.vstack([start, np.where(drive.is_rotation, drawn[:LOOKED_AT], start)])
+    roles: tuple[Role, ...] = ("inside", "avoid")
+    for role in roles:
+        table = mesh | {"role": role, "margin_mm": MARGIN_MM[role]}
+        try:
+            part = anatomy_part(TomlTable(Document.of({"anatomy": [table]}, "scenario", path or None), ("anatomy", 0)))
+        except InputError:  # which `ctrplan check` says
+            return FirstTask(start, goal)
+        if not _rooms_m(robot, part, starts[:1])[0] >= ROOM_M:  # other turns may bend it clear
+            clear = starts[_rooms_m(robot, part, starts) >= ROOM_M]
+            if not len(clear):
+                continue
+            begin = clear[np.argmax(robot.mechanics.bound_many(*drive.collars(clear)).stability)]
+        else:
+            begin = start
+        for share in FARTHER:
+            ahead = np.where(drive.is_rotation, drawn, begin + share * (drawn - begin))
+            at = robot.mechanics.tips(*drive.collars(ahead))[0]
+            near = ahead[exact_clearance_of_many((part,), np.nan_to_num(at)) >= ROOM_M][:LOOKED_AT]
+            if len(near) and (found := _surest(robot, near[_rooms_m(robot, part, near) >= ROOM_M])) is not None:
+                return FirstTask(begin, found, role)
+    return FirstTask(start, goal, fits=False)
+
+
+def _surest(robot: Robot, q: Array) -> Array | None:
+    """(m,) of joint values (K, m) the one whose tip friction moves least, of those with one stable equilibrium."""
+    if not len(q):
+        return None
+    bounds = robot.mechanics.bound_many(*robot.drive.collars(q))
+    sound = np.isfinite(bounds.position_m) & (bounds.status == Status.CONVERGED) & (bounds.stability > 0.5)
+    return np.asarray(q[np.argmin(np.where(sound, bounds.position_m, np.inf))]) if sound.any() else None
+
+
+def _rooms_m(robot: Robot, part: AnatomyPart, q: Array) -> Array:
+    """(K,) [m] what joint values (K, m) leave beyond the margin of a part, with the base at the origin; or NaN."""
+    kept, base = JointSpace.of_robot(robot).allowed_rows(q), (np.eye(3), np.zeros(3))
+    spacing_m, parts = PathDensity.point_spacing_m, (part,)
+    return clearances(
+        robot.mechanics,
+        robot.drive.collars(q),
+        None,
+        base,
+        partial(exact_clearance_of_many, parts),
+        spacing_m=spacing_m,
+        kept=kept,
+    ).clearance_m
 
 
 ANGLE = {"theta", "rot", "rotation", "alpha", "angle", "ang", "phi", "a", "r", "turn", "deg", "degrees", "rad", "turns"}

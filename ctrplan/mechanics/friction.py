@@ -28,7 +28,7 @@ from ctrplan.base.arrays import Array, numbers
 from ctrplan.base.package import of_this_process
 from ctrplan.errors import InputError
 from ctrplan.mechanics.shapes import FrictionBodies, Status, input_errors
-from ctrplan.mechanics.walk import SHORTEST_STEP
+from ctrplan.mechanics.walk import SHORTEST_STEP, PathSamples
 
 LOCKED_M = 1e-12  # translation that counts as none
 SUBSTEPS = 4  # of a leg between two waypoints
@@ -131,6 +131,14 @@ def largest_deviation(corner_tip_m: Array, tip_m: Array, load: Array) -> Array:
     ]
     largest: Array = np.max(sizes, axis=0)
     return largest
+
+
+def released_error(samples: PathSamples, load: Array) -> Array:
+    """(K,) [m] friction error at samples with every pair loaded up to load (K, n - 1); never above the bound."""
+    if not samples.corner_tip_m.size:  # looked up, without a share of each pair
+        highest: Array = samples.position_m * load.max(axis=1, initial=0.0)
+        return highest
+    return np.fmin(largest_deviation(samples.corner_tip_m, samples.tip_m, load), samples.position_m)
 
 
 @cache

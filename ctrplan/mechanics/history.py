@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ctrplan.base.arguments import PROGRESS, Choice, Made, checked
-from ctrplan.base.arrays import Array, numbers
+from ctrplan.base.arrays import Array, numbers, warn_of_degrees
 from ctrplan.base.long_work import Progress
 from ctrplan.base.package import of_this_process, shown
 from ctrplan.errors import InputError, SolverError
@@ -150,6 +150,7 @@ class History:
         Raises SolverError where no equilibrium is found, with the history left where it got to. Ctrl-C on the way
         leaves it where it was, one after the way at its end.
         """
+        warn_of_degrees("theta_b", theta_b)
         rows = joint_row(theta_b, self._mechanics.n), joint_row(l_b, self._mechanics.n)
         moved = self._begin(*rows) if self._at is None else self._move(*rows)
         self._at = rows
@@ -162,6 +163,7 @@ class History:
         Rows after one that FAILED are NaN. `progress` is told the finished share, 0 to 1. Ctrl-C, and whatever
         `progress` raises, leave the history where it was.
         """
+        warn_of_degrees("theta_b", theta_b)
         thetas, ls = joint_rows(theta_b, l_b, self._mechanics.n)
         if self._at is None and len(thetas):
             self._begin(thetas[0], ls[0])
@@ -301,6 +303,7 @@ class Walker:
 
         Ctrl-C on the way leaves it nowhere: the next step starts cold. Raises InputError.
         """
+        warn_of_degrees("theta_b", theta_b)
         with input_errors():
             result = self._core.step(joint_row(theta_b, self._n), joint_row(l_b, self._n))
         position_m, tangent_rad, stability, max_strain, residual, status, tip, tangent, cold, solves = result

@@ -17,7 +17,7 @@ from ctrplan.base.arrays import MM_PER_M, Array, numbers, vector
 from ctrplan.base.long_work import ASKED_NS, ROOM_NS, SHAPE_NS, SearchWatch, WorkMeter, cores, counted_aside
 from ctrplan.errors import InputError
 from ctrplan.mechanics.core import THREADS
-from ctrplan.mechanics.friction import largest_deviation
+from ctrplan.mechanics.friction import released_error
 from ctrplan.mechanics.gradients import Clearances, clearances
 from ctrplan.mechanics.shapes import Status
 from ctrplan.mechanics.walk import Field, KnownLegs, PathDensity, PathLimits, PathSamples
@@ -128,6 +128,7 @@ class MotionChecker:
         With `gradient` by joints, base pose and `parameters` of the robot's file, as of `Robot.bound`.
         """
         rows, scenario = np.atleast_2d(numbers(states, "joint values")), self.scenario
+        self.space.drive.warn_of_degrees("joint values", rows)
         return clearances(
             self.mechanics,
             self.space.drive.collars(rows),
@@ -142,7 +143,7 @@ class MotionChecker:
 
     def motions(self, a: ArrayLike, b: ArrayLike, *, threads: int = 0) -> tuple[Motion, ...]:
         """Motions from rows of a (K, m) to those of b (K, m), in the checker's style; as `check`."""
-        return self._rows(self.motion, threads, a, b)
+        return self._rows(self._known_motion, threads, a, b)
 
     @checked(threads=THREADS)
     def _rows(self, ask: Callable[..., Motion], threads: int, *arrays: ArrayLike) -> tuple[Motion, ...]:
@@ -150,6 +151,7 @@ class MotionChecker:
         for array in rows:
             if array.shape != (len(rows[0]), self.m):
                 raise InputError(f"must have shape (K, {self.m}), K alike, not {array.shape}", key="joint values")
+            self.space.drive.warn_of_degrees("joint values", array)
 
         def answer(*row: Array) -> Motion:
             return ask(*row) if all(np.isfinite(q).all() for q in row) else invalid("joint values must be finite")
@@ -161,6 +163,11 @@ class MotionChecker:
         """The motion from joint values a to b, (m,) each, in the checker's style. Raises InputError."""
         if not (isinstance(a, np.ndarray) and isinstance(b, np.ndarray) and a.shape == b.shape == (self.m,)):
             a, b = vector("joint values", a, self.m), vector("joint values", b, self.m)
+        if a.tobytes() + b.tobytes() not in self._known:
+            self.space.drive.warn_of_degrees("joint values", (a, b))
+        return self._known_motion(a, b)
+
+    def _known_motion(self, a: Array, b: Array) -> Motion:
         self.meter.add(ASKED_NS)
         key = a.tobytes() + b.tobytes()
         result = self._known.get(key)
@@ -391,14 +398,6 @@ def left_at_end(
     last = samples.at_end()
     unknown = float(released_error(last, left[None])[0])
     return min(unknown + share * loaded_m, float(last.position_m[0]))
-
-
-def released_error(samples: PathSamples, load: Array) -> Array:
-    """(K,) [m] friction error at samples with every pair loaded up to load (K, n - 1); never above the bound."""
-    if not samples.corner_tip_m.size:  # looked up, without a share of each pair
-        highest: Array = samples.position_m * load.max(axis=1, initial=0.0)
-        return highest
-    return np.fmin(largest_deviation(samples.corner_tip_m, samples.tip_m, load), samples.position_m)
 
 
 def path_limits(scenario: Scenario) -> PathLimits:

@@ -132,6 +132,7 @@ def _corners(scenario: Scenario, path: ArrayLike) -> Array:
     corners = numbers(path, "path").copy()
     if corners.ndim != 2 or corners.shape[1] != m or len(corners) < 2 or not np.all(np.isfinite(corners)):
         raise InputError(f"must be finite, of shape (K, {m}) with K >= 2, not {corners.shape}", key="path")
+    scenario.robot.drive.warn_of_degrees("path", corners)
     _refuse_joints(scenario, "begin at the scenario's start", corners[0] - scenario.start)
     return corners
 

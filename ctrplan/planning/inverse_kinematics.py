@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from ctrplan.base.arguments import SEED, Number, Whole, checked, require
 from ctrplan.base.arrays import LONGEST_MM, MM_PER_M, Array, numbers
-from ctrplan.base.package import of_this_process, shown
+from ctrplan.base.package import of_this_process, shown, warn_caller
 from ctrplan.errors import InputError
 from ctrplan.motion.checker import MotionChecker, breach, path_limits
 from ctrplan.planning.reach import (
@@ -121,7 +121,8 @@ def inverse_kinematics(
     `seed`, are where solves begin. Nothing found is no error: see `InverseKinematics.sentence`. Raises InputError.
     """
     scenario = _scenario(robot_or_scenario)
-    refuse_wrong_unit(scenario, tip_m, "m", "tip_m")
+    if doubt := refuse_wrong_unit(scenario, tip_m, "m", "tip_m"):
+        warn_caller(doubt)
     target = _target(scenario, tip_m, direction, direction_tolerance_rad)
     checker = MotionChecker(scenario)
     checker.limits = path_limits(scenario)  # the scenario's own, without what a search adds, as in the live view
@@ -130,14 +131,18 @@ def inverse_kinematics(
     )
 
 
-def refuse_wrong_unit(scenario: Scenario, tip: ArrayLike, unit: Literal["m", "mm"], key: str) -> None:
-    """Raises InputError for a point (3,) whose numbers make sense in another unit than `unit`, and not in this one."""
+def refuse_wrong_unit(scenario: Scenario, tip: ArrayLike, unit: Literal["m", "mm"], key: str) -> str:
+    """A doubt about a point (3,) whose numbers make sense in another unit, or ""; InputError for no sense in `unit`."""
     point = numbers(tip, key)
     if point.shape != (3,) or not np.isfinite(point).all():
-        return  # which is refused for that
+        return ""  # which is refused for that
     doubt = place_doubt(scenario.robot, point * UNITS_M[unit], scenario.base_position_m, unit, scenario.anatomy)
-    if doubt is not None and doubt.is_sure:
-        raise InputError(doubt.rule, key=key, value=point.tolist(), unit=unit)
+    if doubt is None:
+        return ""
+    fault = InputError(doubt.rule, key=key, value=point.tolist(), unit=unit)
+    if doubt.is_sure:
+        raise fault
+    return str(fault)
 
 
 def _scenario(given: Robot | Scenario) -> Scenario:
@@ -261,6 +266,7 @@ class TipTracker:
         q = numbers(joints, "joints").copy()
         if q.shape != (len(self._space.weights_mm),) or not np.isfinite(q).all():
             raise InputError(f"must be {len(self._space.weights_mm)} finite numbers", key="joints", value=joints)
+        self._space.drive.warn_of_degrees("joints", q)
         if not self._space.allowed(q):
             raise InputError(self._space.violation(q[None]), key="joints")
         samples = self._walk(q[None])

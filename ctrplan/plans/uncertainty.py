@@ -242,6 +242,7 @@ def plan_uncertainty(of: PlannedMotion | Scenario, joints: ArrayLike | None = No
     q, count = np.atleast_2d(numbers(joints, "joints")), len(of.robot.drive.joints)
     if q.ndim != 2 or q.shape[1] != count or not len(q) or not np.all(np.isfinite(q)):
         raise InputError(f"must be finite and have shape ({count},) or (K, {count}), not {q.shape}", key="joints")
+    of.robot.drive.warn_of_degrees("joints", q)
     return _uncertainty(of, _Motion(q, (end_stop(of.goal, len(q) - 1),), None))
 
 

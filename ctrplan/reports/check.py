@@ -28,11 +28,13 @@ from ctrplan.measurement.measurements import Measurements
 from ctrplan.mechanics.shapes import Bound, Status
 from ctrplan.mechanics.tube import TubeSection
 from ctrplan.pipeline.tip_table import point_table
-from ctrplan.reports.object_figures import bound_figure, robot_figure, travel_m
+from ctrplan.planning.room import blocked, start_trouble
+from ctrplan.reports.object_figures import bound_figure, robot_figure
 from ctrplan.robot.magnitudes import implied_young_Pa, reach_m, straightened_strain
 from ctrplan.robot.robot import Robot
 from ctrplan.scenario.joint_space import JointSpace
-from ctrplan.scenario.scenario import Scenario
+from ctrplan.scenario.scenario import Goal, Scenario
+from ctrplan.scenario.sizes import nearest_tip_m
 from ctrplan.storage.toml_document import Document, read_document
 
 if TYPE_CHECKING:
@@ -189,7 +191,7 @@ def _drive(robot: Robot) -> list[str]:
         low, high = joint.lower / joint.si_per_unit, joint.upper / joint.si_per_unit
         unlimited = not (math.isfinite(low) and math.isfinite(high))
         ranges.append(f"{joint.name} {'without end' if unlimited else f'{low:.4g} to {high:.4g} {joint.unit}'}")
-    least, most = travel_m(robot)
+    least, most = robot.drive.travel_m
     tip = robot.tubes[-1].length_m
     ends = f"{(least[-1] + tip) * 1e3:.4g} to {(most[-1] + tip) * 1e3:.4g} mm"
     ahead = f"the innermost tip {ends} along, in front of the plate"
@@ -248,7 +250,9 @@ def _of_scenario(scenario: Scenario) -> Check:
         lines.append(f"anatomy.{k}: {part.shape.name}, {_point(size / MM_PER_M)} mm across, {role}, {margin}")
     start, fault = _start(scenario)
     lines += [f"start: {_shown(scenario.robot, scenario.start)}", *([start] if start else [])]
-    flags = [*doubtful_sizes(scenario), *([f"{scenario.path or scenario.name}: start: {fault}"] if fault else [])]
+    faults = {"start": fault} | {goal.place: _goal_fault(scenario, goal) for goal in scenario.targets}
+    where = scenario.path or scenario.name
+    flags = [*doubtful_sizes(scenario), *(f"{where}: {key}: {text}" for key, text in faults.items() if text)]
     notes = [text for text in scenario.warnings if text not in (*scenario.robot.warnings, *flags) and MORE not in text]
     return Check(
         name=scenario.name,
@@ -270,14 +274,38 @@ def _start(scenario: Scenario) -> tuple[str, str]:
     from ctrplan.motion.checker import MotionChecker  # with its own solver
 
     status = scenario.robot.mechanics.bound(*scenario.robot.drive.collars(scenario.start))
-    room_m = float(MotionChecker(scenario).clearance(scenario.start).clearance_m[0])
+    checker = MotionChecker(scenario)
+    room_m = float(checker.clearance(scenario.start).clearance_m[0])
     line = (
         f"       stability {status.frictionless.stability:.2g}, strain {100 * status.frictionless.max_strain:.2g} %, "
         f"friction may move the tip by {status.position_m * 1e3:.3g} mm there"
     )
     if np.isfinite(room_m):
         line += f"; {room_m * MM_PER_M:.3g} mm are left beyond the margins"
-    return line, f"the body is {-room_m * MM_PER_M:.3g} mm too near to the anatomy, or in it" if room_m < 0 else ""
+    near = f"the body is {-room_m * MM_PER_M:.3g} mm too near to the anatomy, or in it" if room_m < 0 else ""
+    return line, near and (start_trouble(checker) or near)
+
+
+def _goal_fault(scenario: Scenario, goal: Goal) -> str:
+    """What makes it impossible that any tip gets to a goal; empty if nothing is seen."""
+    robot, tip = scenario.robot, goal.tip_m
+    if tip is None or goal.joints is not None:
+        return ""
+    if trouble := blocked(scenario, tip, robot.tubes[-1].outer_diameter_m / 2, goal.tolerance_m):
+        return trouble
+    at = scenario.base_R.T @ (tip - scenario.base_position_m)
+    away, reach = float(np.linalg.norm(at)), reach_m(robot)
+    same = "are the goal and [base] in the same frame?"
+    if away > reach + goal.tolerance_m:
+        return f"lies {away * 1e3:.3g} mm from the base, the robot is {reach * 1e3:.3g} mm long: {same}"
+    if away < nearest_tip_m(robot) - goal.tolerance_m:
+        return (
+            f"lies {away * 1e3:.3g} mm from the base, no tip ends nearer to it than {nearest_tip_m(robot) * 1e3:.3g} mm"
+        )
+    q = JointSpace.of_robot(robot).sample(np.random.default_rng(0), SAMPLES)
+    if at[2] < 0 and len(q) and np.nanmin(robot.mechanics.tips(*robot.drive.collars(q))[0][:, 2]) > 0:
+        return f"lies {-at[2] * 1e3:.3g} mm behind the base, where none of {len(q)} tips was: {same}"
+    return ""
 
 
 def _point(point_m: Array) -> str:
@@ -309,21 +337,22 @@ def _of_measurements(data: Measurements, robot: Robot) -> Check:
     readings = read_again(robot, data)
     facts: dict[str, Any] = {"poses": data.count, "reading": [reading.to_json() for reading in readings]}
     flags = [f"{data.file}: {reading.sentence}" for reading in readings]
+    flags += [text for text in data.warnings if text.endswith("?")]
     if len(off):
         facts |= {"error_median_mm": float(np.median(off)) * 1e3, "error_largest_mm": float(off.max()) * 1e3}
         lines.append(
             f"the robot file explains them, without friction, to {np.median(off) * 1e3:.3g} mm in the middle, "
             f"{off.max() * 1e3:.3g} mm at most"
         )
-        if not flags and np.median(off) > FAR_OFF * reach_m(robot):
+        if not readings and np.median(off) > FAR_OFF * reach_m(robot):
             rule = "is too far for any effect: are columns in another order, axis or unit, or is the frame another one"
             flags.append(
                 f'{data.file}: {np.median(off) * 1e3:.3g} mm {rule}? frame = "unknown" in a mapping file finds it.'
             )
-        elif not flags and len(turned) and np.median(turned) > FAR_TURNED_DEG:
+        elif not readings and len(turned) and np.median(turned) > FAR_TURNED_DEG:
             hint = "do they point to the base?" if np.median(turned) > 135 else "are their columns in another order?"
             flags.append(f"{data.file}: tangents are {np.median(turned):.3g} deg off those of the robot: {hint}")
-    notes = (*data.warnings, *how_taken(data))
+    notes = (*(text for text in data.warnings if text not in flags), *how_taken(data))
     return Check(str(data.file), "measurements", tuple(lines), tuple(flags), notes, facts, robot)
 
 

@@ -172,14 +172,16 @@ class LiveServer:
         return f"http://{ADDRESS}:{self.server_address[1]}/{self.token}/"
 
     def serve_forever(self) -> None:
-        """Answers until `shutdown` or Ctrl-C, in a thread of its own: an interrupt never lands in the midst of it."""
-        answering = threading.Thread(target=asyncio.run, args=(self._serve(),), name="live view")
-        answering.start()
-        try:
-            answering.join()
-        finally:
-            self.shutdown()
-            answering.join()
+        """Answers until `shutdown` or Ctrl-C, in a thread of its own: an interrupt never lands in the midst of it.
+
+        It is waited for by its result: a `Thread.join` that was interrupted takes the thread for ended (Python 3.11).
+        """
+        with ThreadPoolExecutor(1, thread_name_prefix="live view") as answering:
+            ended = answering.submit(asyncio.run, self._serve())
+            try:
+                ended.result()
+            finally:
+                self.shutdown()
 
     def shutdown(self) -> None:
         """Ends `serve_forever`, from another thread."""

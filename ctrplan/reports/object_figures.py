@@ -189,7 +189,7 @@ def _caption(tube: Tube, i: int) -> str:
 
 def _draw_travel(ax: Axes, robot: Robot) -> None:
     """Where the tips of the tubes can be in front of the plate, and where they are at home."""
-    low, high = travel_m(robot)
+    low, high = robot.drive.travel_m
     tips = np.array([tube.length_m for tube in robot.tubes])
     home = robot.drive.home_l_m + tips
     for i in range(robot.n):
@@ -202,17 +202,6 @@ def _draw_travel(ax: Axes, robot: Robot) -> None:
     ax.set_xlabel("in front of the plate (mm); the stroke is home")
     ax.set_title("travel of the drive", loc="left", fontsize=10)
     ax.spines[["top", "right"]].set_visible(False)
-
-
-def travel_m(robot: Robot) -> tuple[Array, Array]:
-    """(n,), (n,) [m] least and greatest base translations within the drive's limits, those without limits at home."""
-    drive = robot.drive
-    slope = drive.matrix_l[:, ~drive.is_rotation]
-    ends = np.stack([drive.lower, drive.upper])[:, ~drive.is_rotation]
-    ends = np.where(np.isfinite(ends), ends, 0.0)
-    both = slope * ends[0], slope * ends[1]
-    home = np.asarray(drive.home_l_m)
-    return home + np.minimum(*both).sum(axis=1), home + np.maximum(*both).sum(axis=1)
 
 
 def bound_figure(bound: Bound, title: str = "") -> Figure:

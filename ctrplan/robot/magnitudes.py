@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from ctrplan.base.arrays import are_degrees, are_radians
+from ctrplan.base.arrays import are_degrees, are_radians, in_radians
 from ctrplan.drive.drive import UNITS
 from ctrplan.robot.robot import diametral_gap_m
 
@@ -21,16 +21,19 @@ if TYPE_CHECKING:
     from ctrplan.mechanics.tube import Tube, TubeSection
     from ctrplan.robot.robot import Robot
 
-UNITS_M = {"m": 1.0, "mm": 1e-3, "in": 25.4e-3, "cm": 1e-2, "um": 1e-6}  # the likeliest mistake first
+UNITS_M = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "in": 25.4e-3, "um": 1e-6}  # the likeliest mistake first
 IN_WORDS = {"m": "metres", "mm": "millimetres", "in": "inches", "cm": "centimetres", "um": "micrometres"}
 YOUNG_PA = 5e7, 1.2e12  # a soft polymer, and diamond, the stiffest that there is
 WALL = 10.0  # times by which rounded diameters of thin walls may make an implied modulus greater
 USUAL_YOUNG_PA = 1e9, 3e11  # of a reading that explains a number
 METALS_PA = (2.8e10, 8.3e10), (1.8e11, 2.15e11)  # nickel-titanium (martensite to austenite) and steel, by data sheets
+PERCENT_RATIO = 20.0, 50.0  # Poisson's ratio of solids, in %
+METAL_RATIO = 0.25, 0.36  # Poisson's ratio of steel, nickel-titanium and titanium
 MOST_ARC_RAD = 4 * math.pi  # of a section
 USUAL_ARC_RAD = math.radians(10), math.radians(225)  # of a reading that explains a number
 MOST_ELASTIC = 0.12  # strain from which no stiff tube comes back: superelastic ones bear a tenth
 OUTER_M = 1e-4, 0.04  # outer diameters
+USUAL_OUTER_M = 3e-4, 0.02  # of a reading that explains a number
 SLENDER = 8.0  # length over outer diameter of the shortest tube
 DENSITY = 200.0, 25_000.0  # kg/m^3, foam to platinum
 NOISE_M = 2e-6, 0.02  # standard deviation of a tracker
@@ -61,12 +64,8 @@ class Doubt(NamedTuple):
     otherwise: str | None = None
 
 
-def likely_unit(value_m: float, read_in: str, low_m: float, high_m: float) -> str | None:
-    """The unit in which the number that was read as `value_m` would be a length from low to high; None for none."""
-    return next(iter(_likely_units(value_m, read_in, low_m, high_m)), None)
-
-
-def _likely_units(value_m: float, read_in: str, low_m: float, high_m: float) -> list[str]:
+def likely_units(value_m: float, read_in: str, low_m: float, high_m: float) -> list[str]:
+    """The units in which the number that was read as `value_m` would be a length from low to high, usual ones first."""
     number = value_m / UNITS_M[read_in]
     return [unit for unit, si in UNITS_M.items() if unit != read_in and low_m <= number * si <= high_m]
 
@@ -89,11 +88,11 @@ def straightened_strain(tube: Tube) -> float:
 
 def robot_doubts(robot: Robot) -> Iterator[Doubt]:
     """Numbers of a robot that are most likely in another unit, tube by tube."""
-    for i, tube in enumerate(robot.tubes):
-        yield from _tube_doubts(tube, i)
+    yield from tube_doubts(robot)
     radii = _radii_doubt(robot)
     yield from radii
     yield from _softness_doubts(robot)
+    yield from _metal_doubt(robot)
     for i in range(len(robot.contacts)):
         yield from _contact_doubts(robot, i, not radii)
     yield from _drive_doubts(robot)
@@ -102,41 +101,47 @@ def robot_doubts(robot: Robot) -> Iterator[Doubt]:
     if robot.measurement is not None:
         sigma = robot.measurement.position_sigma_m
         if not NOISE_M[0] <= sigma <= NOISE_M[1]:
-            units = _likely_units(sigma, "mm", 2e-5, 5e-3)
+            units = likely_units(sigma, "mm", 2e-5, 5e-3)
             yield Doubt(("measurement", "position_sigma_mm"), f"is no noise of a tracker{_unit_question(units)}")
         if (turned := robot.measurement.tangent_sigma_rad) is not None:
             yield from _small("tangent_sigma_deg", "measurement", math.degrees(turned), TANGENT_NOISE, ANGLES)
     for k, marker in enumerate(robot.markers):
         if 0 < marker.distance_m < OUTER_M[0] and (
-            units := _likely_units(marker.distance_m, "mm", 1e-3, reach_m(robot))
+            units := likely_units(marker.distance_m, "mm", 1e-3, reach_m(robot))
         ):
             rule = f"is less than the thinnest tube is wide{_unit_question(units[:1])}"
             yield Doubt(("marker", k, f"from_{marker.end}_mm"), rule)
-    if 0 < robot.model_error_m < FINEST_ERROR_M and (units := _likely_units(robot.model_error_m, "mm", 1e-4, 0.02)):
+    if 0 < robot.model_error_m < FINEST_ERROR_M and (units := likely_units(robot.model_error_m, "mm", 1e-4, 0.02)):
         rule = f"is finer than any robot's shape is known{_unit_question(units[:1])}"
         yield Doubt(("model_error_mm",), rule)
     if robot.model_error_m > 0.1 * reach_m(robot):
         rule = f"is more than a tenth of the robot's {reach_m(robot) * 1e3:.3g} mm"
-        yield Doubt(("model_error_mm",), rule + _unit_question(_likely_units(robot.model_error_m, "mm", 0, 0.01)))
+        yield Doubt(("model_error_mm",), rule + _unit_question(likely_units(robot.model_error_m, "mm", 0, 0.01)))
+
+
+def tube_doubts(robot: Robot) -> Iterator[Doubt]:
+    """Numbers of the tubes by themselves that are most likely in another unit."""
+    for i, tube in enumerate(robot.tubes):
+        yield from _tube_doubts(tube, i)
 
 
 def _tube_doubts(tube: Tube, i: int) -> Iterator[Doubt]:
     outer = tube.outer_diameter_m
     if not OUTER_M[0] <= outer <= OUTER_M[1]:
         yield Doubt(
-            ("tube", i, "outer_diameter_mm"), f"is no tube{_unit_question(_likely_units(outer, 'mm', 3e-4, 0.02))}"
+            ("tube", i, "outer_diameter_mm"), f"is no tube{_unit_question(likely_units(outer, 'mm', *USUAL_OUTER_M))}"
         )
         return
     if tube.length_m < SLENDER * outer:
         rule = f"is {tube.length_m * 1e3:.3g} mm long, {tube.length_m / outer:.2g} times its diameter"
-        units = _likely_units(tube.length_m, "mm", 20e-3, 1.0)
+        units = likely_units(tube.length_m, "mm", 20e-3, 1.0)
         yield Doubt(("tube", i), rule + _unit_question(units, "are its lengths in"))
     yield from _stiffness_doubts(tube, i)
-    if 0 < tube.collar_length_m < outer and (units := _likely_units(tube.collar_length_m, "mm", 1e-3, 0.1)):
+    if 0 < tube.collar_length_m < outer and (units := likely_units(tube.collar_length_m, "mm", 1e-3, 0.1)):
         yield Doubt(("tube", i, "collar_length_mm"), f"is shorter than the tube is wide{_unit_question(units)}")
     straight = _aside_m(tube) < outer
     for k, section in enumerate(tube.sections):
-        if section.length_m < outer / 4 and (units := _likely_units(section.length_m, "mm", 5e-3, 1.0)):
+        if section.length_m < outer / 4 and (units := likely_units(section.length_m, "mm", 5e-3, 1.0)):
             rule = f"is shorter than a quarter of the tube's diameter{_unit_question(units)}"
             yield Doubt(("tube", i, "section", k, "length_mm"), rule)
         elif doubt := _bend_doubt(tube, section, straight=straight):
@@ -154,7 +159,11 @@ def _stiffness_doubts(tube: Tube, i: int) -> Iterator[Doubt]:
         of_EI = {"N mm^2": 1e-6, "N cm^2": 1e-4, "lb in^2": 2.87e-3, "kN m^2": 1e3, "MPa m^4": 1e6}
         of_E = {"MPa": 1e-3, "N/cm^2": 1e-5, "ksi": 6.895e-3, "Pa": 1e-9, "TPa": 1e3}
         sizes = {"in inches": 25.4, "in centimetres": 10.0, "in metres": 1e3, "radii": 2.0}
-        bore = [word for word, k in sizes.items() if low <= young / k**4 <= high and 3e-4 <= outer * k <= 0.02]
+        bore = [
+            word
+            for word, k in sizes.items()
+            if low <= young / k**4 <= high and USUAL_OUTER_M[0] <= outer * k <= USUAL_OUTER_M[1]
+        ]
         rules = []
         for factors in (of_EI, of_E):
             units = [unit for unit, factor in factors.items() if low <= young * factor <= high]
@@ -169,6 +178,9 @@ def _stiffness_doubts(tube: Tube, i: int) -> Iterator[Doubt]:
         units = [unit for unit, factor in {"MPa": 1e-3, "ksi": 6.895e-3}.items() if 0.2 <= times * factor <= 0.7]
         rule = f"shear modulus would be {times:.3g} times Young's, of materials it is a third to a half"
         yield Doubt(("tube", i, "poisson_ratio"), rule, f"{rule}: is it in {_or(units)}?" if units else rule)
+    if PERCENT_RATIO[0] <= tube.poisson_ratio <= PERCENT_RATIO[1]:
+        rule = f"makes the shear modulus {2 * (1 + tube.poisson_ratio):.3g} times less than Young's: is it in %?"
+        yield Doubt(("tube", i, "poisson_ratio"), rule, rule.partition(":")[0])
     if tube.max_strain > MOST_ELASTIC and young > low:
         rule = f"no material of {young / 1e9:.2g} GPa bears {100 * tube.max_strain:.3g} % and comes back: is it in %?"
         yield Doubt(("tube", i, "max_strain"), rule)
@@ -200,6 +212,20 @@ def _softness_doubts(robot: Robot) -> Iterator[Doubt]:
             yield Doubt(("tube", i, "bending_stiffness_Nm2"), f"{rule}: is it right?", f"{rule}: is it in TPa?")
 
 
+def _metal_doubt(robot: Robot) -> Iterator[Doubt]:
+    """Whether all tubes are a thousand times softer than a metal with the Poisson's ratio of one.
+
+    So soft are rubbery polymers, which keep their volume nearly: their ratio is two fifths to a half.
+    """
+    for tube in robot.tubes:
+        is_metal = any(low <= 1e3 * implied_young_Pa(tube) <= high for low, high in METALS_PA)
+        if not is_metal or not METAL_RATIO[0] <= tube.poisson_ratio <= METAL_RATIO[1]:
+            return
+    young, ratio = implied_young_Pa(robot.tubes[0]), robot.tubes[0].poisson_ratio
+    rule = f"Young's modulus would be {young:.2g} Pa, of rubber, and Poisson's ratio {ratio:.3g}, as of a metal"
+    yield Doubt(("tube", 0, "bending_stiffness_Nm2"), f"{rule}: is it in kN m^2?", f"{rule}: is it in TPa?")
+
+
 def _contact_doubts(robot: Robot, i: int, are_diameters: bool) -> Iterator[Doubt]:
     """Doubts about the pair i (from 0): its stated clearance by the gap of the diameters, and its friction."""
     stated, gap = robot.contacts[i].clearance_m, diametral_gap_m(robot.tubes, i)
@@ -208,7 +234,7 @@ def _contact_doubts(robot: Robot, i: int, are_diameters: bool) -> Iterator[Doubt
     if stated is not None and abs(stated - 2 * gap) <= WRITTEN_M and are_diameters:
         hint = "is it the difference of diameters, or are the diameters radii?"
         yield Doubt(key, f"is twice {left}: {hint}")
-    elif stated is not None and (units := _likely_units(stated, "mm", 0.9 * gap, 1.1 * gap)):
+    elif stated is not None and (units := likely_units(stated, "mm", 0.9 * gap, 1.1 * gap)):
         yield Doubt(key, f"is not {left}{_unit_question(units[:1])}")
     outer, inner = robot.tubes[i], robot.tubes[i + 1]
     if stated is None and are_diameters and 2 * inner.outer_diameter_m < outer.inner_diameter_m:
@@ -236,8 +262,13 @@ def bend_readings(tube: Tube, section: TubeSection) -> tuple[list[str], list[str
     as_curvature |= {f"its radius in {IN_WORDS[unit]}": 1 / curvature / UNITS_M[unit] for unit in ("cm", "in")}
     as_radius = {f"its radius in {IN_WORDS[unit]}": 1 / radius_mm / UNITS_M[unit] for unit in ("cm", "in", "m")}
     as_radius["its curvature in 1/m (curvature_y_per_m)"] = radius_mm
+    lengths = [
+        f"its length in {IN_WORDS[unit]}"
+        for unit in likely_units(section.length_m, "mm", 5e-3, 1.0)
+        if USUAL_ARC_RAD[0] <= curvature * section.length_m * UNITS_M[unit] / UNITS_M["mm"] <= USUAL_ARC_RAD[1]
+    ]
     usual = [
-        [word for word, per_m in words.items() if _is_usual(tube, section, per_m)]
+        [word for word, per_m in words.items() if _is_usual(tube, section, per_m)] + lengths
         for words in (as_curvature, as_radius)
     ]
     return usual[0], usual[1]
@@ -276,12 +307,12 @@ def _or(words: Sequence[str]) -> str:
 
 def _drive_doubts(robot: Robot) -> Iterator[Doubt]:
     longest, drive = reach_m(robot), robot.drive
-    if are_radians(np.degrees(drive.home_theta_rad)):
+    if in_radians(np.degrees(drive.home_theta_rad).tolist()) is not None:
         yield Doubt(("home", "theta_deg"), "are whole parts of a turn in radians: are they in radians?")
     if are_degrees(np.round(drive.home_theta_rad, WRITTEN)):
         yield Doubt(("home", "theta_deg"), "are whole numbers of radians: are they degrees given for radians?")
     moved = float(np.abs(drive.home_l_m).max())
-    if 0 < moved < TRAVEL / 10 * longest and likely_unit(moved, "mm", 0.05 * longest, longest) == "m":
+    if 0 < moved < TRAVEL / 10 * longest and "m" in likely_units(moved, "mm", 0.05 * longest, longest):
         yield Doubt(("home", "l_mm"), f"moves bases by {moved * 1e3:.3g} mm at most: are these in metres?")
     for k, joint in enumerate(drive.joints):
         low, high = float(drive.lower[k]), float(drive.upper[k])
@@ -290,7 +321,7 @@ def _drive_doubts(robot: Robot) -> Iterator[Doubt]:
         span = high - low
         travel = span * float(np.abs(joint.moves).max())  # of the tube that it moves most
         if joint.kind == "translation" and 0 < travel < TRAVEL * longest:
-            units = _likely_units(travel, "mm", 0.05 * longest, 1.5 * longest)
+            units = likely_units(travel, "mm", 0.05 * longest, 1.5 * longest)
             if units:
                 rule = f"travels {travel * 1e3:.3g} mm"
                 yield Doubt(("joint", k), rule + _unit_question(units, "are its limits in"))
@@ -376,7 +407,12 @@ def _small(key: str, table: str, value: float, limits: Sequence[float], factors:
 
 
 def _unit_question(units: Sequence[str], question: str = "is it in") -> str:
-    return f": {question} {' or '.join(IN_WORDS[unit] for unit in units)}?" if units else ""
+    return f": {question} {in_words(units)}?" if units else ""
+
+
+def in_words(units: Sequence[str]) -> str:
+    """Units of lengths as a sentence asks for them."""
+    return " or ".join(IN_WORDS[unit] for unit in units)
 
 
 def summarised(sentences: Sequence[str], check: str) -> tuple[str, ...]:

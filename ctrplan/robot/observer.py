@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ctrplan.base.arguments import SEED, Choice, Made, Whole, checked
-from ctrplan.base.arrays import CI95, Array, numbers
+from ctrplan.base.arrays import CI95, Array, numbers, warn_of_degrees
 from ctrplan.base.package import of_this_process
 from ctrplan.drive.legs import STILL_M, STILL_RAD
 from ctrplan.errors import InputError, SolverError
@@ -242,6 +242,7 @@ class Observer:
 
         Raises InputError, before anything moves, and SolverError where no friction state has an equilibrium.
         """
+        warn_of_degrees("theta_b", theta_b)
         theta_b, l_b = self._collars(theta_b, l_b)
         seen, along = _vector(position_m, "position_m"), _vector(tangent, "tangent")
         if along is not None:
@@ -269,6 +270,7 @@ class Observer:
         The observer stays where it is. Raises InputError, also before the first step, and SolverError.
         """
         self._require_begun()
+        warn_of_degrees("theta_b", theta_b)
         single = np.ndim(l_b) == 1
         theta, l = (np.atleast_2d(numbers(x, key)) for x, key in ((theta_b, "theta_b"), (l_b, "l_b")))  # noqa: E741
         theta, l = joint_rows(theta, l, self._bank.mechanics.n)  # noqa: E741 (as in the equations)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, partial
@@ -12,8 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ctrplan.base.arguments import rows_of
-from ctrplan.base.arrays import ROUNDING_M, Array, are_degrees, content_sha256, numbers, read_only
-from ctrplan.base.package import shown
+from ctrplan.base.arrays import ROUNDING_M, Array, content_sha256, numbers, read_only, warn_of_degrees
+from ctrplan.base.package import shown, warn_caller
 from ctrplan.drive.drive import Drive
 from ctrplan.errors import InputError
 from ctrplan.measurement.measurements import Marker, SensorNoise
@@ -246,7 +245,7 @@ class Robot:
 
     def zero_clearance(self, theta_b: ArrayLike, l_b: ArrayLike) -> Shape:
         """Zero-clearance, frictionless shape at collars (n,) [rad], (n,) [m], (2)-(3), with the loads of the robot."""
-        _warn_of_degrees(theta_b)
+        warn_of_degrees("theta_b", theta_b)
         return self.mechanics.zero_clearance(theta_b, l_b)
 
     def equilibria(self, theta_b: ArrayLike, l_b: ArrayLike) -> Equilibria:
@@ -258,7 +257,7 @@ class Robot:
         """
         from ctrplan.mechanics.equilibria import equilibria
 
-        _warn_of_degrees(theta_b)
+        warn_of_degrees("theta_b", theta_b)
         return equilibria(self, theta_b, l_b)
 
     def solve(
@@ -270,7 +269,7 @@ class Robot:
         tube was last rotated counterclockwise against the outer one, 0 without friction. accuracy: of the mesh.
         `status` of the result says whether it is one stable equilibrium. Raises InputError for collars that don't nest.
         """
-        _warn_of_degrees(theta_b)
+        warn_of_degrees("theta_b", theta_b)
         return self.mechanics.solve(theta_b, l_b, phi, accuracy=accuracy)
 
     def bound(
@@ -295,7 +294,7 @@ class Robot:
         are those of the corner that is worst; where another one becomes it, the bound has a kink. Raises InputError
         for collars that do not nest, SolverError where nothing is solved.
         """
-        _warn_of_degrees(theta_b)
+        warn_of_degrees("theta_b", theta_b)
         bound = partial(self.mechanics.bound, accuracy=accuracy, corners=corners, progress=progress)
         return bound(theta_b, l_b, gradient=gradient, parameters=parameters)
 
@@ -315,7 +314,7 @@ class Robot:
         half a second or so. `progress` is told the finished share, 0 to 1. Raises InputError, with the row, before
         anything is solved.
         """
-        _warn_of_degrees(theta_b)
+        warn_of_degrees("theta_b", theta_b)
         return self.mechanics.bound_many(
             theta_b, l_b, accuracy=accuracy, threads=threads, progress=progress, executor=executor
         )
@@ -337,7 +336,7 @@ class Robot:
         gradient, parameters: as of `bound`, NaN in rows without a bound. Raises InputError for arrays of another shape
         alone, and for parameters that there are not.
         """
-        _warn_of_degrees(theta_b)
+        warn_of_degrees("theta_b", theta_b)
         return self.mechanics.bounds(
             theta_b,
             l_b,
@@ -428,21 +427,14 @@ def _as_in_a_file(robot: Robot) -> None:
         taken |= {"tubes", "contacts", "drive", "loads", "ideal", "model_error_m"}
     for name in taken:
         object.__setattr__(robot, name, getattr(read, name))
-    warn_of_doubts(read.warnings, 5)
+    warn_of_doubts(read.warnings)
 
 
-def warn_of_doubts(doubts: Sequence[str], stacklevel: int = 4) -> None:
+def warn_of_doubts(doubts: Sequence[str]) -> None:
     """Warns whoever makes an object in code of numbers that may be in another unit: of sentences that ask."""
     for text in doubts:
         if "?" in text:
-            warnings.warn(text, stacklevel=stacklevel)
-
-
-def _warn_of_degrees(theta_b: ArrayLike) -> None:
-    """Warns the caller's caller of angles that are most likely degrees."""
-    if are_degrees(theta_b):
-        shown = np.array2string(np.asarray(theta_b, dtype=np.float64), threshold=6)
-        warnings.warn(f"theta_b = {shown} rad: are these degrees? numpy.radians turns them.", stacklevel=3)
+            warn_caller(text)
 
 
 def diametral_gap_m(tubes: Sequence[Tube], i: int) -> float:

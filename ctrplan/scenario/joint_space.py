@@ -198,6 +198,7 @@ def l_shaped(path: ArrayLike, scenario: Scenario) -> Array:
     states, m = numbers(path, "path").copy(), len(scenario.robot.drive.joints)
     if states.ndim != 2 or states.shape[1] != m or not len(states) or not np.all(np.isfinite(states)):
         raise InputError(f"must be finite, of shape (K, {m}) with K >= 1, not {states.shape}", key="path")
+    scenario.robot.drive.warn_of_degrees("path", states)
     space = JointSpace.of(scenario)
     corners = [states[0]]
     for target in states[1:]:

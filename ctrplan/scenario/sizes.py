@@ -12,15 +12,26 @@ from typing import NamedTuple
 import numpy as np
 
 from ctrplan.anatomy.parts import AnatomyPart
-from ctrplan.base.arrays import Array, are_degrees, are_radians
-from ctrplan.robot.magnitudes import IN_WORDS, UNITS_M, reach_m
+from ctrplan.base.arrays import Array, are_degrees, are_radians, in_radians
+from ctrplan.mechanics.tube import Loads
+from ctrplan.robot.magnitudes import UNITS_M, in_words, reach_m
 from ctrplan.robot.robot import Robot
 
 NEAR = 0.01  # share of the robot's length: a tip that is nearer to the base lies in the plate
 PLAUSIBLE = 0.05, 1.05  # shares of it at which goals are
+BESIDE = 2.0  # lengths of the robot within which obstacles may be meant that it does not reach
 LARGEST_PART = 25.0  # lengths of the robot
-LUMEN = 0.2, 5.0  # of a lumen whose size gives no reason to doubt it, wherever the goals are
 USUAL_PART = 0.02, 5.0  # of a part that is meant to be next to it
+FACTORS = {  # by which numbers are too small or too large that are read in the wrong one of two units, usual ones first
+    1e3: "1000 times too small (m read as mm)",
+    1e-3: "1000 times too large (mm read as m)",
+    10.0: "10 times too small (cm read as mm)",
+    0.1: "10 times too large (mm read as cm)",
+    25.4: "25.4 times too small (inches read as mm)",
+    1 / 25.4: "25.4 times too large (mm read as inches)",
+}
+SMALLEST_FACTOR = min(factor for factor in FACTORS if factor > 1)
+LONGEST_LUMEN_M = 1.0  # as the vessels from groin to heart
 WITHIN_M = 1e-5, 1e-4, 0.02  # least tolerance, margin or deviation; and those that are usual
 WITHIN = 0.2  # share of the robot's length that is the most of them
 FINE_M = 1e-4  # to which a base is placed at best
@@ -28,9 +39,8 @@ TURNED_DEG = 0.02, 0.1, 20.0  # least deviation or tolerance of a direction; and
 
 
 class SizeDoubt(NamedTuple):
-    """unit: the likely one. rule: the end of a sentence about the number. is_sure: whether nothing else explains it."""
+    """rule: the end of a sentence about the number. is_sure: whether nothing but another unit explains it."""
 
-    unit: str
     rule: str
     is_sure: bool = True
     key: str = "unit"
@@ -47,18 +57,34 @@ def place_doubt(
     length, away = reach_m(robot), float(np.linalg.norm(tip_m - base_m))
     lumens = [part for part in parts if part.role == "inside"]
     outside = bool(lumens) and away < PLAUSIBLE[0] * length and not _inside_any(lumens, tip_m)
-    if NEAR * length <= away <= length * PLAUSIBLE[1] and not outside:
+    near = max(NEAR * length, nearest_tip_m(robot))
+    if near <= away <= length * PLAUSIBLE[1] and not outside:
         return None
-    for unit in _others(read_in):
-        moved = tip_m * UNITS_M[unit] / UNITS_M[read_in]
-        if not PLAUSIBLE[0] * length <= float(np.linalg.norm(moved - base_m)) <= PLAUSIBLE[1] * length:
-            continue
-        if lumens and not _inside_any(lumens, moved):
-            continue
-        sure = outside or unit in ("m", "mm", "um")
-        where = " and outside all lumens" if outside else ""
-        return SizeDoubt(unit, _away(away, length, f"are these in {IN_WORDS[unit]}?", where), sure)
-    return None
+    units = [
+        unit
+        for unit in _others(read_in)
+        for moved in [tip_m * UNITS_M[unit] / UNITS_M[read_in]]
+        if PLAUSIBLE[0] * length <= float(np.linalg.norm(moved - base_m)) <= PLAUSIBLE[1] * length
+        and (not lumens or _inside_any(lumens, moved))
+    ]
+    if not units:
+        return None
+    sure = outside or units[0] in ("m", "mm", "um")
+    where = " and outside all lumens" if outside else ""
+    return SizeDoubt(_away(away, length, f"are these in {in_words(units)}?", where), sure)
+
+
+def nearest_tip_m(robot: Robot) -> float:
+    """Distance [m] from the base that the tip of a robot without loads keeps within the drive's limits.
+
+    A curve that bends by less than a circle ends farther away than an arc of that circle as long (Schur's theorem), and
+    tubes inside one another bend by less than the most bent one of them.
+    """
+    tube, most = robot.tubes[-1], max(section.curvature_per_m for each in robot.tubes for section in each.sections)
+    ahead = float(robot.drive.travel_m[0][-1]) + tube.length_m
+    if robot.loads != Loads() or robot.effects or ahead <= 0 or most * ahead >= 2 * np.pi:
+        return 0.0
+    return float(2 / most * np.sin(most * ahead / 2)) if most * ahead > 1e-6 else ahead
 
 
 def joint_doubts(robot: Robot, values: Mapping[str, object]) -> Iterator[tuple[str, SizeDoubt]]:
@@ -66,85 +92,130 @@ def joint_doubts(robot: Robot, values: Mapping[str, object]) -> Iterator[tuple[s
     joints = {joint.name: joint for joint in robot.drive.joints}
     given = {name: float(x) for name, x in values.items() if name in joints and isinstance(x, (int, float))}
     angles = {name: x for name, x in given.items() if joints[name].kind == "rotation" and x}
-    if are_radians(angles.values()):
-        rule = "is a whole part of a turn in radians, as its neighbours are: are these in radians?"
-        yield next(iter(angles)), SizeDoubt("rad", rule, False)
+    if (k := in_radians([*angles.values()])) is not None:
+        alike = ", as its neighbours are: are these" if are_radians(angles.values()) else ": is it"
+        yield [*angles][k], SizeDoubt(f"is a whole part of a turn in radians{alike} in radians?", False)
     if are_degrees(np.round(np.radians(list(angles.values())), 9)):
         rule = "is a whole number of radians, as its neighbours are: are these degrees given for radians?"
-        yield next(iter(angles)), SizeDoubt("deg", rule, False)
+        yield next(iter(angles)), SizeDoubt(rule, False)
     ways = {name: x for name, x in given.items() if joints[name].kind == "translation" and x}
     most, length = max(map(abs, ways.values()), default=0.0), reach_m(robot)
     if 0 < most * UNITS_M["mm"] < NEAR / 10 * length and PLAUSIBLE[0] * length <= most <= length:
         rule = f"moves by {most:.3g} mm, the robot is {length * 1e3:.3g} mm long: are these in metres?"
-        yield max(ways, key=lambda name: abs(ways[name])), SizeDoubt("m", rule, False)
+        yield max(ways, key=lambda name: abs(ways[name])), SizeDoubt(rule, False)
 
 
 def base_doubt(robot: Robot, tips_m: Sequence[Array], base_m: Array) -> SizeDoubt | None:
     """What speaks against the unit [mm] of a base's position (3,) [m] whose goals (3,) [m] are all beyond reach."""
     length = reach_m(robot)
     offset = float(np.linalg.norm(base_m))
-    if 0 < offset < FINE_M and PLAUSIBLE[0] * length <= offset * UNITS_M["m"] / UNITS_M["mm"] <= LUMEN[1] * length:
+    if 0 < offset < FINE_M and PLAUSIBLE[0] * length <= offset * UNITS_M["m"] / UNITS_M["mm"] <= USUAL_PART[1] * length:
         rule = f"moves the base by {offset / UNITS_M['mm']:.2g} mm, finer than a base is placed: is it in metres?"
-        return SizeDoubt("m", rule, False, "position_mm")
+        return SizeDoubt(rule, False, "position_mm")
     away = [float(np.linalg.norm(tip - base_m)) for tip in tips_m]
     if not away or min(away) <= length * PLAUSIBLE[1] or not base_m.any():
         return None
-    for unit in _others("mm"):
-        moved = [float(np.linalg.norm(tip - base_m * UNITS_M[unit] / UNITS_M["mm"])) for tip in tips_m]
-        if all(PLAUSIBLE[0] * length <= one <= PLAUSIBLE[1] * length for one in moved):
-            return SizeDoubt(unit, _away(min(away), length, f"is the base in {IN_WORDS[unit]}?"))
-    return None
+    units = [
+        unit
+        for unit in _others("mm")
+        for moved in [[float(np.linalg.norm(tip - base_m * UNITS_M[unit] / UNITS_M["mm"])) for tip in tips_m]]
+        if all(PLAUSIBLE[0] * length <= one <= PLAUSIBLE[1] * length for one in moved)
+    ]
+    return SizeDoubt(_away(min(away), length, f"is the base in {in_words(units)}?")) if units else None
 
 
 def turn_doubts(base: Mapping[str, object]) -> Iterator[SizeDoubt]:
     """What speaks against how the table [base] of a scenario's file says that the base is turned."""
     roll, quaternion = base.get("roll_deg"), base.get("quaternion_wxyz")
     if isinstance(roll, (int, float)) and are_radians([roll]):
-        yield SizeDoubt("rad", "is a whole part of a turn in radians: is it in radians?", False, "roll_deg")
+        yield SizeDoubt("is a whole part of a turn in radians: is it in radians?", False, "roll_deg")
     if isinstance(quaternion, (list, tuple)) and [*quaternion] == [0, 0, 0, 1]:
         rule = "turns the base by 180 deg: is it the identity of those who write x, y, z, w? Here w comes first"
-        yield SizeDoubt("", rule, False, "quaternion_wxyz")
+        yield SizeDoubt(rule, False, "quaternion_wxyz")
 
 
 def part_doubts(
     robot: Robot, parts: Sequence[AnatomyPart], tips_m: Sequence[Array], base_m: Array
 ) -> Iterator[tuple[int, SizeDoubt]]:
-    """Parts, by number from 0, that are out of all proportion to the robot, or lumens that hold none of the goals."""
+    """Parts, by number from 0, that are out of all proportion to the robot, or that hold none or all of the goals."""
     length, thinnest = reach_m(robot), robot.tubes[-1].outer_diameter_m
     lumens = [part for part in parts if part.role == "inside"]
     lost = bool(lumens) and not any(_inside_any(lumens, tip) for tip in tips_m)
     for k, part in enumerate(parts):
-        if (
-            part.role == "avoid"
-            and tips_m
-            and part.shape.kind != "surface"
-            and all(_holds(part, t, 1.0) for t in tips_m)
-        ):
+        of_file = part.shape.kind in ("mesh", "surface")
+        if part.role == "avoid" and tips_m and part.shape.kind != "surface" and _hold([part], tips_m):
             rule = 'holds every goal, which nothing may enter: is it a lumen (role = "inside"), or the target itself?'
-            yield k, SizeDoubt("", rule, False, "role")
+            yield k, SizeDoubt(rule, False, "role")
         low, high = part.shape.box()
-        size, far = float((high - low).max()), float(np.linalg.norm(np.clip(base_m, low, high) - base_m))
+        size, far = float((high - low).max()), _away_from(base_m, low, high)[0]
         said = f"is {size * 1e3:.3g} mm across, the robot {length * 1e3:.3g} mm long"
         small, large = size < thinnest / 2, size > LARGEST_PART * length
         if far > LARGEST_PART * length:
             rule = f"lies {far:.3g} m from the base, the robot is {length * 1e3:.3g} mm long: is it in another unit?"
-            yield k, SizeDoubt("", rule, False, next(iter(part.shape.keys())))
+            yield k, SizeDoubt(rule, False, _key(part))
             continue
-        if part.shape.kind not in ("mesh", "surface"):
+        if not of_file and part.role == "avoid":
             if small and USUAL_PART[0] <= size * 1e3 / length <= USUAL_PART[1]:
-                yield k, SizeDoubt("m", f"{said}: is it in metres?", False, [*part.shape.keys()][-1])
+                yield k, SizeDoubt(f"{said}: is it in metres?", False, [*part.shape.keys()][-1])
             continue
-        likely = [
-            words
-            for words, factor in _factors()
-            if USUAL_PART[0] <= size * factor / length <= USUAL_PART[1]
-            and (part.role != "inside" or not tips_m or any(_holds(part, tip, factor) for tip in tips_m))
+        usual = [f for f in FACTORS if USUAL_PART[0] <= size * f / length <= USUAL_PART[1]]
+        if part.role == "inside" and tips_m:
+            inside = [f for f in usual if any(_holds(part, tip / f) for tip in tips_m)]
+            roomy = [f for f in usual if _hold(lumens, [tip / f for tip in tips_m], thinnest / 2 / f)]
+            if lost and inside:
+                sure = not USUAL_PART[0] <= size / length <= USUAL_PART[1]
+                rule = f"{said} and none of the goals is in it: is it {_words(inside)}?"
+                yield k, SizeDoubt(rule, sure and of_file, _key(part))
+            elif not lost and size > LONGEST_LUMEN_M and (less := [f for f in roomy if f < 1]):
+                yield k, SizeDoubt(f"{said}: is it {_words(less)}?", False, _key(part))
+            continue
+        if usual and (small or large):
+            yield k, SizeDoubt(f"{said}: is it {_words(usual)}?", False, _key(part))
+
+
+def scene_doubts(
+    robot: Robot, parts: Sequence[AnatomyPart], tips_m: Sequence[Array], base_m: Array
+) -> Iterator[tuple[int, SizeDoubt]]:
+    """Parts, by number from 0, whose scene as a whole is of another size than the robot's way.
+
+    Obstacles that all end before a tenth of the way to the goals, or begin far beyond the robot, hinder nothing;
+    goals that are nearer to the wall of a lumen than the thinnest tube is wide are reached by no tube.
+    """
+    length, thinnest = reach_m(robot), robot.tubes[-1].outer_diameter_m
+    way = max((float(np.linalg.norm(tip - base_m)) for tip in tips_m), default=length)
+    obstacles = [k for k, part in enumerate(parts) if part.role == "avoid"]
+    boxes = [parts[k].shape.box() for k in obstacles]
+
+    def on_the_way(factor: float) -> bool:
+        """Whether any of the obstacles is where the robot may be, their numbers multiplied by a factor."""
+        ends = [_away_from(base_m, low * factor, high * factor) for low, high in boxes]
+        return any(nearest <= BESIDE * length and farthest > way / SMALLEST_FACTOR for nearest, farthest in ends)
+
+    if boxes and not on_the_way(1.0) and (likely := [factor for factor in FACTORS if on_the_way(factor)]):
+        ends = [_away_from(base_m, *box) for box in boxes]
+        nearest, farthest = min(end[0] for end in ends), max(end[1] for end in ends)
+        where = f"ends {farthest * 1e3:.3g} mm from the base, the goals are {way * 1e3:.3g} mm away"
+        rule = f"{where}: is it {_words(likely)}?"
+        if nearest > length:
+            where = f"begins {nearest * 1e3:.3g} mm from the base, the robot is {length * 1e3:.3g} mm long"
+            rule = f"{where}: is it {_words(likely)}, or in another frame than [base]?"
+        yield obstacles[0], SizeDoubt(rule, False, _key(parts[obstacles[0]]))
+    lumens = [k for k, part in enumerate(parts) if part.role == "inside"]
+    rooms = [max(-float(parts[k].shape.distance(tip[None])[0]) for k in lumens) for tip in tips_m if lumens]
+    if rooms and 0 < max(rooms) < thinnest / 2:
+        near = nearest_tip_m(robot)
+        grown = [
+            factor
+            for factor in FACTORS
+            if max(rooms) * factor > thinnest / 2
+            and all(near <= np.linalg.norm(tip * factor - base_m) <= PLAUSIBLE[1] * length for tip in tips_m)
         ]
-        missed = lost and part.role == "inside" and bool(tips_m) and not LUMEN[0] <= size / length <= LUMEN[1]
-        if likely and (small or large or missed):
-            where = " and none of the goals is in it" if missed else ""
-            sure = missed and not USUAL_PART[0] <= size / length <= USUAL_PART[1]
-            yield k, SizeDoubt(likely[0], f"{said}{where}: is it {' or '.join(likely)}?", sure)
+        if grown:
+            rule = (
+                f"leaves the goals {max(rooms) * 1e3:.2g} mm to its wall, the thinnest tube is {thinnest * 1e3:.3g} mm "
+                f"wide: are anatomy and goals {_words(grown)}?"
+            )
+            yield lumens[0], SizeDoubt(rule, False, _key(parts[lumens[0]]))
 
 
 def tolerance_doubts(
@@ -160,38 +231,49 @@ def tolerance_doubts(
             continue
         if str(key[-1]).endswith("_deg"):
             if value < TURNED_DEG[0] and TURNED_DEG[1] <= np.degrees(value) <= TURNED_DEG[2]:
-                yield key, SizeDoubt("rad", "is finer than anything is turned: is it in radians?", False)
+                yield key, SizeDoubt("is finer than anything is turned: is it in radians?", False)
             elif are_radians([value]):
-                yield key, SizeDoubt("rad", "is a whole part of a turn in radians: is it in radians?", False)
+                yield key, SizeDoubt("is a whole part of a turn in radians: is it in radians?", False)
             continue
         is_fine = value < WITHIN_M[0] / UNITS_M["mm"]
         units = [unit for unit in _others("mm") if WITHIN_M[1] <= value * UNITS_M[unit] <= WITHIN_M[2]]
-        if units and (is_fine or value > most):
+        is_coarse = value > most and key[-1] != "radius_mm"
+        if units and is_fine or is_coarse and (units or key[-1] == "tolerance_mm"):
             rule = "is finer than any tracker sees" if is_fine else "is more than a fifth of the robot's length"
-            yield key, SizeDoubt(units[0], f"{rule}: is it in {IN_WORDS[units[0]]}?", False)
+            yield key, SizeDoubt(f"{rule}: is it in {in_words(units)}?" if units else rule, False)
 
 
-def _factors() -> Iterator[tuple[str, float]]:
-    """By how much numbers are too small or too large that are read in the wrong one of two units, and its words."""
-    for name, factor in (("1000", 1e3), ("25.4", 25.4), ("10", 10.0)):
-        units = {"1000": "m read as mm", "25.4": "inches read as mm", "10": "cm read as mm"}[name]
-        yield f"{name} times too small ({units})", factor
-        reverse = {"1000": "mm read as m", "25.4": "mm read as inches", "10": "mm read as cm"}[name]
-        yield f"{name} times too large ({reverse})", 1 / factor
+def _words(factors: Sequence[float]) -> str:
+    return " or ".join(FACTORS[factor] for factor in factors)
+
+
+def _key(part: AnatomyPart) -> str:
+    """The key of a part's table that says its size: the unit of a file, the first number of a formula."""
+    return "unit" if part.shape.kind in ("mesh", "surface") else next(iter(part.shape.keys()))
+
+
+def _away_from(base_m: Array, low: Array, high: Array) -> tuple[float, float]:
+    """Least and greatest distance [m] of a box from the base (3,) [m]."""
+    far = np.maximum(np.abs(low - base_m), np.abs(high - base_m))
+    return float(np.linalg.norm(np.clip(base_m, low, high) - base_m)), float(np.linalg.norm(far))
 
 
 def _inside_any(lumens: Sequence[AnatomyPart], tip_m: Array) -> bool:
     """Whether a place (3,) [m] is in any of the lumens."""
-    return any(_holds(part, tip_m, 1.0) for part in lumens)
+    return any(_holds(part, tip_m) for part in lumens)
 
 
-def _holds(part: AnatomyPart, tip_m: Array, factor: float) -> bool:
-    """Whether a place is in a part whose numbers are multiplied by a factor."""
+def _hold(parts: Sequence[AnatomyPart], tips_m: Sequence[Array], room_m: float = 0.0) -> bool:
+    """Whether each of the places (3,) [m] is in one of the parts, so far from its surface."""
+    return all(any(_holds(part, tip, room_m) for part in parts) for tip in tips_m)
+
+
+def _holds(part: AnatomyPart, tip_m: Array, room_m: float = 0.0) -> bool:
+    """Whether a place (3,) [m] is in a part, so far from its surface."""
     low, high = part.shape.box()
-    at = tip_m / factor
-    if not (np.all(low <= at) and np.all(at <= high)):
+    if not (np.all(low <= tip_m) and np.all(tip_m <= high)):
         return False
-    return float(part.shape.distance(at[None])[0]) <= 0
+    return float(part.shape.distance(tip_m[None])[0]) <= -room_m
 
 
 def _others(read_in: str) -> list[str]:

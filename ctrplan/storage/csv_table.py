@@ -82,6 +82,7 @@ def file_bytes(file: str, largest_bytes: int, kind: str, what: str) -> bytes:
 
 
 LARGEST_FILE_BYTES = 200_000_000
+WHOLE = re.compile(r"\s*-?\d*(?:e-?\d+)?\s*")  # as the halves of numbers are that a comma divides
 LARGEST_NUMBER = 1e20  # stamps in nanoseconds are smaller
 UNIT_WORDS = ("rad", "deg", "m", "mm", "cm", "s", "ms", "-")
 MISSING = ("nan", "na", "n/a", "null", "none", "-", "--", "missing", "#n/a", "-nan", "nan(ind)", "-nan(ind)", "1.#qnan")
@@ -113,6 +114,10 @@ class CsvTable:
         if not header:
             filled = _numbered(filled)
         self.header = _column_names(filled[0], file)
+        if header and any(self.header) and all(in_plain_digits(name or "0") is not None for name in self.header):
+            raise self.fault(
+                "is missing: the first row holds numbers, names of columns must stand above", column="header"
+            )
         self.rows = filled[1:]
         for name, count in Counter(self.header).items():
             if count > 1:
@@ -122,8 +127,10 @@ class CsvTable:
                 raise self.fault("repeats the header, were files joined?", row)
             if len(cells) != len(self.header):
                 there = f"has {len(cells)} values, the header has {len(self.header)} columns"
-                title = len(self.header) == 1 and row == 0
-                raise self.fault(there + (": is its line a title? One begins with #" if title else ""), row)
+                hint = ": is its line a title? One begins with #" if len(self.header) == 1 and row == 0 else ""
+                if len(cells) > len(self.header) and all(map(WHOLE.fullmatch, cells)):
+                    hint = ": are there decimal commas? Numbers have a point"
+                raise self.fault(there + hint, row)
 
     def fault(self, rule: str, row: int | None = None, column: str | None = None, value: object = ...) -> InputError:
         """The error that a cell, row (from 0) or column breaks `rule`."""

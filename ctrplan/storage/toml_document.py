@@ -188,10 +188,12 @@ def _parse(data: bytes, file: str) -> dict[str, Any]:
         content: dict[str, Any] = tomllib.loads(data.decode("utf-8-sig"))
         return content
     except UnicodeDecodeError as error:
-        raise InputError(f"is not UTF-8 text (byte {error.start})", file=file) from None
+        raise InputError(f"is not UTF-8 text (byte {error.start}), as TOML files are", file=file) from None
     except tomllib.TOMLDecodeError as error:
         message, _, place = str(error).rstrip(")").partition(" (at ")
         hint = " (text needs quotes, and numbers a point for the comma)" if "value" in message.lower() else ""
+        if "after a statement" in message:  # as what follows a decimal comma does
+            hint = " (numbers have a point for the comma, and a key a line of its own)"
         hint = " (it is a table: are two files exchanged?)" if file.lower().endswith(".csv") else hint
         raise InputError(f"is not valid TOML at {place or 'an unknown place'}: {message}{hint}", file=file) from None
     except ValueError:

@@ -10,6 +10,8 @@ from typing import Any, Literal, get_args, get_origin
 import msgspec
 from msgspec import inspect
 
+from ctrplan.base.arguments import percent_hint
+
 Path = tuple[str | int, ...]  # of keys and positions, these from 0
 Fault = tuple[Path, str]  # the place, and the rule that the value there breaks
 
@@ -177,7 +179,8 @@ def _beyond(value: float, kind: inspect.FloatType | inspect.IntType, path: Path)
         ("<=", kind.le, kind.le is None or value <= kind.le),
     ):
         if not is_kept and limit is not None:
-            return path, f"must be {_range(kind) or f'{sign} {limit:g}'}"
+            hint = percent_hint(value, limit) if sign == "<=" else ""
+            return path, f"must be {_range(kind) or f'{sign} {limit:g}'}{hint}"
     return None
 
 
@@ -219,6 +222,10 @@ def _unknown_key(key: str, known: Mapping[str, Any]) -> str:
         )
     if key in _OF_SCENARIOS and "tube" in known:
         return "is a key of scenarios, this must be a robot file"
+    if key in {"name", *_OF_ROBOTS, *_OF_SCENARIOS} and known.keys() >= {"run", "columns"}:
+        return "unknown key: measurements are a CSV table or its mapping file, not a robot or scenario"
+    if key in {*_OF_ROBOTS, *_OF_SCENARIOS} and "scenario" in known:
+        return "is a key of scenarios or robots, this must be a file that names a scenario: are two files exchanged?"
     quantity = _ANY_UNIT.sub("", key)
     if same := [name for name in known if _ANY_UNIT.sub("", name) == quantity]:
         return "unknown key, expected " + " or ".join(f"{n} (in {unit_of(n)})" if unit_of(n) else n for n in same)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ctrplan.base.arguments import Made, checked
-from ctrplan.base.arrays import Array
+from ctrplan.base.arrays import Array, warn_of_degrees
 from ctrplan.effects.learned.learned import effect_of
 from ctrplan.mechanics.core_arrays import joint_rows
 from ctrplan.mechanics.shapes import Status, Tips
@@ -201,6 +201,7 @@ def bound_with_parameters(robot: Robot, theta_commanded: ArrayLike, l_commanded:
     First order in the parameters by exact derivatives; the worst combination of each configuration is solved, and what
     it differs by is added. Without intervals the same as `robot.bound_many`.
     """
+    warn_of_degrees("theta_commanded", theta_commanded)
     theta, l = joint_rows(np.atleast_2d(theta_commanded), np.atleast_2d(l_commanded), robot.n)  # noqa: E741
     parameters = uncertain_parameters(robot)
     slopes = tip_slopes(parameters, theta, l)

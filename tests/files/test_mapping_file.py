@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import tomli_w
 from measured_data import chain_of, measured, pair_robot, waypoints, write_csv
+from places import ROBOTS
 from scipy.spatial.transform import Rotation
 
 from ctrplan.base.arrays import Array
@@ -61,6 +62,11 @@ def assert_same(read: Measurements, data: Measurements) -> None:
         np.testing.assert_allclose(getattr(read, name), getattr(data, name), atol=1e-12)
     np.testing.assert_array_equal(read.sequence, data.sequence)
     np.testing.assert_array_equal(read.rows, data.rows)
+
+
+def test_a_robot_in_the_place_of_measurements_is_called_one() -> None:
+    with pytest.raises(InputError, match="a CSV table or its mapping file, not a robot or scenario"):
+        load_measurements(ROBOTS / "three_tube.toml", pair_robot())
 
 
 def test_other_units_orders_and_separators_say_the_same(tmp_path: Path, data: Measurements) -> None:

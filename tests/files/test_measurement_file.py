@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 from measured_data import measured, pair_robot, waypoints, write_csv
 
+import ctrplan
 from ctrplan.errors import InputError
 from ctrplan.files.joint_path_file import load_joint_path
 from ctrplan.files.measurement_file import load_measurements
@@ -146,6 +148,40 @@ def _no_pose(table: Table) -> None:
         row[-6:] = [""] * 6
 
 
+def _commas(table: Table) -> None:
+    """Numbers with decimal commas, between the commas of the columns."""
+    for row in table[1:]:
+        row[:] = [cell.replace(".", ",") for cell in row]
+
+
+def _every_s(table: Table, step_s: float) -> None:
+    for k, row in enumerate(table[1:]):
+        row[table[0].index("time_s")] = f"{k * step_s:g}"
+
+
+@pytest.mark.parametrize(
+    ("step_s", "phrase"),
+    [
+        (2.0, ""),
+        (0.5, ""),
+        (120.0, ""),
+        (4000.0, r"time_s: .*: is it in milliseconds\?"),
+        (4e6, r"time_s: .*: is it in microseconds\?"),
+        (0.03, r"time_s: .*: is it in minutes\?"),
+    ],
+)
+def test_time_in_another_unit_is_told_by_the_speed_of_the_drive(
+    step_s: float, phrase: str, table: Table, tmp_path: Path
+) -> None:
+    changed = [list(row) for row in table]
+    _every_s(changed, step_s)
+    (tmp_path / "a.csv").write_text("\n".join(",".join(row) for row in changed))
+    told = load_measurements(tmp_path / "a.csv", ROBOT).warnings
+    assert len(told) == bool(phrase) and all(re.search(phrase, text) for text in told)
+    flags = [text for text in ctrplan.check(tmp_path / "a.csv", robot=ROBOT).flags if "heed no joint" not in text]
+    assert len(flags) == bool(phrase) and all(re.search(phrase, text) for text in flags)
+
+
 REFUSED = {
     "missing column": (_drop("l_2_m"), "l_2_m: is missing"),
     "other unit": (_rename("l_2_m", "l_2_mm"), "l_2_m: is missing, found l_2_mm: columns are in rad and m"),
@@ -165,6 +201,9 @@ REFUSED = {
     "half a pose": (_set(2, "tz", ""), "row 2, tz: is empty, a pose needs all of"),
     "no pose": (_no_pose, "holds no pose"),
     "not nested": (_set(2, "l_2_m", "0.01"), "row 2: "),
+    "no header": (lambda table: table.pop(0), "header: is missing: the first row holds numbers"),
+    "x alone in mm": (_scale(("x_m",), 1000.0), "beyond the reach of 0.2 m, are these millimetres or centimetres?"),
+    "decimal commas": (lambda table: _commas(table), "decimal commas"),
     "run comes back": (_set(30, "sequence", "0"), "this run was over"),
 }
 

@@ -87,7 +87,7 @@ bending_stiffness_Nm2 = 0.04 -> bending_stiffness_Nmm2 = 4e4
 collar_length_mm = 17 -> collar_length_mm = -1
     tube.2.collar_length_mm = -1 mm: must be from 0 to 5000.
 collar_length_mm = 17 -> max_strain = 8
-    tube.2.max_strain = 8: must be above 0 and at most 1.
+    tube.2.max_strain = 8: must be above 0 and at most 1, a share: is it in %?
 [[contact]]\nfriction_coefficient = 0.2 ->
     contact: must be given once per neighbouring pair of tubes, 1 in all, not 0.
 [[contact]]\n -> [[contact]]\nfriction_coefficient = 0.1\n[[contact]]\n

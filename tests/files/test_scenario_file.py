@@ -115,7 +115,7 @@ file = "meshes/wedge.stl" -> file = "meshes/none.stl"
 unit = "cm" -> unit = "inch"
     scenario.toml: anatomy.3.unit = 'inch': must be one of mm, cm, m, in; did you mean in?
 max_strain = 0.05 -> max_strain = 5
-    scenario.toml: margins.max_strain = 5: must be above 0 and at most 1.
+    scenario.toml: margins.max_strain = 5: must be above 0 and at most 1, a share: is it in %?
 mm_per_rad = 10 -> mm_per_rad = 0
     scenario.toml: cost.mm_per_rad = 0 mm/rad: must be from 0.001 to 100000.
 name = "RRT*" -> name = "PRM"

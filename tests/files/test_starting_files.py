@@ -11,6 +11,7 @@ import pytest
 import trimesh
 from made_up_input import FUZZ
 from measured_data import measured, pair_robot, waypoints, write_csv
+from places import ROBOTS, SCENARIOS
 
 import ctrplan
 from ctrplan.__main__ import main
@@ -20,6 +21,8 @@ from ctrplan.files.robot_file import load_robot, write_robot
 from ctrplan.files.starting_files import mapping_text, robot_text, tube_choice
 from ctrplan.mechanics.shapes import Status
 from ctrplan.storage.toml_document import read_document
+
+MESHES = SCENARIOS / "meshes"
 
 
 @pytest.fixture(scope="module")
@@ -65,6 +68,11 @@ def test_what_is_no_tube_is_refused(text: str) -> None:
         tube_choice(text)
 
 
+def test_tubes_in_metres_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["init", "robot", str(tmp_path / "r.toml"), "--tube", "0.0026x0.0024,0,0.15,0.265"]) == 2
+    assert "are the diameters in metres?" in capsys.readouterr().err and not (tmp_path / "r.toml").exists()
+
+
 def test_tubes_that_do_not_fit_are_refused_and_nothing_is_written(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -97,6 +105,31 @@ def test_a_scenario_around_a_mesh(folder: Path, capsys: pytest.CaptureFixture[st
     capsys.readouterr()
     assert main(["init", "scenario", str(folder / "other.toml"), *said]) == 2
     assert "must lie in the folder of other.toml or below: copy it there" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("mesh", "robot"),
+    [("vessel", "three_tube")] + ([("airway", "three_tube_insertion"), ("ribs", "three_tube")] if FUZZ else []),
+)
+def test_a_scenario_with_a_shipped_anatomy_is_planned_as_it_is(mesh: str, robot: str, tmp_path: Path) -> None:
+    """A lumen is one: every vessel was to be avoided, with the robot in it and the goal outside."""
+    for file in (MESHES / f"{mesh}.stl", ROBOTS / f"{robot}.toml"):
+        shutil.copy(file, tmp_path)
+    said = ["--robot", str(tmp_path / f"{robot}.toml"), "--mesh", str(tmp_path / f"{mesh}.stl")]
+    assert main(["init", "scenario", str(tmp_path / "t.toml"), *said]) == 0
+    scenario = ctrplan.load_scenario(tmp_path / "t.toml")
+    assert scenario.anatomy[0].role == ("avoid" if mesh == "ribs" else "inside")
+    assert scenario.warnings == () and ctrplan.check(scenario).flags == ()
+    assert ctrplan.plan(scenario, seed=0, time_s=1.0).certificate.valid
+
+
+def test_a_mesh_that_the_robot_can_t_stand_clear_of_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for file in (MESHES / "airway.stl", ROBOTS / "three_tube.toml"):
+        shutil.copy(file, tmp_path)
+    said = ["--robot", str(tmp_path / "three_tube.toml"), "--mesh", str(tmp_path / "airway.stl")]
+    assert main(["init", "scenario", str(tmp_path / "t.toml"), *said]) == 0
+    assert f"say in it where the base is, ctrplan check {tmp_path / 't.toml'}" in capsys.readouterr().out
+    assert "does not stand clear of this mesh" in (tmp_path / "t.toml").read_text()
 
 
 def test_a_mapping_file_reads_the_table_that_it_was_made_for(tmp_path: Path) -> None:
@@ -183,7 +216,7 @@ def test_a_start_keeps_its_limits_in_the_digits_that_are_written(
     ("start", "phrase"),
     [
         ((-120.0, -180.0), "nothing of it is in front"),
-        ((-60.0, -80.0), "the body is .* mm too near to the anatomy, or in it"),
+        ((-60.0, -80.0), r"the robot cuts .* mm into anatomy.1 \(sphere\) at"),
     ],
 )
 def test_a_start_that_cannot_be_is_marked(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import warnings
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,11 +16,12 @@ from places import ROBOTS
 
 import ctrplan
 from ctrplan.__main__ import main
-from ctrplan.base.arrays import are_degrees, are_radians
+from ctrplan.base.arrays import are_degrees, are_radians, in_radians
 from ctrplan.errors import InputError
 from ctrplan.files.measurement_file import load_measurements
 from ctrplan.files.robot_file import load_robot
-from ctrplan.robot.magnitudes import likely_unit
+from ctrplan.robot.magnitudes import likely_units
+from ctrplan.scenario.joint_space import bare_scenario
 
 THREE = ROBOTS / "three_tube.toml"
 IN_NO_DOUBT = "youngs_modulus_GPa=60,poisson_ratio=0.3"
@@ -40,8 +42,14 @@ IN_NO_DOUBT = "youngs_modulus_GPa=60,poisson_ratio=0.3"
         ("tube.3.section.2.curvature_y_per_m=0.1818", r"0.9 deg over its length: is its curvature in 1/cm"),
         ("tube.1.section.1.curvature_y_per_m=26.5", r"228 deg over its length: is 26.5 its radius in centimetres"),
         ("tube.1.bending_stiffness_Nm2=17.67", r"is it in N cm\^2 or lb in\^2\?"),
+        ("tube.1.poisson_ratio=30", r"poisson_ratio = 30: .* 62 times less than Young's: is it in %\?"),
+        (
+            "tube.3.section.2.length_mm=8.64",
+            r"9 deg over its length: is its radius in mm \(radius_mm\) or its length in centimetres\?",
+        ),
         ("tube.1.max_strain=0.8", r"no material of 65 GPa bears 80 % and comes back: is it in %\?"),
         ("model_error_mm=500", r"is more than a tenth of the robot's 270 mm: is it in micrometres\?"),
+        ("home.theta_deg=[0, 3.14159, 20]", r"home.theta_deg = .*: are they in radians\?"),
         ("home.theta_deg=[0, 3.14159, 1.5708]", r"home.theta_deg = .*: are they in radians\?"),
         ("joint.1.min_deg=-1.5708;joint.1.max_deg=1.5708", "are its limits in radians"),
         ("joint.4.moves={l=[0,0,1000]}", r"moves a tube by 86.4 m within its limits, .*: are these m per m\?"),
@@ -124,6 +132,42 @@ def test_moduli_and_radii_are_doubted_as_they_were_said(said: str, phrase: str, 
     assert re.search(phrase, told) and re.search(hint, told)
 
 
+def tubes_of(moduli: str) -> list[str]:
+    """Overrides by which all three tubes are said by these moduli."""
+    sizes = ("2.64", "2.39", 150, 265), ("2.31", "1.95", 167, 265), ("1.825", "1.6", 270, 90)
+    return [
+        f"tube.{i}={{outer_diameter_mm={outer},inner_diameter_mm={inner},{moduli},"
+        f"section=[{{length_mm={length},radius_mm={radius}}}]}}"
+        for i, (outer, inner, length, radius) in enumerate(sizes, start=1)
+    ]
+
+
+@pytest.mark.parametrize(
+    ("moduli", "phrase"),
+    [
+        ("youngs_modulus_GPa=0.065,poisson_ratio=0.3", r"youngs_modulus_GPa = 0.065: .* is it in TPa\?"),
+        ("youngs_modulus_GPa=0.2,poisson_ratio=0.29", r"youngs_modulus_GPa = 0.2: .* as of a metal: is it in TPa\?"),
+        ("youngs_modulus_GPa=0.065,poisson_ratio=0.45", ""),
+        ("youngs_modulus_GPa=0.05,poisson_ratio=0.48", ""),
+        ("youngs_modulus_GPa=0.5,poisson_ratio=0.3", ""),
+        ("youngs_modulus_GPa=3.6,poisson_ratio=0.38", ""),
+        ("youngs_modulus_GPa=5,poisson_ratio=0.4", ""),
+        ("youngs_modulus_GPa=200,poisson_ratio=0.29", ""),
+    ],
+)
+def test_moduli_of_all_tubes_by_what_materials_are(moduli: str, phrase: str) -> None:
+    """Shapes depend on the ratios of stiffnesses alone: all of them a thousand times too small change none."""
+    stated = load_robot(THREE, tubes_of(moduli)).warnings
+    assert len(stated) == bool(phrase) and all(re.search(phrase, text) for text in stated)
+
+
+def test_stiffnesses_of_all_tubes_a_thousand_times_too_small() -> None:
+    stiffnesses = [tube.bending_stiffness_Nm2 / 1e3 for tube in load_robot(THREE).tubes]
+    said = [f"tube.{i}.bending_stiffness_Nm2={EI}" for i, EI in enumerate(stiffnesses, start=1)]
+    (warning,) = load_robot(THREE, said).warnings
+    assert re.search(r"bending_stiffness_Nm2 = 5.07e-05 N m\^2: .* is it in kN m\^2\?", warning)
+
+
 def test_a_radius_in_metres_is_refused_by_name() -> None:
     tube = "outer_diameter_mm=2.64,inner_diameter_mm=2.39,youngs_modulus_GPa=60,poisson_ratio=0.3"
     with pytest.raises(InputError, match="own outer radius: is it its radius in metres"):
@@ -133,6 +177,15 @@ def test_a_radius_in_metres_is_refused_by_name() -> None:
 def test_a_tube_that_is_straight_in_any_unit_is_in_no_doubt() -> None:
     assert load_robot(THREE, ["tube.1.section.1.curvature_y_per_m=1e-5"]).warnings == ()
     assert load_robot(THREE, ["tube.1.section.1.curvature_y_per_m=0"]).warnings == ()
+
+
+def test_lengths_in_metres_beside_a_home_in_millimetres_are_named_before_nesting() -> None:
+    said = [f"tube.{i}.section.{k}.length_mm={x}" for i, k, x in ((1, 1, 0.15), (2, 1, 0.017), (2, 2, 0.15))]
+    with pytest.raises(InputError, match=r"tube.2: sections add up to 0.167 mm, .*: are they in metres\?"):
+        load_robot(THREE, said)
+    said += [f"tube.{i}.collar_length_mm=0.017" for i in (2, 3)]
+    with pytest.raises(InputError, match=r"tube.1.*: is 0.15 mm long, .*: are its lengths in metres\? No joint values"):
+        load_robot(THREE, said)
 
 
 def test_many_doubts_are_one_line_that_says_how_many_more_there_are() -> None:
@@ -170,6 +223,11 @@ def test_points_for_the_tip_in_python_and_on_the_command_line(capsys: pytest.Cap
     robot = load_robot(THREE)
     with pytest.raises(InputError, match=r"tip_m = \[34.0, -47.0, 200.0\] m: lies .* are these in millimetres"):
         ctrplan.inverse_kinematics(robot, [34, -47, 200])
+    assert main(["ik", str(THREE), "--tip-mm", "3.4", "-4.7", "20"]) == 1
+    assert "--tip-mm = [3.4, -4.7, 20.0] mm: lies 20.8 mm from the base, " in (told := capsys.readouterr().err)
+    assert "are these in centimetres?" in told and "UserWarning" not in told
+    assert main(["bound", str(THREE), "--theta-deg", "0", "180", "90", "--l-mm", "0", "-0.017", "-0.06"]) == 2
+    assert "are these in metres?" in capsys.readouterr().err
     assert main(["ik", str(THREE), "--tip-mm", "0.034", "-0.047", "0.2"]) == 2
     assert "--tip-mm = [0.034, -0.047, 0.2] mm: lies 0.208 mm from the base" in capsys.readouterr().err
 
@@ -189,6 +247,38 @@ def test_degrees_given_for_radians_are_warned_about(name: str, theta: list[float
         assert told[0].filename == __file__
 
 
+THETA_DEG, COLLARS_M = [0.0, 90.0, 180.0], [0.0, -0.017, -0.05]
+IN_DEGREES = {  # what takes collars or joint values of a scenario in free space, given rotations
+    "MotionChecker.check": lambda s, q: ctrplan.MotionChecker(s).check([q]),
+    "MotionChecker.motion": lambda s, q: ctrplan.MotionChecker(s).motion(s.start, q),
+    "MotionChecker.motions": lambda s, q: ctrplan.MotionChecker(s).motions([s.start], [q]),
+    "MotionChecker.clearance": lambda s, q: ctrplan.MotionChecker(s).clearance(q),
+    "History.advance": lambda s, q: s.robot.history().advance(q[:3], COLLARS_M),
+    "History.follow": lambda s, q: s.robot.history().follow([q[:3]], [COLLARS_M]),
+    "Walker.bound": lambda s, q: s.robot.walker().bound(q[:3], COLLARS_M),
+    "Observer.observe": lambda s, q: s.robot.observer(1e-3).observe(q[:3], COLLARS_M),
+    "TipTracker": lambda s, q: ctrplan.TipTracker(s, q),
+    "certify": lambda s, q: ctrplan.certify(s, [s.start, q]),
+    "reorder": lambda s, q: ctrplan.reorder([s.start, q], s),
+    "l_shaped": lambda s, q: ctrplan.l_shaped([s.start, q], s),
+    "plan_uncertainty": lambda s, q: ctrplan.plan_uncertainty(s, q),
+    "bound_with_parameters": lambda s, q: ctrplan.bound_with_parameters(s.robot, q[:3], COLLARS_M),
+    "Goal": lambda s, q: s.with_(goal=ctrplan.Goal(joints=q, tip_m=None, tolerance_m=1e-3)),
+}
+
+
+@pytest.mark.parametrize("name", IN_DEGREES)
+def test_degrees_given_to_what_takes_joints_are_warned_about(name: str) -> None:
+    scenario = bare_scenario(load_robot(THREE))
+    for theta, is_so in ((THETA_DEG, True), (np.radians(THETA_DEG), False)):
+        with warnings.catch_warnings(record=True) as told, suppress(ctrplan.CtrplanError):
+            warnings.simplefilter("always")
+            IN_DEGREES[name](scenario, np.append(theta, scenario.start[3]))
+        assert bool(told) == is_so
+        if is_so:
+            assert "degrees" in str(told[0].message) and told[0].filename == __file__
+
+
 def test_millimetres_given_for_metres_of_joints_are_named() -> None:
     robot = load_robot(THREE)
     with pytest.raises(InputError, match=r"are these millimetres\?"):
@@ -197,7 +287,10 @@ def test_millimetres_given_for_metres_of_joints_are_named() -> None:
         robot.mechanics.solve([0, 0, 0], [0, -17, -50])
 
 
-@pytest.mark.parametrize(("factor", "word"), [(1e3, "millimetres"), (1 / 25.4e-3, "inches"), (100.0, "centimetres")])
+@pytest.mark.parametrize(
+    ("factor", "word"),
+    [(1e3, "millimetres"), (1 / 25.4e-3, "centimetres or inches"), (100.0, "centimetres")],
+)
 def test_measured_tips_by_the_length_of_the_robot(factor: float, word: str, tmp_path: Path) -> None:
     robot = pair_robot()
     data = measured(robot, waypoints(robot, 3))
@@ -207,10 +300,13 @@ def test_measured_tips_by_the_length_of_the_robot(factor: float, word: str, tmp_
 
 
 def test_the_rules_themselves() -> None:
-    assert likely_unit(200.0, "m", 0.1, 0.3) == "mm" and likely_unit(7.9, "m", 0.1, 0.3) == "in"
-    assert likely_unit(0.2e-3, "mm", 0.1, 0.3) == "m" and likely_unit(0.5, "m", 0.1, 0.3) is None
+    assert likely_units(200.0, "m", 0.1, 0.3) == ["mm"] and likely_units(7.9, "m", 0.1, 0.3) == ["in"]
+    assert likely_units(0.2e-3, "mm", 0.1, 0.3) == ["m"] and likely_units(0.5, "m", 0.1, 0.3) == []
+    assert likely_units(11.0, "m", 0.1, 0.3) == ["cm", "in"]
     assert are_radians([3.1416]) and are_radians([0, -6.283]) and are_radians([0.349, -1.047, 1.396])
     assert not any(map(are_radians, ([], [0.0], [3], [1.5], [3.1], [0.35, 20], [2.0, -2.0], [90.0], [np.inf])))
+    assert in_radians([0, 3.1416, 90]) == 1 and in_radians([0, 1.5, 90]) is None and in_radians([0, 0.349, -1.047]) == 1
+    assert are_degrees([0.5, 90.0, 1.2]) and not are_degrees([0.5, 6.0, 1.2]) and not are_degrees([6.3, 7.0, 7.7])
     assert are_degrees([0, 30.0]) and not are_degrees([6.0]) and not are_degrees([6.5]) and not are_degrees([])
     assert not are_degrees([np.nan]) and are_degrees([400.3])
 

@@ -93,6 +93,16 @@ def test_a_body_in_two_lumens_keeps_the_margin_of_one_of_them_at_each_point() ->
     assert "from anatomy.3 (sphere)" in start_trouble(tight)
 
 
+@pytest.mark.parametrize(
+    ("said", "key"), [(["--time", "0.01"], "time_s (--time)"), (["--set", "planner.time_s=0.01"], "planner.time_s")]
+)
+def test_a_search_that_ran_out_of_time_names_what_said_it(
+    said: list[str], key: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, sentence = refusal(capsys, "plan", str(SCENARIOS / "snap.toml"), *said, "-o", str(tmp_path / "out"))
+    assert code == 1 and f"{key} = 0.01 s: no valid path" in sentence and not (tmp_path / "out").exists()
+
+
 def test_heart_of_80_metres_asks_for_millimetres(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     trimesh.creation.icosphere(radius=40.0).export(tmp_path / "heart.stl")
     (tmp_path / "robots").mkdir()
@@ -102,7 +112,7 @@ def test_heart_of_80_metres_asks_for_millimetres(tmp_path: Path, capsys: pytest.
         )
         (tmp_path / file).write_text(text)
     code, sentence = refusal(capsys, "plan", str(tmp_path / "ribs.toml"), "-o", str(tmp_path / "out"))
-    assert code == 2 and "is 80 m across" in sentence and "millimetres?" in sentence
+    assert code == 2 and "is 80 m across" in sentence and "(millimetres or centimetres?)" in sentence
 
 
 @pytest.fixture(scope="module")

@@ -17,7 +17,7 @@ import ctrplan
 from ctrplan.__main__ import main
 from ctrplan.errors import InputError
 from ctrplan.files.robot_file import load_robot, write_robot
-from ctrplan.reports.object_figures import _bent_line, travel_m
+from ctrplan.reports.object_figures import _bent_line
 
 THREE = ROBOTS / "three_tube.toml"
 
@@ -79,7 +79,7 @@ def test_tubes_are_drawn_by_their_own_arcs() -> None:
         line[-1], [0.184 + 0.055 * math.sin(0.0864 / 0.055), -0.055 * (1 - math.cos(0.0864 / 0.055))], atol=1e-6
     )
     np.testing.assert_allclose(np.linalg.norm(normal, axis=1), 1)
-    low, high = travel_m(load_robot(THREE))
+    low, high = load_robot(THREE).drive.travel_m
     np.testing.assert_allclose(low, [0, -0.017, -0.1204])
     np.testing.assert_allclose(high, [0, -0.017, -0.034])
 

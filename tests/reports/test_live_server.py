@@ -255,3 +255,14 @@ def test_command_serves_until_ctrl_c() -> None:
     process.send_signal(signal.SIGINT)
     _, errors = process.communicate(timeout=60)
     assert process.returncode == 0 and "Traceback" not in errors
+
+
+def test_ctrl_c_leaves_nothing_behind() -> None:
+    """An interrupted wait took the serving thread for ended: it went on, its socket was closed and trees leaked."""
+    command = [sys.executable, "-c", INTERRUPTIBLE, "view", str(SCENARIOS / "vessel.toml"), "--no-browser"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=dict(os.environ))
+    assert process.stdout is not None and process.stdout.readline() == "up\n" and process.stdout.readline()
+    time.sleep(0.2)
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 0 and errors == ""

@@ -186,7 +186,8 @@ class StageSearch:
             why = failure_with_place(failed) if failed else self.failure
             raise NoAnswerError(f"{name}: no path in time passed its certificate: {why}")
         outcome = f"no valid path to any of {len(self.goals)} goal states was found in time"
-        raise NoAnswerError(f"{name}: planner.time_s = {self.budget:g} s: {outcome}.")
+        key = "time_s (--time)" if self.clock.timed else "planner.time_s"
+        raise NoAnswerError(f"{name}: {key} = {self.budget:g} s: {outcome}.")
 
     @cached_property
     def _rng(self) -> np.random.Generator:
