@@ -6,6 +6,7 @@ rods there.
 
 from __future__ import annotations
 
+import copy
 import itertools
 from contextlib import suppress
 from dataclasses import replace
@@ -332,15 +333,47 @@ def test_targets_on_the_way_are_passed_on_the_branch() -> None:
     assert most < BEYOND_BOUND_M and not snaps
 
 
+def stated_pair(factor: float, ends: tuple[float, float], friction: float = 0.2) -> tuple[Robot, list[Robot]]:
+    """The bent pair whose inner precurvature is in an interval, in shares of its own, and the pairs at its ends."""
+    pair = bent(factor)
+    content = {**pair.content, "contact": [{"friction_coefficient": friction}]}
+    most = content["tube"][1]["section"][1]["curvature_y_per_m"]
+    interval = {"tube.2.section.2.curvature_per_m": [share * most for share in ends]}
+    stated = robot_from_dict({**content, "uncertainty": {"ci95": interval}}, file=pair.path)
+    others = []
+    for share in ends:
+        other = copy.deepcopy(content)
+        other["tube"][1]["section"][1]["curvature_y_per_m"] = share * most
+        others.append(robot_from_dict(other, file=pair.path))
+    return stated, others
+
+
 def test_a_start_that_intervals_may_leave_on_another_branch_is_refused() -> None:
     """The pair stays wound past where its tubes are opposed; bent less, within its interval, it snaps on the way."""
-    pair = bent(2.5)
-    key = "tube.2.section.2.curvature_per_m"
-    most = pair.content["tube"][1]["section"][1]["curvature_y_per_m"]
     start = np.array([0, np.radians(215), -29.6e-3])
-    for least, is_refused in ((0.99 * most, False), (0.4 * most, True)):
-        content = {**pair.content, "uncertainty": {"ci95": {key: [least, most]}}}
-        robot = robot_from_dict(content, file=pair.path)
+    for least, is_refused in ((0.99, False), (0.4, True)):
+        robot, _ = stated_pair(2.5, (least, 1.0))
         scenario = standing(wound(robot, start, start, start_friction="released"))
         assert scenario.robot.guide is not None
-        assert ("may end by what is stated of" in other_start(scenario, start)) == is_refused
+        certificate = ctrplan.certify(scenario, np.array([start, start]))
+        assert ("may end by what is stated of" in next(iter(certificate.problems), "")) == is_refused
+
+
+@pytest.mark.parametrize("turns", ["absolute", "unknown"])
+@pytest.mark.parametrize(("factor", "most", "at_deg"), [(1.45, 1.9, 185), (1.3, 1.9, 185), (1.4, 2.2, 195)])
+def test_a_start_is_refused_where_a_robot_within_its_interval_has_another_shape(
+    factor: float, most: float, at_deg: float, turns: Any
+) -> None:
+    """The file's pair has one shape at every angle; bent more, as its interval allows, it stays wound past 180 deg."""
+    robot, others = stated_pair(factor, (0.999, most / factor), friction=0.01)
+    start = np.array([0, np.radians(at_deg), -29.6e-3])
+    path = np.array([start, start + [0, np.radians(3), 0]])
+    theta, l = robot.drive.collars(start)  # noqa: E741 (as in the equations)
+    assert len(robot.equilibria(theta, l).stable) == 1
+    scenario = bare_scenario(robot).with_(
+        start=start, goal=Goal(joints=path[-1]), start_turns=turns, start_friction="released"
+    )
+    certificate = ctrplan.certify(scenario, path)
+    beyond = [beyond_m(other, certificate, start, np.random.default_rng(3))[0] for other in others]
+    assert max(beyond) > 5e-3
+    assert not certificate.valid and "by what is stated of" in certificate.problems[0]
