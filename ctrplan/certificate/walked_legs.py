@@ -16,7 +16,7 @@ from ctrplan.base.long_work import Progress
 from ctrplan.certificate.certificate import CertificateSamples
 from ctrplan.certificate.every_state import in_every_friction_state
 from ctrplan.certificate.friction_cube import refuse_many_tubes
-from ctrplan.certificate.friction_states import bound_allowance_m
+from ctrplan.certificate.friction_states import bound_allowance_m, mesh_allowance_m
 from ctrplan.certificate.narrow_samples import at_worst_ends, closely_solved
 from ctrplan.certificate.other_equilibria import other_equilibrium, other_start, other_start_within
 from ctrplan.certificate.problems import (
@@ -41,6 +41,7 @@ from ctrplan.certificate.walked_piece import (
 )
 from ctrplan.drive.legs import merge_legs
 from ctrplan.errors import InputError
+from ctrplan.mechanics.equilibria import SAME_SHAPE_M, is_unique
 from ctrplan.mechanics.shapes import Accuracy
 from ctrplan.motion.checker import TOO_CLOSE, left_at_end, path_limits
 from ctrplan.scenario.joint_space import JointSpace
@@ -246,6 +247,23 @@ def _parted_at_end(scenario: Scenario, space: JointSpace, last: Piece) -> list[s
     again = walked(variants, space, last.leg, last.joints[-1:], last.accuracy)
     apart = apart_m(scenario, last, again)
     return [] if apart <= BRANCH_TOLERANCE_M else [f"On leg {last.leg + 1}: {PARTED[0]}, several equilibria exist."]
+
+
+def miscounted(scenario: Scenario, joints: Array, tip_m: Array) -> str:
+    """A sentence where turns count, and a motion ends in another shape than they say there; empty where in that one.
+
+    It ends at joints (m,), its frictionless tip at (3,) [m] in the robot's frame: around a fold no turn tells shapes apart.
+    """
+    if scenario.start_turns != "absolute" or is_unique(scenario.robot, scenario.robot.drive.collars(joints)[1]):
+        return ""
+    there = standing(replace(scenario, start=joints, robot=scenario.robot.unguided))
+    away_m = float(np.linalg.norm(there.robot.solve(*there.robot.drive.collars(joints)).tip_m - tip_m))
+    if away_m <= max(SAME_SHAPE_M, mesh_allowance_m(scenario.robot, "search")) or other_start(there, joints):
+        return ""  # or what begins there is refused
+    return (
+        f"The motion ends {away_m * MM_PER_M:.1f} mm from the stable shape where rotations straight from home end, "
+        "around a fold: turns would no longer say which; end elsewhere, or by the way that led there"
+    )
 
 
 def _other_equilibria(scenario: Scenario, space: JointSpace, pieces: Sequence[Piece]) -> list[str]:

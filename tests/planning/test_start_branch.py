@@ -377,3 +377,26 @@ def test_a_start_is_refused_where_a_robot_within_its_interval_has_another_shape(
     beyond = [beyond_m(other, certificate, start, np.random.default_rng(3))[0] for other in others]
     assert max(beyond) > 5e-3
     assert not certificate.valid and "by what is stated of" in certificate.problems[0]
+
+
+@pytest.mark.parametrize("at_deg", [178, 182])
+def test_a_closed_way_around_a_fold_leaves_no_start_that_is_taken_for_another(at_deg: float) -> None:
+    """Drawn back to where there is one shape, turned there, and pushed out again: the same joints, the other shape."""
+    pair = bent(2.2)
+    content = {**pair.content, "contact": [{"friction_coefficient": 0.0}]}
+    robot = robot_from_dict(content, file=pair.path)
+    path = np.array([[0, np.radians(a), mm * 1e-3] for a, mm in ((at_deg, -38), (110, -38), (110, 43), (250, 43))])
+    path = np.vstack([path, [0, np.radians(250), -38e-3], path[0]])
+    history = robot.history()
+    history.follow(*robot.drive.collars(np.array([[0, 0, -38e-3], path[0]])))
+    driven = history.follow(*robot.drive.collars(path))
+    assert not driven.snaps.any() and np.linalg.norm(driven.position_m[-1] - driven.position_m[0]) > 50e-3
+    there = ctrplan.certify(wound(robot, path[0], path[-1]), path)
+    np.testing.assert_allclose(there.samples.tip_m[-1], driven.position_m[-1], atol=1e-4)
+    onward = np.array([path[-1], path[-1] + [0, 0, 2e-3]])
+    after = ctrplan.certify(wound(robot, *onward), onward)
+    is_wrong = np.linalg.norm(after.samples.tip_m[0] - driven.position_m[-1]) > SAME_SHAPE_M
+    assert not (there.valid and after.valid and is_wrong)
+    assert "turns would no longer say which" in there.problems[-1]
+    back = np.vstack([path[:-1], path[-2::-1]])  # by the way that led there
+    assert ctrplan.certify(wound(robot, back[0], back[-1]), back).valid
