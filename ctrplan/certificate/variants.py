@@ -273,8 +273,8 @@ def _with_axes(
     bound = None
     if variants.of_parameters:
         of_rows = replace(samples.at_rows(rows), bodies=())
-        parameters = [walk for k, walk in single.items() if walk and k < variants.of_parameters]
-        bound = _larger(rows, _wider_bounds(variants, joints[rows], of_rows, middle, parameters, accuracy), count)
+        ends_of = [(walk, other.get(k)) for k, walk in single.items() if walk and k < variants.of_parameters]
+        bound = _larger(rows, _wider_bounds(variants, joints[rows], of_rows, middle, ends_of, accuracy), count)
     return replace(
         walks,
         reach_m=tuple(reach),
@@ -291,32 +291,38 @@ def _wider_bounds(
     joints: Array,
     own: PathSamples,
     middle: PathSamples,
-    ends: Sequence[PathSamples],
+    ends: Sequence[tuple[PathSamples, PathSamples | None]],
     accuracy: Accuracy,
 ) -> Array:
     """(K,) [m] what parameters add to the bound at joints (K, m): how much farther corners' tips may come from the
-    tip that the file's robot has without friction. First order, and what the worst combinations differ by, solved.
+    tip that the file's robot has without friction. First order, by the walks of both ends of an axis where there are
+    two, and what the worst combinations differ by, solved.
     """
-    tips = [np.concatenate([walk.tip_m[:, None], walk.corner_tip_m], axis=1) for walk in (own, middle, *ends)]
-    count, states = tips[0].shape[:2]
-    away = (tips[0] - tips[0][:, :1]).reshape(-1, 3)
-    sides = np.stack([tip - tips[1] for tip in tips[2:]], axis=3).reshape(count * states, 3, -1)
-    moved = IntervalSides((tips[1] - tips[0]).reshape(-1, 3), sides)
-    result = farthest(away, moved)
-    length = result.length_m.reshape(count, states)
-    state, friction = np.argmax(length, axis=1), lengths(away).reshape(count, states).max(axis=1)
-    wider = np.maximum(length.max(axis=1) - friction, 0.0)
-    beyond, signs = 0.0, result.signs.reshape(count, states, -1)
-    for k in {count - 1, int(np.argmax(wider))}:
-        point = variants.end(-1)
-        point = (*signs[k, state[k]].tolist(), *point[variants.of_parameters :])
-        robot, phi = variants.robot(point), friction_states(variants.scenario.robot)[state[k]]
-        solved = robot.mechanics.tips_with_friction(
-            *variants.collars(point, joints[k : k + 1]), phi[None], accuracy=accuracy
-        )
-        linear = tips[1][k, state[k]] + sides.reshape(count, states, 3, -1)[k, state[k]] @ signs[k, state[k]]
-        is_lost = solved.status[0] == Status.FAILED
-        beyond = max(beyond, np.inf if is_lost else float(np.linalg.norm(solved.position_m[0] - linear)))
+
+    def tips_of(walk: PathSamples) -> Array:
+        return np.concatenate([walk.tip_m[:, None], walk.corner_tip_m], axis=1)
+
+    start, centre = tips_of(own), tips_of(middle)
+    count, states = start.shape[:2]
+    away = (start - start[:, :1]).reshape(-1, 3)
+    wider, beyond = np.zeros(count), 0.0
+    above = [tips_of(end) - centre for end, _ in ends]
+    below = [centre - tips_of(back) if back else up for (_, back), up in zip(ends, above, strict=True)]
+    for moved in (above, below) if any(back for _, back in ends) else (above,):
+        sides = np.stack(moved, axis=3)
+        result = farthest(away, IntervalSides((centre - start).reshape(-1, 3), sides.reshape(count * states, 3, -1)))
+        length, signs = result.length_m.reshape(count, states), result.signs.reshape(count, states, -1)
+        state, friction = np.argmax(length, axis=1), lengths(away).reshape(count, states).max(axis=1)
+        wider = np.maximum(length.max(axis=1) - friction, wider)
+        for k in {count - 1, int(np.argmax(wider))}:
+            point = (*signs[k, state[k]].tolist(), *variants.end(-1)[variants.of_parameters :])
+            robot, phi = variants.robot(point), friction_states(variants.scenario.robot)[state[k]]
+            solved = robot.mechanics.tips_with_friction(
+                *variants.collars(point, joints[k : k + 1]), phi[None], accuracy=accuracy
+            )
+            linear = centre[k, state[k]] + sides[k, state[k]] @ signs[k, state[k]]
+            is_lost = solved.status[0] == Status.FAILED
+            beyond = max(beyond, np.inf if is_lost else float(np.linalg.norm(solved.position_m[0] - linear)))
     return np.asarray(wider + beyond)
 
 

@@ -252,7 +252,7 @@ def _parted_at_end(scenario: Scenario, space: JointSpace, last: Piece) -> list[s
 def miscounted(scenario: Scenario, joints: Array, tip_m: Array) -> str:
     """A sentence where turns count, and a motion ends in another shape than they say there; empty where in that one.
 
-    It ends at joints (m,), its frictionless tip at (3,) [m] in the robot's frame: around a fold no turn tells shapes apart.
+    It ends at joints (m,), its frictionless tip at (3,) [m] (robot frame). Around a fold no turn tells them apart.
     """
     if scenario.start_turns != "absolute" or is_unique(scenario.robot, scenario.robot.drive.collars(joints)[1]):
         return ""

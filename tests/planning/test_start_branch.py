@@ -379,6 +379,18 @@ def test_a_start_is_refused_where_a_robot_within_its_interval_has_another_shape(
     assert not certificate.valid and "by what is stated of" in certificate.problems[0]
 
 
+def test_no_robot_at_an_end_of_an_interval_leaves_the_bound_on_a_branch() -> None:
+    """Bent less by a tenth the wound pair's tip moves 2 mm farther than bent more by it."""
+    robot, others = stated_pair(2.09, (0.8975, 1.1025), friction=0.0)
+    start = np.array([0, np.radians(218.4), -32.7e-3])
+    path = np.array([start, start - [0, np.radians(20), 0]])
+    certificate = ctrplan.certify(wound(robot, start, path[-1]), path)
+    assert certificate.valid, certificate.problems
+    for other in others:
+        most, snaps = beyond_m(other, certificate, start, np.random.default_rng(4))
+        assert most < BEYOND_BOUND_M and not snaps
+
+
 @pytest.mark.parametrize("at_deg", [178, 182])
 def test_a_closed_way_around_a_fold_leaves_no_start_that_is_taken_for_another(at_deg: float) -> None:
     """Drawn back to where there is one shape, turned there, and pushed out again: the same joints, the other shape."""
