@@ -10,7 +10,7 @@ nearer than that says. The base, of which only a ball of positions and rotations
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
@@ -270,6 +270,14 @@ def _with_axes(
     reach = [own_m + between for own_m, between in zip(walks.reach_m, _between(rows, moved, nominal), strict=True)]
     every, spread = np.arange(count), [_larger(rows, values, count) for values in (softer, strain)]
     ends = [walk for walk in [*single.values(), *other.values()] if walk]
+    if variants.small:
+        by = {k: signed_square(single[k].shape_stability) - squares for k in variants.small}  # type: ignore[union-attr]
+        solved = [signed_square(walk.shape_stability[rows]) for walk in (samples, *walks.corners)]
+        softest = _at_rows(variants, _softest(variants, solved, by), joints[rows], density, accuracy)
+        if softest is None:
+            return replace(walks, fault=NO_EQUILIBRIUM)
+        least = np.min(solved, axis=(0, 2))
+        softer = np.maximum(softer, least - signed_square(softest.shape_stability).min(axis=1))
     bound = None
     if variants.of_parameters:
         of_rows = replace(samples.at_rows(rows), bodies=())
@@ -284,6 +292,21 @@ def _with_axes(
         end_tips_m=(tips_at(ends, 0), tips_at(ends, -1)),
         strain=spread[1],
     )
+
+
+def _softest(variants: Variants, squares: Sequence[Array], by: Mapping[int, Array]) -> Point:
+    """The corner of the box that is nearest to a fold, to first order.
+
+    squares: of stabilities (R, 1 + C) of the file's robot and of the corners of the large axes; by: what each small
+    axis adds to them.
+    """
+    left = [each - np.sum([np.abs(change) for change in by.values()], axis=0) for each in squares]
+    walk, row, shape = np.unravel_index(np.argmin(left), np.shape(left))
+    large = corner_states(len(variants.large))[walk - 1] if variants.large else ()
+    point = list(variants.at(large))
+    for axis, change in by.items():
+        point[axis] = -1.0 if change[row, shape] > 0 else 1.0
+    return tuple(point)
 
 
 def _wider_bounds(

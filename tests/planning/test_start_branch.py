@@ -391,6 +391,35 @@ def test_no_robot_at_an_end_of_an_interval_leaves_the_bound_on_a_branch() -> Non
         assert most < BEYOND_BOUND_M and not snaps
 
 
+@pytest.mark.parametrize("width", [0.02, 0.1])
+def test_no_combination_of_many_intervals_snaps_on_a_certified_way(width: float) -> None:
+    """The inner precurvature in six parts, each in an interval: all at their lower ends, the wound pair snaps first."""
+    content, parts = copy.deepcopy(bent(2.2).content), 6
+    content["contact"] = [{"friction_coefficient": 0.0}]
+    straight, curved = content["tube"][1]["section"]
+    content["tube"][1]["section"] = [straight, *({**curved, "length_mm": curved["length_mm"] / parts},) * parts]
+    most = curved["curvature_y_per_m"]
+    ends = {f"tube.2.section.{k + 2}.curvature_per_m": [(1 - width) * most, (1 + width) * most] for k in range(parts)}
+    robot = robot_from_dict({**content, "uncertainty": {"ci95": ends}}, file=bent(2.2).path)
+    softest = copy.deepcopy(content)
+    softest["tube"][1]["section"] = [
+        straight,
+        *({**part, "curvature_y_per_m": (1 - width) * most} for part in content["tube"][1]["section"][1:]),
+    ]
+    other, start = robot_from_dict(softest, file=robot.path), np.array([0, np.radians(185), -29.6e-3])
+    angles = np.append([0.0, start[1]], np.radians(np.arange(200, 240, 0.25)))
+    driven = other.history().follow(*other.drive.collars(np.array([[0, angle, start[2]] for angle in angles])))
+    snap_deg = float(np.degrees(angles[np.flatnonzero(driven.snaps)[0]]))
+    for end_deg, is_valid in (
+        (snap_deg - 0.5, True),
+        (snap_deg, False),
+        (snap_deg + 0.5, False),
+        (snap_deg + 3, False),
+    ):
+        path = np.array([start, [0, np.radians(end_deg), start[2]]])
+        assert ctrplan.certify(wound(robot, start, path[-1]), path).valid == is_valid
+
+
 @pytest.mark.parametrize("at_deg", [178, 182])
 def test_a_closed_way_around_a_fold_leaves_no_start_that_is_taken_for_another(at_deg: float) -> None:
     """Drawn back to where there is one shape, turned there, and pushed out again: the same joints, the other shape."""
