@@ -13,8 +13,10 @@ simulator: tips of the tests' independent rods beside the bound, of random robot
 from __future__ import annotations
 
 import itertools
+import sys
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from functools import cache
+from functools import cache, partial
 
 import common
 import numpy as np
@@ -25,9 +27,10 @@ from history_numerics import numerics, release
 from matplotlib.figure import Figure
 
 from ctrplan.base.arrays import Array
+from ctrplan.base.long_work import cores
 from ctrplan.errors import SolverError
 from ctrplan.files.robot_file import robot_from_dict
-from ctrplan.mechanics.equilibria import SAME_SHAPE_M, other_shapes
+from ctrplan.mechanics.equilibria import SAME_SHAPE_M
 from ctrplan.mechanics.friction import corner_signs
 from ctrplan.mechanics.history import HistoryOptions
 from ctrplan.mechanics.shapes import Shape, Status
@@ -286,33 +289,40 @@ def erasure() -> None:
     table("erasure", ("robot", "motion", "apart at first", "1 % is left after", "0.1 %"), rows)
 
 
+def wound(robot: Robot, q: Array) -> Array:
+    """(6,) Whether joints (m,) have several shapes; histories that end there, those on a known shape, those not in the
+    one that is solved, and those of them that are told of; whether every state that they go on to is known.
+    """
+    theta, l = robot.drive.collars(q)  # noqa: E741 (as in the equations)
+    shapes, own = robot.equilibria(theta, l).branches, robot.solve(theta, l).tip_m
+    is_told = any(np.linalg.norm(shape.tip_m[shape.first] - own) > SAME_SHAPE_M for shape in shapes)
+    states = np.vstack([np.zeros(robot.n - 1), corner_signs(robot.n - 1)])
+    counts = np.array([len(shapes) > 1, 0, 0, 0, 0, 1])
+    for turns in itertools.product((-1, 0, 1), repeat=robot.n - 1):
+        before = 2 * np.pi * np.array(turns) if any(turns) else np.full(robot.n - 1, 1.5)
+        history = robot.history()
+        with suppress(SolverError):
+            path = history.follow(np.array([theta - np.append(0, np.cumsum(before)), theta]), np.array([l, l]))
+            if path.status[-1] != Status.CONVERGED:
+                continue
+            tips = np.array([history.tip_beside(phi) for phi in states])
+            apart = np.array([np.linalg.norm(shape.tip_m - tips, axis=1) for shape in shapes])
+            found = np.nan_to_num(apart, nan=np.inf).min(axis=0)[np.isfinite(tips[:, 0])] < SAME_SHAPE_M
+            is_elsewhere = np.linalg.norm(tips[0] - own) > SAME_SHAPE_M
+            counts[1:5] += [1, found.any(), is_elsewhere, is_elsewhere and is_told]
+            counts[5] &= found.all()
+    return counts
+
+
 def windings(count: int) -> None:
-    from stated_plans import bent, rvim, table_ii  # robots that the tests wind up
+    from stated_plans import rvim, table_ii  # robots that the tests wind up
 
     rows = []
-    for name, robot in (("RViM", rvim()), ("Table II", table_ii()), ("bent pair", bent(2.5))):
-        states = np.vstack([np.zeros(robot.n - 1), corner_signs(robot.n - 1)])
-        several, ended, known, elsewhere, told, complete = 0, 0, 0, 0, 0, 0
-        for q in JointSpace.of_robot(robot).sample(np.random.default_rng(12), count):
-            theta, l = robot.drive.collars(q)  # noqa: E741 (as in the equations)
-            shapes, is_complete = robot.equilibria(theta, l).branches, True
-            own, several = robot.solve(theta, l).tip_m, several + (len(shapes) > 1)
-            others = other_shapes(robot, theta, l, own)
-            for turns in itertools.product((-1, 0, 1), repeat=robot.n - 1):
-                before = 2 * np.pi * np.array(turns) if any(turns) else np.full(robot.n - 1, 1.5)
-                history = robot.history()
-                with suppress(SolverError):
-                    path = history.follow(np.array([theta - np.append(0, np.cumsum(before)), theta]), np.array([l, l]))
-                    if path.status[-1] != Status.CONVERGED:
-                        continue
-                    tips = np.array([history.tip_beside(phi) for phi in states])
-                    apart = np.array([np.linalg.norm(shape.tip_m - tips, axis=1) for shape in shapes])
-                    found = np.nan_to_num(apart, nan=np.inf).min(axis=0)[np.isfinite(tips[:, 0])] < SAME_SHAPE_M
-                    is_elsewhere = bool(np.linalg.norm(tips[0] - own) > SAME_SHAPE_M)
-                    ended, known, is_complete = ended + 1, known + bool(found.any()), is_complete and bool(found.all())
-                    elsewhere, told = elsewhere + is_elsewhere, told + (is_elsewhere and bool(others))
-            complete += is_complete
-        rows.append((name, count, several, ended, known, elsewhere, told, complete))
+    for name, robot in (("RViM", rvim()), ("Table II", table_ii())):
+        joints = JointSpace.of_robot(robot).sample(np.random.default_rng(12), 2 * count)[:count]
+        with ThreadPoolExecutor(cores()) as pool:
+            rows.append((name, len(joints), *np.sum(list(pool.map(partial(wound, robot), joints)), axis=0)))
+        print(*rows[-1], file=sys.stderr, flush=True)
     head = ("robot", "configurations", "of several shapes", "histories", "on a known one", "not in that solved", "told")
     table("windings", (*head, "configurations with all states known"), rows)
 

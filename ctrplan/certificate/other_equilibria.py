@@ -313,7 +313,7 @@ def _way_home(robot: Robot, joints: Array, branch: Branch, state: int) -> Array:
                 break
             own = mechanics.tips_with_friction(turned_b, moved_b, phi[None]).position_m
             if np.linalg.norm(own - led.tip_m) < SAME_SHAPE_M:
-                return there - joints
+                return np.asarray(there - joints)
     return np.zeros(len(joints))
 
 

@@ -302,7 +302,7 @@ def _softest(variants: Variants, squares: Sequence[Array], by: Mapping[int, Arra
     """
     left = [each - np.sum([np.abs(change) for change in by.values()], axis=0) for each in squares]
     walk, row, shape = np.unravel_index(np.argmin(left), np.shape(left))
-    large = corner_states(len(variants.large))[walk - 1] if variants.large else ()
+    large = corner_states(len(variants.large))[int(walk) - 1] if variants.large else ()
     point = list(variants.at(large))
     for axis, change in by.items():
         point[axis] = -1.0 if change[row, shape] > 0 else 1.0
