@@ -1,18 +1,22 @@
 """What does path history do to a robot, and is its simulation right? Figures and tables of docs/history.md.
 
     python benchmarks/run.py [--write] history [--histories N] [section_v] [loop] [erasure] [bound] [release] [numerics]
-        [simulator]
+        [simulator] [windings [--configurations N]]
 
 All sections if none is named. `bound` simulates 2,000 random histories, which takes tens of minutes; with --histories N
 of each robot. section_v: Section V-B of the paper, eight path histories to each of 37 base angles; loop: the hysteresis
 of Fig. 1; erasure: corners of friction and the released state at one configuration, driven one way until tips agree;
-simulator: tips of the tests' independent rods beside the bound, of random robots of two to five tubes.
+simulator: tips of the tests' independent rods beside the bound, of random robots of two to five tubes; windings: do
+`robot.equilibria`, and what `bound`, `ik` and `view` say of others, have the ends of histories with whole turns?
 """
 
 from __future__ import annotations
 
 import itertools
-from functools import cache
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from functools import cache, partial
 
 import common
 import numpy as np
@@ -23,11 +27,16 @@ from history_numerics import numerics, release
 from matplotlib.figure import Figure
 
 from ctrplan.base.arrays import Array
+from ctrplan.base.long_work import cores
+from ctrplan.errors import SolverError
 from ctrplan.files.robot_file import robot_from_dict
+from ctrplan.mechanics.equilibria import SAME_SHAPE_M
+from ctrplan.mechanics.friction import corner_signs
 from ctrplan.mechanics.history import HistoryOptions
 from ctrplan.mechanics.shapes import Shape, Status
 from ctrplan.reports import looks
 from ctrplan.robot.robot import Robot
+from ctrplan.scenario.joint_space import JointSpace
 from ctrplan.storage.toml_document import read_document
 
 COLOURS = (*looks.SERIES, looks.ENVELOPE, looks.CORNER)
@@ -280,12 +289,52 @@ def erasure() -> None:
     table("erasure", ("robot", "motion", "apart at first", "1 % is left after", "0.1 %"), rows)
 
 
+def wound(robot: Robot, q: Array) -> Array:
+    """(6,) Whether joints (m,) have several shapes; histories that end there, those on a known shape, those not in the
+    one that is solved, and those of them that are told of; whether every state that they go on to is known.
+    """
+    theta, l = robot.drive.collars(q)  # noqa: E741 (as in the equations)
+    shapes, own = robot.equilibria(theta, l).branches, robot.solve(theta, l).tip_m
+    is_told = any(np.linalg.norm(shape.tip_m[shape.first] - own) > SAME_SHAPE_M for shape in shapes)
+    states = np.vstack([np.zeros(robot.n - 1), corner_signs(robot.n - 1)])
+    counts = np.array([len(shapes) > 1, 0, 0, 0, 0, 1])
+    for turns in itertools.product((-1, 0, 1), repeat=robot.n - 1):
+        before = 2 * np.pi * np.array(turns) if any(turns) else np.full(robot.n - 1, 1.5)
+        history = robot.history()
+        with suppress(SolverError):
+            path = history.follow(np.array([theta - np.append(0, np.cumsum(before)), theta]), np.array([l, l]))
+            if path.status[-1] != Status.CONVERGED:
+                continue
+            tips = np.array([history.tip_beside(phi) for phi in states])
+            apart = np.array([np.linalg.norm(shape.tip_m - tips, axis=1) for shape in shapes])
+            found = np.nan_to_num(apart, nan=np.inf).min(axis=0)[np.isfinite(tips[:, 0])] < SAME_SHAPE_M
+            is_elsewhere = np.linalg.norm(tips[0] - own) > SAME_SHAPE_M
+            counts[1:5] += [1, found.any(), is_elsewhere, is_elsewhere and is_told]
+            counts[5] &= found.all()
+    return counts
+
+
+def windings(count: int) -> None:
+    from stated_plans import rvim, table_ii  # robots that the tests wind up
+
+    rows = []
+    for name, robot in (("RViM", rvim()), ("Table II", table_ii())):
+        joints = JointSpace.of_robot(robot).sample(np.random.default_rng(12), 2 * count)[:count]
+        with ThreadPoolExecutor(cores()) as pool:
+            rows.append((name, len(joints), *np.sum(list(pool.map(partial(wound, robot), joints)), axis=0)))
+        print(*rows[-1], file=sys.stderr, flush=True)
+    head = ("robot", "configurations", "of several shapes", "histories", "on a known one", "not in that solved", "told")
+    table("windings", (*head, "configurations with all states known"), rows)
+
+
 def main() -> None:
     parser = common.parser(__doc__)
     parser.add_argument("sections", nargs="*", metavar="SECTION")
     parser.add_argument("--histories", type=int, default=COUNT, help="random histories of each robot")
     parser.add_argument("--robots", type=int, default=ROBOTS_DRAWN, help="drawn ones, beside the independent simulator")
+    parser.add_argument("--configurations", type=int, default=500, help="of each robot that was wound up")
     given = parser.parse_args()
     known = {"section_v": section_v, "loop": loop, "erasure": erasure, "release": release, "numerics": numerics}
     counted = {"bound": lambda: bound(given.histories), "simulator": lambda: simulator(given.robots)}
+    counted["windings"] = lambda: windings(given.configurations)
     common.sections(given.sections, {**known, **counted}, parser.error)

@@ -18,7 +18,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary
 
@@ -28,12 +28,19 @@ from numpy.typing import NDArray
 from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.base.long_work import cores
 from ctrplan.certificate.friction_states import BEYOND_BOUND_M
-from ctrplan.certificate.variants import Variants
+from ctrplan.certificate.variants import Point, Variants
 from ctrplan.certificate.walked_piece import Piece
 from ctrplan.errors import InputError, SolverError
-from ctrplan.mechanics.equilibria import SAME_SHAPE_M, Torus, branches, is_unique, other_branches, other_shapes
+from ctrplan.mechanics.equilibria import (
+    SAME_SHAPE_M,
+    Torus,
+    branches,
+    is_unique,
+    other_branches,
+    refuse_other_kinds,
+)
 from ctrplan.mechanics.friction import corner_signs
-from ctrplan.mechanics.guide import SHORTEST
+from ctrplan.mechanics.guide import Guide
 from ctrplan.mechanics.shapes import Status
 from ctrplan.mechanics.walk import PathDensity
 from ctrplan.robot.robot import Robot
@@ -87,8 +94,6 @@ def _other_start(scenario: Scenario, joints: Array, is_loaded: bool, turns: Star
                 return elsewhere
         except InputError:  # of a kind whose equilibria are not enumerated
             approaches += _windings(robot, joints) if turns == "unknown" else []
-    if turns == "absolute" and (otherwise := _wound_otherwise(scenario, joints)):
-        return otherwise
     if not approaches:
         return ""
 
@@ -165,29 +170,60 @@ def unwinding(scenario: Scenario) -> str:
     return sentence[sentence.index(UNWIND) :] if UNWIND in sentence else ""
 
 
-def _wound_otherwise(scenario: Scenario, joints: Array) -> str:
-    """A sentence if a robot at an end of a stated interval ends elsewhere than the file's robot; empty if not."""
-    robot, variants = scenario.robot, Variants.of(scenario, joints[None])
-    free, way = np.zeros((1, robot.n - 1)), np.array([np.where(robot.drive.is_rotation, 0.0, joints), joints])
-    theta_b, l_b = robot.drive.collars(joints)
-    if not variants.of_parameters or not other_shapes(robot, theta_b, l_b, robot.solve(theta_b, l_b).tip_m):
-        return ""
-    for axis, side in itertools.product(range(variants.of_parameters), (1.0, -1.0)):
-        point = variants.end(axis, side)
-        other, collars = variants.robot(point), variants.collars(point, way)
-        own = other.mechanics.tips_with_friction(collars[0][1:], collars[1][1:], free).position_m[0]
-        history = other.unguided.history()
-        try:
-            snaps = history.follow(*collars).snaps
-            is_same = not np.nansum(snaps) and np.linalg.norm(history.tip_beside(free[0]) - own) <= SAME_SHAPE_M
-        except SolverError:
-            is_same = False
-        if not is_same:
+def other_start_within(scenario: Scenario, variants: Variants, joints: Array) -> str:
+    """A sentence if a robot within what is stated has another equilibrium at joints (m,), empty if none has one.
+
+    Ends of all axes are looked at, and the corner of the box where a second one is likeliest. Raises InputError for
+    robots whose equilibria are not enumerated.
+    """
+    refuse_other_kinds(scenario.robot)
+    is_loaded = scenario.start_friction not in ("released", "oscillated")
+    for point in (*variants.ends(), _likeliest(variants, joints)):
+        other, collars = variants.robot(point), variants.collars(point, joints[None])
+        theta_b, l_b = collars[0][0], collars[1][0]
+        if is_unique(other, l_b):
+            continue
+        bound = other.mechanics.bound(theta_b, l_b)
+        tips = np.array([shape.tip_m for shape in (bound.frictionless, *bound.corners)])
+        each = other_branches(branches(other, theta_b, l_b), tips)
+        away = [one.apart_m if is_loaded else one.apart_m[:1] for one in each]
+        if (apart := float(np.nan_to_num(away).max(initial=0.0))) > 0:
+            stated = ", ".join(variants.title(int(axis)) for axis in np.flatnonzero(point))
             return (
-                "The start has another stable equilibrium, where rotations straight from home may end by what is "
-                f"stated of {variants.title(axis)}; start within half a turn of home, or where there is no other"
+                f"The start has another stable equilibrium, {apart * MM_PER_M:.1f} mm away, by what is stated of "
+                f"{stated}; start where no robot within that has another"
             )
     return ""
+
+
+def _likeliest(variants: Variants, joints: Array) -> Point:
+    """The corner of the box where a second equilibrium at joints (m,) is likeliest, to first order.
+
+    It comes with an unstable one, where the determinant of the tips' torus is negative and leads to the collars. At
+    every place of the torus axes are put to the ends that lower the determinant, or bring it nearer to the collars.
+    """
+
+    def mapped(point: Point) -> tuple[Array, Array]:
+        theta_b, l_b = variants.collars(point, joints[None])
+        R, determinant = Torus(variants.robot(point).tubes, l_b[0]).map()
+        off = R - np.diff(theta_b[0])
+        return off - 2 * np.pi * np.round(off / (2 * np.pi)), determinant
+
+    off, determinant = mapped(variants.end(-1))
+    ends = [mapped(variants.end(axis)) for axis in range(variants.count)]
+    turned = np.array([end - off for end, _ in ends])  # (A, Q, P)
+    turned -= 2 * np.pi * np.round(turned / (2 * np.pi))
+    lowered = np.array([end - determinant for _, end in ends])  # (A, Q)
+    best, least = variants.end(-1), np.inf
+    for q in range(len(determinant)):
+        signs = np.where(lowered[:, q] > 0, -1.0, 1.0)
+        for axis in (None, *range(variants.count)):
+            tried = signs if axis is None else np.where(np.arange(variants.count) == axis, -signs, signs)
+            left = off[q] + tried @ turned[:, q]
+            far = max(0.0, determinant[q] + tried @ lowered[:, q]) + float(np.linalg.norm(left))
+            if far < least:
+                best, least, signs = tuple(tried.tolist()), far, tried
+    return best
 
 
 def _moved(robot: Robot, by: Array) -> str:
@@ -262,16 +298,22 @@ def _way_home(robot: Robot, joints: Array, branch: Branch, state: int) -> Array:
 
     In one of its friction states. Zeros where none was found. Few joints turn before many, as far as they may.
     """
-    drive, begun = robot.drive, _Led.of(robot, joints, branch, state)
+    drive, mechanics = robot.drive, robot.unguided.mechanics
+    theta_b, l_b = drive.collars(joints)
+    s_m, _ = Torus(robot.tubes, l_b).shapes(np.zeros((1, robot.n - 1)), [0.0])
+    phi = np.vstack([np.zeros(robot.n - 1), corner_signs(robot.n - 1)])[state]
+    shapes = branch.angles_rad[state][None], branch.tip_m[state][None]
     for way in _signs(robot):
-        led: _Led | None = begun
+        led, there = Guide(theta_b[None], l_b[None], s_m, *shapes, phi), joints
         for turned in np.arange(TURN_RAD, 2 * np.pi + TURN_RAD, TURN_RAD):
-            there = np.clip(joints + way * turned, drive.lower, drive.upper)
-            if led is None or np.array_equal(there, led.joints):
+            before, there = there, np.clip(joints + way * turned, drive.lower, drive.upper)
+            turned_b, moved_b = drive.collars(there[None])
+            led = led.along(mechanics, turned_b, moved_b).at(-1)
+            if np.array_equal(there, before) or not np.array_equal(led.theta_b, turned_b):
                 break
-            led = led.to(there)
-            if led is not None and led.is_home:
-                return led.joints - joints
+            own = mechanics.tips_with_friction(turned_b, moved_b, phi[None]).position_m
+            if np.linalg.norm(own - led.tip_m) < SAME_SHAPE_M:
+                return np.asarray(there - joints)
     return np.zeros(len(joints))
 
 
@@ -280,55 +322,6 @@ def _signs(robot: Robot) -> list[Array]:
     signs = itertools.product(*[(0.0, 1.0, -1.0) if turns else (0.0,) for turns in robot.drive.is_rotation])
     relative = ((way, np.diff(robot.drive.matrix_theta @ way)) for way in map(np.array, signs))
     return sorted((way for way, turned in relative if turned.any()), key=np.count_nonzero)
-
-
-@dataclass(frozen=True, eq=False)
-class _Led:
-    """A branch in one friction state, led by rotations from joints to joints."""
-
-    robot: Robot
-    joints: Array  # (m,)
-    phi: Array  # (P,)
-    s_m: Array  # (K,)
-    angles_rad: Array  # (n, K)
-    tip_m: Array  # (3,)
-
-    @classmethod
-    def of(cls, robot: Robot, joints: Array, branch: Branch, state: int) -> _Led:
-        """Where it was solved."""
-        places = Torus(robot.tubes, robot.drive.collars(joints)[1])
-        phi = np.vstack([np.zeros(robot.n - 1), corner_signs(robot.n - 1)])[state]
-        robot = robot.unguided
-        s_m, _ = places.shapes(np.zeros((1, robot.n - 1)), [0.0])
-        return cls(robot, joints, phi, s_m, branch.angles_rad[state], branch.tip_m[state])
-
-    @property
-    def is_home(self) -> bool:
-        """Whether it is what is solved there by itself."""
-        theta_b, l_b = self.robot.drive.collars(self.joints[None])
-        own = self.robot.mechanics.tips_with_friction(theta_b, l_b, self.phi[None]).position_m[0]
-        return bool(np.linalg.norm(own - self.tip_m) < SAME_SHAPE_M)
-
-    def to(self, joints: Array) -> _Led | None:
-        """Led on to joints (m,), in halves where a tube turns far; None where it leaps, however short the step."""
-        led, share, step = self, 0.0, 1.0
-        while share < 1:
-            step = min(step, 1 - share)
-            now = led._step(self.joints + (share + step) * (joints - self.joints))
-            if now is None:
-                step /= 2
-                if step < SHORTEST:
-                    return None
-                continue
-            led, share, step = now, share + step, 2 * step
-        return led
-
-    def _step(self, joints: Array) -> _Led | None:
-        (theta_b, l_b), guess = self.robot.drive.collars(joints), self.angles_rad[None]
-        rows = self.robot.mechanics.core_solve_from(theta_b[None], l_b, self.phi[None], self.s_m, guess, "search")
-        if rows.status[0] != Status.CONVERGED or np.abs(rows.angles_rad - guess).max() > 2 * TURN_RAD:
-            return None
-        return replace(self, joints=joints, angles_rad=rows.angles_rad[0], tip_m=rows.tip_m[0])
 
 
 def _approaches(pairs: int) -> Iterator[Array]:

@@ -119,7 +119,7 @@ def problems_of_walk(scenario: Scenario, space: JointSpace, corners: Array, piec
             results.append(f"On {where}: {breach(piece.samples, PathLimits()) or 'the walk did not reach its end'}.")
         elif piece.walks.fault:
             results.append(f"On {where}: {piece.walks.fault}.")
-        elif before is not None and _apart(scenario, before, piece) > BRANCH_TOLERANCE_M:
+        elif before is not None and apart_m(scenario, before, piece) > BRANCH_TOLERANCE_M:
             walked_m, own_m = (tips[: 2**piece.pairs + 1] for tips in (before.end_tips_m[1], piece.end_tips_m[0]))
             unwinding = way_to_unwind(scenario.robot, piece.joints[0], walked_m, own_m)
             end = f": the robot may be wound up there; {unwinding}" if unwinding else ""
@@ -198,13 +198,13 @@ def _shares_of_clearance(scenario: Scenario, pieces: Sequence[Piece], limits: Pa
     return shares_in_words(nominal, friction, allowed, taken)
 
 
-def _apart(scenario: Scenario, before: Piece, after: Piece) -> float:
+def apart_m(scenario: Scenario, before: Piece, after: Piece) -> float:
     """Largest distance [m] of tips of one shape, frictionless or corner, where two pieces meet.
 
     Less what their meshes may differ by.
     """
-    ends = before.end_tips_m[1], after.end_tips_m[0]
-    gap = float(np.linalg.norm(ends[0] - ends[1], axis=1).max())
+    pairs = zip(before.end_tips_m[1], after.end_tips_m[0], strict=False)  # where a walk failed there are fewer
+    gap = max(float(np.linalg.norm(a - b)) for a, b in pairs)
     return gap if before.accuracy == after.accuracy else gap - mesh_allowance_m(scenario.robot, "search")
 
 

@@ -10,7 +10,7 @@ nearer than that says. The base, of which only a ball of positions and rotations
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
@@ -55,18 +55,18 @@ class Variants:
     _robots: dict[bytes, Robot] = field(default_factory=dict, repr=False)
 
     @classmethod
-    def of(cls, scenario: Scenario, joints: Array) -> Variants:
+    def of(cls, scenario: Scenario, joints: Array, large: tuple[int, ...] | None = None) -> Variants:
         """The box of a scenario's robot on a path along joints (K, m).
 
-        Axes are large where they move the tip by more than LARGE_M on it.
+        Axes are large where they move the tip by more than LARGE_M on it, unless it is said which are.
         """
         robot, parameters = scenario.robot, uncertain_parameters(scenario.robot)
         half_widths = np.zeros(2 * robot.n) if robot.drive.play is None else np.concatenate(robot.drive.play)
         half_widths = half_widths + _late_by(robot)
         play = tuple(row for row in np.diag(half_widths) if row.any())
         box = OffsetBox.of(parameters) if parameters.count else OffsetBox(np.zeros(0), np.zeros((0, 0)))
-        result = cls(scenario, parameters, box, play)
-        if not result.count:
+        result = cls(scenario, parameters, box, play, large or ())
+        if not result.count or large is not None:
             return result
         rows = joints[np.unique(np.linspace(0, len(joints) - 1, PLACES).round().astype(int))]
         moved_m = result.tip_moves(rows)
@@ -110,6 +110,11 @@ class Variants:
     def end(self, axis: int, s: float = 1.0) -> Point:
         """The point at s of one axis, in the middle of the others."""
         return tuple(s if k == axis else 0.0 for k in range(self.count))
+
+    def ends(self) -> list[Point]:
+        """Both ends of every axis, and the corners of the large ones."""
+        single = [self.end(axis, side) for axis in range(self.count) for side in (1.0, -1.0)]
+        return list(dict.fromkeys([*single, *(self.at(s) for s in corner_states(len(self.large)) if self.large)]))
 
     def at(self, s: Sequence[float]) -> Point:
         """The point at s (A,) of the large axes, in the middle of the small ones."""
@@ -183,7 +188,8 @@ class VariantWalks:
     reach_m: tuple[Array, ...] = ()  # per sample (N,): how far small axes and base move its points; empty if not
     bound_m: Array | None = None  # (K,) what parameters add to the bound of the tip; None without them
     play_m: Array | None = None  # (K,) how far play moves the tip, every collar's added up
-    stability: Array | None = None  # (K,) what small axes take off the stability
+    softer: Array | None = None  # (K,) what small axes take off the square of the stability
+    end_tips_m: tuple[Array, Array] | None = None  # (T, 3) each: tips of all ends of single axes, at the first and last
     strain: Array | None = None  # (K,) and add to the strain
     fault: str = ""  # why it could not be walked
 
@@ -240,9 +246,9 @@ def _with_axes(
     other = {k: _at_rows(variants, variants.end(k, -1.0), joints[rows], density, accuracy) for k in variants.large}
     if middle is None or any(walk is None for walk in [*single.values(), *other.values()]):
         return replace(walks, fault=NO_EQUILIBRIUM)
-    shapes = 1 + 2 ** (variants.scenario.robot.n - 1)
+    shapes, squares = 1 + 2 ** (variants.scenario.robot.n - 1), signed_square(middle.shape_stability)
     moved = [np.zeros(len(nominal[row])) for row in rows]
-    play, stability, strain = (np.zeros(len(rows)) for _ in range(3))
+    play, softer, strain = (np.zeros(len(rows)) for _ in range(3))
     for k, walk in single.items():
         assert walk is not None
         sides = [walk, back] if (back := other.get(k)) else [walk]
@@ -250,32 +256,57 @@ def _with_axes(
             play += np.max([lengths(side.tip_m - middle.tip_m) for side in sides], axis=0)
         if k in variants.large:
             continue
-        stability += np.abs(walk.shape_stability - middle.shape_stability).max(axis=1)
+        softer += np.abs(signed_square(walk.shape_stability) - squares).max(axis=1)
         strain += np.abs(walk.shape_max_strain - middle.shape_max_strain).max(axis=1)
         for j, row in enumerate(rows):
             off = _points(walk, j, shapes, nominal[row]) - _points(middle, j, shapes, nominal[row])
             moved[j] += np.linalg.norm(off, axis=2).max(axis=0)
     if not variants.has_middle:  # the small axes are counted from the middle, the file's robot lies beside it
-        stability += np.abs(middle.shape_stability - samples.shape_stability[rows]).max(axis=1)
+        softer += np.abs(squares - signed_square(samples.shape_stability[rows])).max(axis=1)
         strain += np.abs(middle.shape_max_strain - samples.shape_max_strain[rows]).max(axis=1)
         for j, row in enumerate(rows):
             off = _points(middle, j, shapes, nominal[row])[0] - nominal[row]
             moved[j] += 0.0 if variants.large else lengths(off)
     reach = [own_m + between for own_m, between in zip(walks.reach_m, _between(rows, moved, nominal), strict=True)]
-    every, spread = np.arange(count), [_larger(rows, values, count) for values in (stability, strain)]
+    every, spread = np.arange(count), [_larger(rows, values, count) for values in (softer, strain)]
+    ends = [walk for walk in [*single.values(), *other.values()] if walk]
+    if variants.small:
+        by = {k: signed_square(single[k].shape_stability) - squares for k in variants.small}  # type: ignore[union-attr]
+        solved = [signed_square(walk.shape_stability[rows]) for walk in (samples, *walks.corners)]
+        softest = _at_rows(variants, _softest(variants, solved, by), joints[rows], density, accuracy)
+        if softest is None:
+            return replace(walks, fault=NO_EQUILIBRIUM)
+        least = np.min(solved, axis=(0, 2))
+        softer = np.maximum(softer, least - signed_square(softest.shape_stability).min(axis=1))
     bound = None
     if variants.of_parameters:
         of_rows = replace(samples.at_rows(rows), bodies=())
-        parameters = [walk for k, walk in single.items() if walk and k < variants.of_parameters]
-        bound = _larger(rows, _wider_bounds(variants, joints[rows], of_rows, middle, parameters, accuracy), count)
+        ends_of = [(walk, other.get(k)) for k, walk in single.items() if walk and k < variants.of_parameters]
+        bound = _larger(rows, _wider_bounds(variants, joints[rows], of_rows, middle, ends_of, accuracy), count)
     return replace(
         walks,
         reach_m=tuple(reach),
         bound_m=bound,
         play_m=np.interp(every, rows, play) if variants.play else None,
-        stability=spread[0],
+        softer=spread[0],
+        end_tips_m=(tips_at(ends, 0), tips_at(ends, -1)),
         strain=spread[1],
     )
+
+
+def _softest(variants: Variants, squares: Sequence[Array], by: Mapping[int, Array]) -> Point:
+    """The corner of the box that is nearest to a fold, to first order.
+
+    squares: of stabilities (R, 1 + C) of the file's robot and of the corners of the large axes; by: what each small
+    axis adds to them.
+    """
+    left = [each - np.sum([np.abs(change) for change in by.values()], axis=0) for each in squares]
+    walk, row, shape = np.unravel_index(np.argmin(left), np.shape(left))
+    large = corner_states(len(variants.large))[int(walk) - 1] if variants.large else ()
+    point = list(variants.at(large))
+    for axis, change in by.items():
+        point[axis] = -1.0 if change[row, shape] > 0 else 1.0
+    return tuple(point)
 
 
 def _wider_bounds(
@@ -283,33 +314,49 @@ def _wider_bounds(
     joints: Array,
     own: PathSamples,
     middle: PathSamples,
-    ends: Sequence[PathSamples],
+    ends: Sequence[tuple[PathSamples, PathSamples | None]],
     accuracy: Accuracy,
 ) -> Array:
     """(K,) [m] what parameters add to the bound at joints (K, m): how much farther corners' tips may come from the
-    tip that the file's robot has without friction. First order, and what the worst combinations differ by, solved.
+    tip that the file's robot has without friction. First order, by the walks of both ends of an axis where there are
+    two, and what the worst combinations differ by, solved.
     """
-    tips = [np.concatenate([walk.tip_m[:, None], walk.corner_tip_m], axis=1) for walk in (own, middle, *ends)]
-    count, states = tips[0].shape[:2]
-    away = (tips[0] - tips[0][:, :1]).reshape(-1, 3)
-    sides = np.stack([tip - tips[1] for tip in tips[2:]], axis=3).reshape(count * states, 3, -1)
-    moved = IntervalSides((tips[1] - tips[0]).reshape(-1, 3), sides)
-    result = farthest(away, moved)
-    length = result.length_m.reshape(count, states)
-    state, friction = np.argmax(length, axis=1), lengths(away).reshape(count, states).max(axis=1)
-    wider = np.maximum(length.max(axis=1) - friction, 0.0)
-    beyond, signs = 0.0, result.signs.reshape(count, states, -1)
-    for k in {count - 1, int(np.argmax(wider))}:
-        point = variants.end(-1)
-        point = (*signs[k, state[k]].tolist(), *point[variants.of_parameters :])
-        robot, phi = variants.robot(point), friction_states(variants.scenario.robot)[state[k]]
-        solved = robot.mechanics.tips_with_friction(
-            *variants.collars(point, joints[k : k + 1]), phi[None], accuracy=accuracy
-        )
-        linear = tips[1][k, state[k]] + sides.reshape(count, states, 3, -1)[k, state[k]] @ signs[k, state[k]]
-        is_lost = solved.status[0] == Status.FAILED
-        beyond = max(beyond, np.inf if is_lost else float(np.linalg.norm(solved.position_m[0] - linear)))
+
+    def tips_of(walk: PathSamples) -> Array:
+        return np.concatenate([walk.tip_m[:, None], walk.corner_tip_m], axis=1)
+
+    start, centre = tips_of(own), tips_of(middle)
+    count, states = start.shape[:2]
+    away = (start - start[:, :1]).reshape(-1, 3)
+    wider, beyond = np.zeros(count), 0.0
+    above = [tips_of(end) - centre for end, _ in ends]
+    below = [centre - tips_of(back) if back else up for (_, back), up in zip(ends, above, strict=True)]
+    for moved in (above, below) if any(back for _, back in ends) else (above,):
+        sides = np.stack(moved, axis=3)
+        result = farthest(away, IntervalSides((centre - start).reshape(-1, 3), sides.reshape(count * states, 3, -1)))
+        length, signs = result.length_m.reshape(count, states), result.signs.reshape(count, states, -1)
+        state, friction = np.argmax(length, axis=1), lengths(away).reshape(count, states).max(axis=1)
+        wider = np.maximum(length.max(axis=1) - friction, wider)
+        for k in {count - 1, int(np.argmax(wider))}:
+            point = (*signs[k, state[k]].tolist(), *variants.end(-1)[variants.of_parameters :])
+            robot, phi = variants.robot(point), friction_states(variants.scenario.robot)[state[k]]
+            solved = robot.mechanics.tips_with_friction(
+                *variants.collars(point, joints[k : k + 1]), phi[None], accuracy=accuracy
+            )
+            linear = centre[k, state[k]] + sides[k, state[k]] @ signs[k, state[k]]
+            is_lost = solved.status[0] == Status.FAILED
+            beyond = max(beyond, np.inf if is_lost else float(np.linalg.norm(solved.position_m[0] - linear)))
     return np.asarray(wider + beyond)
+
+
+def signed_square(stability: Array) -> Array:
+    """Of stabilities, whatever their shape: linear in parameters where a fold is near, the stability is its root."""
+    return np.asarray(np.sign(stability) * stability**2)
+
+
+def tips_at(walks: Sequence[PathSamples], row: int) -> Array:
+    """(T, 3) [m] tips of every shape of the walks at a row."""
+    return np.vstack([tips for walk in walks for tips in (walk.tip_m[row], walk.corner_tip_m[row])])
 
 
 def _points(walk: PathSamples, row: int, shapes: int, pattern: Array) -> Array:

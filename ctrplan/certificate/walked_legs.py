@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import TYPE_CHECKING
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -15,31 +16,50 @@ from ctrplan.base.long_work import Progress
 from ctrplan.certificate.certificate import CertificateSamples
 from ctrplan.certificate.every_state import in_every_friction_state
 from ctrplan.certificate.friction_cube import refuse_many_tubes
-from ctrplan.certificate.friction_states import bound_allowance_m
+from ctrplan.certificate.friction_states import bound_allowance_m, mesh_allowance_m
 from ctrplan.certificate.narrow_samples import at_worst_ends, closely_solved
-from ctrplan.certificate.other_equilibria import other_equilibrium, other_start
+from ctrplan.certificate.other_equilibria import other_equilibrium, other_start, other_start_within
 from ctrplan.certificate.problems import (
+    BRANCH_TOLERANCE_M,
+    PARTED,
     StatedBounds,
+    apart_m,
     frictionless_miss,
     problems_of_limits,
     problems_of_walk,
     stated_bounds,
 )
 from ctrplan.certificate.uneven_friction import with_uneven_friction
-from ctrplan.certificate.walked_piece import Piece, checked_samples, joined_samples, walk_pieces, walked_finely
+from ctrplan.certificate.variants import Variants
+from ctrplan.certificate.walked_piece import (
+    Piece,
+    checked_samples,
+    joined_samples,
+    walk_pieces,
+    walked,
+    walked_finely,
+)
 from ctrplan.drive.legs import merge_legs
+from ctrplan.errors import InputError
+from ctrplan.mechanics.equilibria import SAME_SHAPE_M, is_unique
 from ctrplan.mechanics.shapes import Accuracy
 from ctrplan.motion.checker import TOO_CLOSE, left_at_end, path_limits
 from ctrplan.scenario.joint_space import JointSpace
 from ctrplan.scenario.prediction import start_load
 from ctrplan.scenario.scenario import path_cost_mm
-from ctrplan.scenario.start_branch import standing
+from ctrplan.scenario.start_branch import followed, standing
 
 if TYPE_CHECKING:
     from ctrplan.drive.trajectory import Trajectory
+    from ctrplan.robot.robot import Robot
     from ctrplan.scenario.scenario import Scenario
 
 
+_KNOWN: WeakKeyDictionary[Robot, dict[bytes, str]] = WeakKeyDictionary()
+WITHIN = (
+    "The start has another stable equilibrium, where rotations straight from home may end by what is stated of the "
+    "robot; start within half a turn of home, or where there is no other"
+)
 FINER = 2  # times that thin clearances are walked anew: by the solved shapes, and by friction states between them
 Look = Callable[["Scenario", list[Piece]], list[Piece]]  # at pieces, more closely
 
@@ -164,8 +184,10 @@ def _judged(scenario: Scenario, space: JointSpace, corners: Array, pieces: list[
             closer = checked_samples(samples, pieces)
             return pieces, closer, result + problems_of_limits(scenario, pieces, closer, stated.result)
 
-        problems = [f"{other}."] if (other := other_start(scenario, corners[0])) else []
+        other = other_start(scenario, corners[0]) or _other_within(scenario, space, pieces[0])
+        problems = [f"{other}."] if other else []
         problems += problems_of_walk(scenario, space, corners, pieces)
+        problems = problems or _parted_at_end(scenario, space, pieces[-1])
         for look_closer in (closely_solved, in_every_friction_state):
             if not problems:
                 pieces, samples, problems = looked(partial(look_closer, spare_m=spare_m), pieces)
@@ -177,6 +199,71 @@ def _judged(scenario: Scenario, space: JointSpace, corners: Array, pieces: list[
     if not problems:
         pieces, samples, problems = looked(at_worst_ends, pieces)
     return _Judged(pieces, samples, bounds, problems)
+
+
+def _other_within(scenario: Scenario, space: JointSpace, first: Piece) -> str:
+    """A sentence if robots within what is stated may stand elsewhere at the start than where their walks begin.
+
+    Each has one equilibrium there; or turns count, and all are led from home as the file's robot is: walked like a leg,
+    they meet no fold, and end where the first piece (of the whole walk) begins.
+    """
+    variants, joints, turns = first.variants, first.joints[0], scenario.start_turns
+    if not variants.count or turns == "followed" or scenario.robot.n == 1:
+        return ""
+    known = _KNOWN.setdefault(scenario.robot.unguided, {})
+    key = joints.tobytes() + repr((turns, scenario.start_friction, variants.large, first.accuracy)).encode()
+    if key not in known:
+        if turns == "unknown" or scenario.robot.guide is None:
+            try:
+                known[key] = other_start_within(scenario, variants, joints)
+            except InputError:  # of a kind whose equilibria are not enumerated
+                known[key] = "" if turns == "unknown" else WITHIN
+        else:
+            known[key] = WITHIN
+        if known[key] and turns == "absolute":
+            known[key] = _turned_within(scenario, space, first)
+    return known[key]
+
+
+def _turned_within(scenario: Scenario, space: JointSpace, first: Piece) -> str:
+    """WITHIN, unless rotations straight from home lead all robots within what is stated to where `first` begins."""
+    home = np.where(space.drive.is_rotation, 0.0, first.joints[0])
+    way = np.array([home, first.joints[0]])
+    if np.allclose(np.diff(np.diff(space.drive.collars(way)[0]), axis=0), 0.0):
+        return ""
+    there = replace(scenario, robot=scenario.robot.unguided, start=home, via=(), anatomy=(), start_turns="followed")
+    there = standing(followed(there, home), way)
+    pieces = walk_pieces(there, space, way, first.accuracy, None, large=first.variants.large)
+    is_soft = min(float(piece.margins[0].min()) for piece in pieces) < scenario.margins.stability
+    is_apart = apart_m(scenario, pieces[-1], first) > BRANCH_TOLERANCE_M
+    return WITHIN if is_soft or is_apart or problems_of_walk(there, space, way[-1:], pieces) else ""
+
+
+def _parted_at_end(scenario: Scenario, space: JointSpace, last: Piece) -> list[str]:
+    """A sentence if a motion that begins where the walk ended would begin in another shape."""
+    guide = scenario.robot.guide
+    there = scenario if guide is None else replace(scenario, robot=scenario.robot.guided(guide.at(-1)))
+    variants = Variants.of(there, last.joints[-1:], last.variants.large)
+    again = walked(variants, space, last.leg, last.joints[-1:], last.accuracy)
+    apart = apart_m(scenario, last, again)
+    return [] if apart <= BRANCH_TOLERANCE_M else [f"On leg {last.leg + 1}: {PARTED[0]}, several equilibria exist."]
+
+
+def miscounted(scenario: Scenario, joints: Array, tip_m: Array) -> str:
+    """A sentence where turns count, and a motion ends in another shape than they say there; empty where in that one.
+
+    It ends at joints (m,), its frictionless tip at (3,) [m] (robot frame). Around a fold no turn tells them apart.
+    """
+    if scenario.start_turns != "absolute" or is_unique(scenario.robot, scenario.robot.drive.collars(joints)[1]):
+        return ""
+    there = standing(replace(scenario, start=joints, robot=scenario.robot.unguided))
+    away_m = float(np.linalg.norm(there.robot.solve(*there.robot.drive.collars(joints)).tip_m - tip_m))
+    if away_m <= max(SAME_SHAPE_M, mesh_allowance_m(scenario.robot, "search")) or other_start(there, joints):
+        return ""  # or what begins there is refused
+    return (
+        f"The motion ends {away_m * MM_PER_M:.1f} mm from the stable shape where rotations straight from home end, "
+        "around a fold: turns would no longer say which; end elsewhere, or by the way that led there"
+    )
 
 
 def _other_equilibria(scenario: Scenario, space: JointSpace, pieces: Sequence[Piece]) -> list[str]:

@@ -32,6 +32,8 @@ from ctrplan.certificate.variants import (
     Variants,
     VariantWalks,
     rows_of,
+    signed_square,
+    tips_at,
     walk_corners,
     walk_variants,
 )
@@ -94,15 +96,16 @@ class Piece:
     @property
     def end_tips_m(self) -> tuple[Array, Array]:
         """(T, 3) tips of every shape that was walked, at the first and at the last sample."""
-        walks = [self.samples, *self.walks.corners]
-        first, last = ([np.vstack([w.tip_m[k], *w.corner_tip_m[k][:, None]]) for w in walks] for k in (0, -1))
-        return np.vstack(first), np.vstack(last)
+        first, last = (tips_at([self.samples, *self.walks.corners], row) for row in (0, -1))
+        ends = self.walks.end_tips_m
+        return (first, last) if ends is None else (np.vstack([first, ends[0]]), np.vstack([last, ends[1]]))
 
     @property
     def margins(self) -> tuple[Array, Array]:
         """(K,), (K,) least stability and largest strain of whatever the robot is."""
-        softer, strained = (0.0 if part is None else part for part in (self.walks.stability, self.walks.strain))
-        return self.stability - softer, self.max_strain + strained
+        softer, strained = (0.0 if part is None else part for part in (self.walks.softer, self.walks.strain))
+        square = signed_square(self.stability) - softer
+        return np.sign(square) * np.sqrt(np.abs(square)), self.max_strain + strained
 
     def offset_m(self, scenario: Scenario, accuracy: Accuracy) -> Array:
         """(K,) all that is taken off clearances of shapes solved at an accuracy."""
@@ -168,6 +171,7 @@ def walk_pieces(
     progress: Progress | None,
     known: Sequence[Piece] = (),
     timing: Trajectory | None = None,
+    large: tuple[int, ...] | None = None,
 ) -> list[Piece]:
     """The legs in pieces, in parallel, each from scratch: of the frictionless and the corner shapes.
 
@@ -175,7 +179,7 @@ def walk_pieces(
     """
     memory = {(piece.way.tobytes(), piece.variants.large, piece.accuracy): piece for piece in known}
     ways = _cut(space, driven_ways(scenario.robot.drive, corners, timing))
-    variants = Variants.of(scenario, np.concatenate([way for _, way in ways]))
+    variants = Variants.of(scenario, np.concatenate([way for _, way in ways]), large)
 
     def walk(leg_way: tuple[int, Array]) -> Piece:
         leg, way = leg_way

@@ -238,7 +238,7 @@ def is_unique(robot: Tubes, l_b: ArrayLike) -> bool:
         refuse_other_kinds(robot)
     except InputError:
         return False
-    return bool(np.all(Torus(robot.tubes, joint_row(l_b, len(robot.tubes))).signs() > 0))
+    return bool(np.all(Torus(robot.tubes, joint_row(l_b, len(robot.tubes))).map()[1] > 0))
 
 
 def refuse_other_kinds(robot: Tubes) -> None:
@@ -275,9 +275,10 @@ class Torus:
             step=STEP_M,
         )
 
-    def signs(self) -> NDArray[np.int64]:
-        """(Q,) signs of the determinant of R's derivatives on the grid."""
-        return np.asarray(self._core.signs(self._count()))
+    def map(self) -> tuple[Array, Array]:
+        """R (Q, n - 1) [rad] on the grid, and the determinant of its derivatives (Q,)."""
+        R, determinant = self._core.map(self._count())
+        return np.asarray(R), np.asarray(determinant)
 
     def roots(self, alpha: Array, outermost_rad: float) -> tuple[list[Equilibrium], int]:
         """Equilibria at relative collar angles (n - 1,), the outermost collar at an angle, and their signs' sum."""

@@ -1,8 +1,9 @@
 """The branch of equilibria that a robot stands on, along a way of its collars: shapes that solves begin from.
 
 A robot may have several stable shapes at the same collars. By itself the core solves the one that a robot without
-precurvature leads to. A robot that stands on another branch is followed: each frictionless shape is solved from that
-before it, in steps so short that no other is reached. Whatever is solved beside the way begins from the nearest one.
+precurvature leads to. A robot that stands on another branch is followed: each shape is solved from that before it, in
+steps so short that no other is reached, by the rule that the core has too (`Guide` in `model/`). Whatever is solved
+beside the way begins from the nearest one.
 Branches end at folds, and so do guides.
 """
 
@@ -13,6 +14,7 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
+from ctrplan import _model
 from ctrplan.base.arrays import Array
 from ctrplan.errors import InputError
 from ctrplan.mechanics.shapes import Status
@@ -21,10 +23,8 @@ if TYPE_CHECKING:
     from ctrplan.mechanics.friction import Branched
     from ctrplan.mechanics.shapes import Accuracy, Shape
 
-STEP_RAD, STEP_M = 0.05, 2e-3  # of a collar between the shapes of a guide: those of histories and a few of their steps
-SHORTEST = 1 / 16  # of a step: a branch that leaps in so short a one has ended
+STEP_RAD, STEP_M, CORRECTION_RAD, SHORTEST = _model.GUIDE_STEPS
 PLACES = 200  # along the robot at which angles are kept, straight in between: a shape to begin from, no solution
-LEAP_RAD = 1.0  # of an angle in one step, many times what such a step turns a tube by: another shape
 
 
 class ShapeSolver(Protocol):
@@ -39,13 +39,14 @@ class ShapeSolver(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Guide:
-    """Frictionless shapes at R places of a way, angles of every tube at K arc lengths."""
+    """Shapes at R places of a way, angles of every tube at K arc lengths; without friction, unless a state is given."""
 
     theta_b: Array  # (R, n) rad
     l_b: Array  # (R, n) m
     s_m: Array  # (K,) from the plate
     angles_rad: Array  # (R, n, K)
     tip_m: Array  # (R, 3) robot frame
+    phi: Array | None = None  # (n - 1,) friction state that all are solved in
 
     @classmethod
     def of(cls, mechanics: ShapeSolver, theta_b: Array, l_b: Array, shape: Shape) -> Guide | None:
@@ -54,7 +55,7 @@ class Guide:
         s_m = np.linspace(min(first for first, _ in ends), max(last for _, last in ends), PLACES)
         angles = np.array([np.interp(s_m, tube.s_m, tube.theta_rad) for tube in shape.tubes])
         given = cls(theta_b[None], l_b[None], s_m, angles[None], np.full((1, 3), np.nan))
-        return given._solved(mechanics, theta_b, l_b)
+        return given._solved(mechanics, theta_b, l_b, np.inf)  # the other one may bear friction
 
     def at(self, row: int) -> Guide:
         """One of the shapes alone."""
@@ -97,18 +98,19 @@ class Guide:
                 parts.append(here)
         return _joined(parts)
 
-    def _solved(self, mechanics: ShapeSolver, theta_b: Array, l_b: Array) -> Guide | None:
+    def _solved(
+        self, mechanics: ShapeSolver, theta_b: Array, l_b: Array, most_rad: float = CORRECTION_RAD
+    ) -> Guide | None:
         """The only shape led on to collars (n,), (n,) near by; None where that is not solved or leaps."""
         turned = self.angles_rad + (theta_b - self.theta_b)[..., None]
-        free = np.zeros((1, len(theta_b) - 1))
+        phi = np.zeros(len(theta_b) - 1) if self.phi is None else self.phi
         try:
-            rows = mechanics.core_solve_from(theta_b[None], l_b, free, self.s_m, turned, "search")
+            rows = mechanics.core_solve_from(theta_b[None], l_b, phi[None], self.s_m, turned, "search")
         except InputError:  # collars that do not nest
             return None
-        leap = np.abs(rows.angles_rad - turned).max()
-        if rows.status[0] != Status.CONVERGED or leap > LEAP_RAD:
+        if rows.status[0] != Status.CONVERGED or np.abs(rows.angles_rad - turned).max() > most_rad:
             return None
-        return Guide(theta_b[None], l_b[None], self.s_m, rows.angles_rad, rows.tip_m)
+        return replace(self, theta_b=theta_b[None], l_b=l_b[None], angles_rad=rows.angles_rad, tip_m=rows.tip_m)
 
 
 def _joined(parts: list[Guide]) -> Guide:

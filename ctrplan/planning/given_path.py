@@ -21,6 +21,7 @@ from ctrplan.base.long_work import Progress, part_of
 from ctrplan.certificate.certificate import Certificate, joined_certificates
 from ctrplan.certificate.certify import certify as certified_legs
 from ctrplan.certificate.problems import PARTED
+from ctrplan.certificate.walked_legs import miscounted
 from ctrplan.drive.legs import distance_from_polyline, merge_legs
 from ctrplan.drive.trajectory import PERIOD, PERIOD_S, Trajectory
 from ctrplan.errors import InputError, NoAnswerError
@@ -80,7 +81,7 @@ def _certified(
 
     parts: whether the shape that is followed may part from the one that is solved at the joints by themselves.
     """
-    stages, start, starts = list[Certificate](), scenario.start, None
+    stages, start, starts, counted = list[Certificate](), scenario.start, None, scenario
     scenario = standing(scenario)
     for k, (goal, way) in enumerate(zip(scenario.targets, ways, strict=True)):
         stage = replace(scenario, start=start, goal=nearest_turn(scenario, start, goal), via=())
@@ -93,7 +94,10 @@ def _certified(
             scenario = followed(scenario, way[0])
             stages[-1] = certified(replace(stage, robot=scenario.robot), way)
         start, starts, scenario = way[-1], stages[-1].end_states or None, led_on(scenario, way)
-    return joined_certificates(stages)
+    result = joined_certificates(stages)
+    if lost := miscounted(counted, start, result.samples.tip_m[-1]):
+        result = replace(result, valid=False, problems=(*result.problems, f"{lost}."))
+    return result
 
 
 @checked(scenario=Made("Scenario"), period_s=PERIOD)

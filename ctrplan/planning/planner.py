@@ -25,7 +25,7 @@ from ctrplan.certificate.narrow_samples import remembered_looks
 from ctrplan.certificate.other_equilibria import other_start, unwinding
 from ctrplan.certificate.problems import with_shares
 from ctrplan.certificate.uneven_friction import NEAR_LIMIT_M
-from ctrplan.certificate.walked_legs import WalkedLegs, walk_legs
+from ctrplan.certificate.walked_legs import WalkedLegs, miscounted, walk_legs
 from ctrplan.drive.legs import merge_legs
 from ctrplan.errors import NoAnswerError
 from ctrplan.motion.checker import MotionChecker
@@ -132,6 +132,8 @@ def plan(
         notes += ("Along the line, joints move simultaneously.",)
     if any(path.style == "simultaneous" and not path.on_line for path in paths):
         notes += ("No path of rotations before translations was found in time; joints move simultaneously.",)
+    if lost := miscounted(scenario, finish.ways[-1][-1], finish.certificate.samples.tip_m[-1]):
+        raise NoAnswerError(f"{scenario.path or scenario.name}: {lost}.")
     scenario = standing(scenario, np.concatenate(finish.ways))
     finished = assemble(
         scenario,

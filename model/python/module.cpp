@@ -12,6 +12,8 @@ NB_MODULE(_model, m) {
     // Somebody who still holds a robot when Python ends is told so only if they ask; the tests do.
     nb::set_leak_warnings(std::getenv("CTRPLAN_LEAK_WARNINGS") != nullptr);
     nb::exception<ctr::InvalidInput>(m, "InvalidInput", PyExc_ValueError);
+    // Longest steps of a followed branch [rad], [m], the largest correction [rad], and the shortest step as a share of those.
+    m.attr("GUIDE_STEPS") = nb::make_tuple(ctr::Guide::kRotation, ctr::Guide::kTranslation, ctr::Guide::kCorrection, ctr::Guide::kShortest);
     m.def("kernel_name", &ctr::kernel_name, "instruction set of the kernel in use");
     bind_robot(m);
     bind_walk(m);

@@ -37,9 +37,10 @@ Values flat(const Matrix& angles, const Values& outermost, const Torus& torus) {
     return Values(angles.data(), angles.data() + angles.size());
 }
 
-nb::object signs(Torus& torus, int count) {
-    const std::vector<int> signs = torus.of->signs(count);
-    return hand_over<std::int64_t>(std::vector<std::int64_t>(signs.begin(), signs.end()), {signs.size()});
+nb::tuple map(Torus& torus, int count) {
+    ctr::TorusMap made = unlocked([&] { return torus.of->map(count); });
+    const std::size_t places = made.det.size();
+    return nb::make_tuple(array(std::move(made.R), {places, torus.n - 1}), array(std::move(made.det)));
 }
 
 // For each row of alpha a list, with a tuple of each root: angles at the tips, twist, sign, whether it is stable, energy, tip.
@@ -72,7 +73,7 @@ void bind_tip_torus(nb::module_& m) {
                             const std::vector<int>& first, const Tensor& u, const Tensor& slope, double step) {
             new (self) Torus(make(std::move(EI), std::move(GJ), std::move(behind), begin, end, first, u, slope, step));
         }, nb::kw_only(), "EI"_a, "GJ"_a, "behind"_a, "begin"_a, "end"_a, "first"_a, "u"_a.noconvert(), "slope"_a.noconvert(), "step"_a)
-        .def("signs", &signs, "count"_a)
+        .def("map", &map, "count"_a)
         .def("roots", &roots, "count"_a, "alpha"_a.noconvert(), "outermost"_a, "reach"_a, "apart"_a)
         .def("shapes", &shapes, "psi"_a.noconvert(), "outermost"_a);
 }

@@ -19,6 +19,12 @@ struct GivenAngles {
 // Shapes along a way of the joints, each solved from the one before: angles [row][tube][count] at arc lengths s [count], of bases
 // theta [rad] and l [m], [row][tube].
 struct Guide {
+    // The one rule by which branches are followed, here and in Python: steps so short that no other shape is reached.
+    static constexpr double kRotation = 0.2;        // rad, longest step of a base: longer ones are seldom reached at once
+    static constexpr double kTranslation = 6e-3;    // m
+    static constexpr double kCorrection = 0.35;     // rad that an angle may part from what a step makes of it: more is another shape
+    static constexpr double kShortest = 1.0 / 64;   // of a longest step: where that one parts, the branch has ended
+
     std::vector<double> s, theta, l, angles;
     std::size_t tubes = 0;
 

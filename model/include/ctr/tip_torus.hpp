@@ -43,14 +43,19 @@ struct TorusShapes {
     std::vector<double> theta;  // (G, n, K) [rad]
 };
 
+// Where places of the torus lead to: R (Q, n - 1) [rad], and the determinant of its derivatives (Q,), 0 where it has no inverse.
+struct TorusMap {
+    std::vector<double> R, det;
+};
+
 // The torus of a robot whose collars stand at one place; integrations in steps no longer than `step` [m].
 class TipTorus {
   public:
     virtual ~TipTorus() = default;
     static std::unique_ptr<TipTorus> of(TorusTubes tubes, double step);
 
-    // Signs of the determinants of R's derivatives on a grid of so many angles along each pair, the last pair's fastest.
-    virtual std::vector<int> signs(int count) = 0;
+    // On a grid of so many angles along each pair, the last pair's fastest.
+    virtual TorusMap map(int count) = 0;
 
     // Newton's method for R = alpha + 2 pi k from the places of such a grid and from roots for earlier alpha, where the first
     // step is shorter than `reach`, as long as it stays so near; roots closer together than `apart` are one. A list for each of

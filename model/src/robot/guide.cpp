@@ -9,9 +9,7 @@
 namespace ctr {
 namespace {
 
-constexpr double kRotation = 0.2;      // rad, longest step of a base: longer ones are seldom reached at once
-constexpr double kTranslation = 6e-3;  // m
-constexpr double kTurns = 1;              // steps that a whole turn counts as: more than to the next shape of the same way
+constexpr double kTurns = 1;  // steps that a whole turn counts as: more than to the next shape of the same way
 constexpr double kTurn = 6.283185307179586;
 
 }  // namespace

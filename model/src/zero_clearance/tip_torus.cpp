@@ -63,10 +63,13 @@ class TorusOf : public TipTorus {
   public:
     TorusOf(TorusTubes tubes, double step) : tubes_(std::move(tubes)), step_(step) {}
 
-    std::vector<int> signs(int count) override {
-        std::vector<int> signs;
-        for (const Place& place : grid(count)) signs.push_back(place.sign);
-        return signs;
+    TorusMap map(int count) override {
+        TorusMap made;
+        for (const Place& place : grid(count)) {
+            made.R.insert(made.R.end(), place.R, place.R + N - 1);
+            made.det.push_back(place.det);
+        }
+        return made;
     }
 
     std::vector<std::vector<TorusRoot>> roots(int count, const std::vector<double>& alpha, const std::vector<double>& outermost,
@@ -106,7 +109,7 @@ class TorusOf : public TipTorus {
     // Angles at the tips, and where they lead to, which is the same whatever collars are asked for.
     struct Place {
         double psi[P] = {}, R[P], by[P][P], back[P][P];  // back: the inverse of by
-        int sign;                                        // of the determinant; 0 where there is no inverse
+        double det;                                      // of by; 0 where there is no inverse
     };
 
     // All places of so many angles along each pair, evenly over the torus. Kept, but for a denser grid.
@@ -182,7 +185,7 @@ class TorusOf : public TipTorus {
             det = solve<P>(copy, column);
             for (int i = 0; i < P; ++i) made.back[i][j] = column[i];
         }
-        made.sign = det > 0 ? 1 : det < 0 ? -1 : 0;
+        made.det = det;
         return made;
     }
 
@@ -206,7 +209,7 @@ class TorusOf : public TipTorus {
 
     // From a place towards alpha; infinite where it leads nowhere.
     static double step_to(const double* alpha, const Place& place, double (&by)[P]) {
-        const double longest = place.sign != 0 ? step_by(place, place.R, alpha, by) : FARTHEST;
+        const double longest = place.det != 0 ? step_by(place, place.R, alpha, by) : FARTHEST;
         return longest < FARTHEST ? longest : std::numeric_limits<double>::infinity();
     }
 
@@ -262,7 +265,7 @@ class TorusOf : public TipTorus {
         TorusRoot root;
         root.psi.assign(place.psi, place.psi + N - 1);
         for (int i = 0; i + 1 < N; ++i) root.twist.push_back(place.R[i] - place.psi[i]);
-        root.sign = place.sign;
+        root.sign = place.det > 0 ? 1 : place.det < 0 ? -1 : 0;
         root.is_stable = true;
         State<N, N + 1> state = at_tips(place.psi);
         const auto look = [&](const State<N, N + 1>& here, double back) {

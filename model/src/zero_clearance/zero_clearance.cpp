@@ -119,13 +119,13 @@ bool ZeroClearance::follow_guide(const Robot& robot, const Configuration& q) {
         }
         std::swap(*this, before);
         begin_from(robot, at, [&](int t, double s) { return before.theta(t, s); });
-        if (correct(1.0, kFirstCorrection)) {
+        if (correct(1.0, Guide::kCorrection)) {
             done = next;
             step = std::min(2 * step, length > 1 ? 1 / length : 1.0);
             continue;
         }
         step *= 0.5;
-        if (step * length < kBifurcationStep) {
+        if (step * length < Guide::kShortest) {
             begin_from(robot, q, [&](int t, double s) { return before.theta(t, s); });
             return false;
         }
