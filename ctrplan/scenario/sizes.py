@@ -65,6 +65,7 @@ def place_doubt(
         for unit in _others(read_in)
         for moved in [tip_m * UNITS_M[unit] / UNITS_M[read_in]]
         if PLAUSIBLE[0] * length <= float(np.linalg.norm(moved - base_m)) <= PLAUSIBLE[1] * length
+        and float(np.linalg.norm(moved)) >= NEAR * length  # else every goal beside a distant base would be one in um
         and (not lumens or _inside_any(lumens, moved))
     ]
     if not units:

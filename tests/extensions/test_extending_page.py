@@ -93,7 +93,7 @@ def test_settings_of_a_planner_of_ones_own_are_read_strictly(tmp_path: Path) -> 
     write_inputs(tmp_path)
     write_extension(tmp_path, PLACES["A planner"], source("A planner"))
     rules = {
-        "goal_bias=2": "planner.goal_bias = 2: must be from 0 to 1.",
+        "goal_bias=2": "planner.goal_bias = 2: must be from 0 to 1, a share: is it in %?",
         "verve=2": "planner.verve = 2: unknown key, known ones, all optional, are "
         "name, time_s, settle, goal_bias, range_mm.",
         "samples_per_batch=9": "planner.samples_per_batch = 9: does not go with name = 'RRT'.",

@@ -164,6 +164,13 @@ def test_a_goal_in_centimetres_in_free_space_is_named_and_one_merely_out_of_reac
     assert scenario(tmp_path, goal={"tip_mm": [30.0, 10.0, 60.0]}).warnings == ()
 
 
+def test_a_goal_near_a_base_far_from_the_origin_is_not_taken_for_one_in_micrometres(tmp_path: Path) -> None:
+    """Divided by a thousand every goal lies at the frame's origin, which may be as far from the base as tips are."""
+    for at in ([50.0, -90.0, 160.0], [0.0, 0.0, 150.0], [-120.0, 40.0, 0.0]):
+        goal = [at[0] + 30.0, at[1] + 10.0, at[2] + 60.0]
+        assert scenario(tmp_path, goal={"tip_mm": goal}, base={"position_mm": at}).warnings == ()
+
+
 def test_an_obstacle_out_of_all_proportion_is_warned_about(tmp_path: Path) -> None:
     part = {"kind": "mesh", "file": tunnel(tmp_path, 30, 1e-3), "unit": "mm", "margin_mm": 0.0}
     (warning,) = scenario(tmp_path, anatomy=[part]).warnings

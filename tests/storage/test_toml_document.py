@@ -41,7 +41,7 @@ def test_files_that_are_no_text_are_refused(folder: Path) -> None:
     (folder / "latin.toml").write_bytes(b'name = "\xe9"')
     (folder / "huge.toml").write_bytes(b"#" * 2_000_000)
     (folder / "deep.toml").write_text("a" + ".a" * 2_000 + " = 1")
-    assert refusal("latin.toml") == "latin.toml: is not UTF-8 text (byte 8)."
+    assert refusal("latin.toml") == "latin.toml: is not UTF-8 text (byte 8), as TOML files are."
     assert refusal("huge.toml") == "huge.toml: is larger than 1 MB, no robot or scenario file."
     assert refusal("deep.toml") == "deep.toml: is nested too deeply."
     assert refusal("missing.toml") == "missing.toml: does not exist."
