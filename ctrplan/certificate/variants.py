@@ -350,7 +350,10 @@ def _wider_bounds(
 
 
 def signed_square(stability: Array) -> Array:
-    """Of stabilities, whatever their shape: linear in parameters where a fold is near, the stability is its root."""
+    """Squares of stabilities, any shape, with the stabilities' signs.
+
+    Near a fold they are linear in parameters, as the stability, their root, is not.
+    """
     return np.asarray(np.sign(stability) * stability**2)
 
 

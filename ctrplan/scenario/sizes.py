@@ -31,10 +31,10 @@ FACTORS = {  # by which numbers are too small or too large that are read in the 
     1 / 25.4: "25.4 times too large (mm read as inches)",
 }
 SMALLEST_FACTOR = min(factor for factor in FACTORS if factor > 1)
-LONGEST_LUMEN_M = 1.0  # as the vessels from groin to heart
+LONGEST_LUMEN_M = 1.0  # the vessels from groin to heart, the longest that a tube is led through
 WITHIN_M = 1e-5, 1e-4, 0.02  # least tolerance, margin or deviation; and those that are usual
 WITHIN = 0.2  # share of the robot's length that is the most of them
-FINE_M = 1e-4  # to which a base is placed at best
+FINE_M = 1e-4  # m, to which a base is placed at best, by a tracker
 TURNED_DEG = 0.02, 0.1, 20.0  # least deviation or tolerance of a direction; and those that are usual
 
 
