@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ctrplan.anatomy.image import unit_mm
 from ctrplan.anatomy.mesh_repair import Indices, MeshRefusal, turned_outward, welded
 from ctrplan.anatomy.patient_frame import Frame
-from ctrplan.base.arrays import Array
+from ctrplan.base.arrays import UNIT_WORDS, Array
 from ctrplan.errors import InputError
 from ctrplan.storage.csv_table import HEAD_BYTES, file_name, other_than_named, packed_by
 
@@ -26,7 +26,6 @@ Number = TypeVar("Number", np.float64, np.int64)
 Unit = Literal["mm", "cm", "m", "in"]
 Up = Literal["y", "z"]
 UNITS_M: dict[Unit, float] = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 25.4e-3}
-WORDS: dict[Unit, str] = {"mm": "millimetres", "cm": "centimetres", "m": "metres", "in": "inches"}
 SUFFIXES = (".stl", ".ply", ".obj", ".vtk", ".vtp", ".vtu", ".glb")
 WITH_GROUPS = (".obj", ".glb")
 MAX_BYTES = 500_000_000
@@ -332,7 +331,7 @@ def _check_size(vertices: Array, faces: Indices, unit: Unit) -> None:
     extent = float(np.ptp(used, axis=0).max())
     across = f"m across when read in {unit!r}: must be"
     read = extent / UNITS_M[unit]
-    usual = [WORDS[other] for other, si in UNITS_M.items() if ORGAN_M[0] <= read * si <= ORGAN_M[1]]
+    usual = [UNIT_WORDS[other] for other, si in UNITS_M.items() if ORGAN_M[0] <= read * si <= ORGAN_M[1]]
     hint = f"({' or '.join(usual)}?)" if usual else "(converted twice?)"
     if extent > LARGEST_M:
         raise MeshRefusal(f"is {extent:.3g} {across} at most {LARGEST_M:g} m {hint}")

@@ -71,6 +71,7 @@ def _kind_of(given: NDArray[Any]) -> str:
 
 MILLIMETRE = 1e-3  # m
 MM_PER_M = 1 / MILLIMETRE
+UNIT_WORDS = {"m": "metres", "mm": "millimetres", "in": "inches", "cm": "centimetres", "um": "micrometres"}
 DEGREE = math.pi / 180  # rad
 HOUR_S = 3600.0
 MM_DIGITS = 6  # of a length in mm that is written to files: a nanometre

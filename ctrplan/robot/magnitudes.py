@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from ctrplan.base.arrays import are_degrees, are_radians, in_radians
+from ctrplan.base.arrays import UNIT_WORDS, are_degrees, are_radians, in_radians
 from ctrplan.drive.drive import UNITS
 from ctrplan.robot.robot import diametral_gap_m
 
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from ctrplan.robot.robot import Robot
 
 UNITS_M = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "in": 25.4e-3, "um": 1e-6}  # the likeliest mistake first
-IN_WORDS = {"m": "metres", "mm": "millimetres", "in": "inches", "cm": "centimetres", "um": "micrometres"}
 YOUNG_PA = 5e7, 1.2e12  # a soft polymer, and diamond, the stiffest that there is
 WALL = 10.0  # times by which rounded diameters of thin walls may make an implied modulus greater
 USUAL_YOUNG_PA = 1e9, 3e11  # of a reading that explains a number
@@ -259,11 +258,11 @@ def bend_readings(tube: Tube, section: TubeSection) -> tuple[list[str], list[str
     curvature, radius_mm = section.curvature_per_m, 1e3 / section.curvature_per_m
     as_curvature = {f"its curvature in 1/{unit}": curvature / UNITS_M[unit] for unit in ("mm", "cm", "in")}
     as_curvature |= {"its radius in mm (radius_mm)": 1e3 / curvature}
-    as_curvature |= {f"its radius in {IN_WORDS[unit]}": 1 / curvature / UNITS_M[unit] for unit in ("cm", "in")}
-    as_radius = {f"its radius in {IN_WORDS[unit]}": 1 / radius_mm / UNITS_M[unit] for unit in ("cm", "in", "m")}
+    as_curvature |= {f"its radius in {UNIT_WORDS[unit]}": 1 / curvature / UNITS_M[unit] for unit in ("cm", "in")}
+    as_radius = {f"its radius in {UNIT_WORDS[unit]}": 1 / radius_mm / UNITS_M[unit] for unit in ("cm", "in", "m")}
     as_radius["its curvature in 1/m (curvature_y_per_m)"] = radius_mm
     lengths = [
-        f"its length in {IN_WORDS[unit]}"
+        f"its length in {UNIT_WORDS[unit]}"
         for unit in likely_units(section.length_m, "mm", 5e-3, 1.0)
         if USUAL_ARC_RAD[0] <= curvature * section.length_m * UNITS_M[unit] / UNITS_M["mm"] <= USUAL_ARC_RAD[1]
     ]
@@ -336,7 +335,7 @@ def _drive_doubts(robot: Robot) -> Iterator[Doubt]:
 
 
 ANGLES = {"radians": 180 / math.pi, "arcminutes": 1 / 60}  # deg
-LENGTHS = {IN_WORDS[unit]: si for unit, si in UNITS_M.items() if unit in ("m", "um")}
+LENGTHS = {UNIT_WORDS[unit]: si for unit, si in UNITS_M.items() if unit in ("m", "um")}
 
 
 def _rate_doubts(robot: Robot) -> Iterator[Doubt]:
@@ -412,7 +411,7 @@ def _unit_question(units: Sequence[str], question: str = "is it in") -> str:
 
 def in_words(units: Sequence[str]) -> str:
     """Units of lengths as a sentence asks for them."""
-    return " or ".join(IN_WORDS[unit] for unit in units)
+    return " or ".join(UNIT_WORDS[unit] for unit in units)
 
 
 def summarised(sentences: Sequence[str], check: str) -> tuple[str, ...]:
