@@ -221,7 +221,7 @@ def walk_variants(
     if any(walk is None for walk in at_rows):
         return VariantWalks(fault=NO_EQUILIBRIUM)
     base = variants.base
-    reach = [base.shift_m + base.rotation_rad * lengths(body) for body in nominal]
+    reach = [np.full(len(body), base.shift_m) for body in nominal]
     result = VariantWalks(tuple(filter(None, at_rows)), tuple(reach))
     return _with_axes(variants, joints, samples, nominal, result, accuracy) if variants.count else result
 
