@@ -39,6 +39,7 @@ from ctrplan.pipeline.term import Term
 
 MOST_EFFECTS = 4  # of a set
 REFITTED = 5  # different effects that are fitted for good beside a set
+WINDOW = 30.0  # in the logarithm: sets that are less probable are not weighed again, a budget; they move by a few
 ROUNDS = 3  # of a search, each with the friction states and the rest that the set before leaves
 
 Report = Callable[[str], None]
@@ -79,7 +80,8 @@ def compared(bench: Workbench, chosen: Scored, known: Candidates, search: bool =
     if search:
         comparison.climb()
         if comparison.best is not chosen:  # poses count as they do in the most probable set
-            comparison = _Comparison(bench, known, base, comparison.best, comparison.fitted)
+            likely = {comparison.as_known(base), comparison.as_known(chosen), *comparison.likely}
+            comparison = _Comparison(bench, known, base, comparison.best, likely)
     for here in (base, chosen, comparison.best):
         comparison.compare_neighbours(comparison.as_known(here))
     ranked = sorted(comparison.fitted, key=comparison.weight, reverse=True)
@@ -151,6 +153,12 @@ class _Comparison:
     def fitted(self) -> list[Scored]:
         """Sets that were fitted."""
         return list(self.known_sets)
+
+    @property
+    def likely(self) -> list[Scored]:
+        """Those that another weighing of the poses may make the most probable."""
+        highest = self.weight(self.best)
+        return [scored for scored in self.known_sets if self.weight(scored) > highest - WINDOW]
 
     @property
     def best(self) -> Scored:

@@ -15,6 +15,9 @@ parameters with the precision P of their priors, s changes the logarithm of the 
     1/2 sum_i (s^2 u_i^2 / (1 + s^2 v_i) - log(1 + s^2 v_i)),
 
 v_i the eigenvalues of B^T S B, u_i the components of B^T S r along their vectors, S = I - J (J^T J + P)^-1 J^T.
+Computed is the same from the eigenvalues d_i of B^T B, which no set of effects changes: with A and a what J and r have
+along their vectors and w_i = s^2 / (1 + s^2 d_i), the process takes A^T w A off J^T J and A^T w a off J^T r, and adds
+1/2 sum_i (w_i a_i^2 - log(1 + s^2 d_i)).
 """
 
 from __future__ import annotations
@@ -33,6 +36,7 @@ from ctrplan.calibration import residuals
 from ctrplan.calibration.discrepancy import (
     POSITION,
     SIZES,
+    STRIDE,
     TANGENT,
     Block,
     Linearised,
@@ -59,6 +63,8 @@ ROOM_M = 0.05  # of translation, that counts as much as a radian, or as a fricti
 QUARTERS = 4.0  # of the experiment, or of a quantity's range, that count as much as a radian each
 LENGTHS = (0.4, 1.0)  # [rad] over which a process changes: three waves a turn, and one
 SENSOR = Target("sensor")
+RECENT = 8  # peaks whose processes are kept apart, a budget of memory: sets that are alike share theirs
+ROUNDING = 1e-15  # of sums of squares
 LEAST_MODE = 0.02  # of the largest: modes of a process that are smaller are left out
 
 
@@ -197,13 +203,21 @@ class Peak:
             fit = _with_process(fit, self.process)
         return self.error.spectrum(fit).highest()[0] / 2
 
-    def whitened(self, values: Array) -> Array:
-        """(5 K, ...) numbers of a fit over the roots of noise and smooth error, up to a rotation."""
+    def around(self, fit: Linearised) -> Spectrum:
+        """The fit beside this error at sizes within a factor of three of its own."""
+        sizes = [
+            SIZES[max(k - STRIDE, 0) : k + STRIDE + 1]
+            for k in (int(np.abs(SIZES - size).argmin()) for size in (self.position, self.tangent))
+        ]
+        return Spectrum.apart(fit, self.error.position, self.error.tangent, (sizes[0], sizes[1]))
+
+    def over_covariance(self, values: Array) -> Array:
+        """(5 K, ...) numbers of a fit over the covariance of noise and smooth error."""
         new = np.array(values)
         for numbered, size in ((self.error.position, self.position), (self.error.tangent, self.tangent)):
             for numbers, block in numbered if size else ():
-                root = block.vectors / np.sqrt(1 + size**2 * block.values)
-                new[numbers] = np.tensordot(root.T, values[numbers], axes=1)
+                inverse = (block.vectors / (1 + size**2 * block.values)) @ block.vectors.T
+                new[numbers] = np.tensordot(inverse, values[numbers], axes=1)
         return new
 
 
@@ -215,10 +229,8 @@ def _with_process(fit: Linearised, modes: Array) -> Linearised:
 
 def without_error(fit: Linearised) -> float:
     """Logarithm of the evidence beside noise alone."""
-    r, J, scale = fit.r.ravel(), fit.J.reshape(fit.r.size, -1), 1 / np.sqrt(fit.precision)
-    factor = np.linalg.cholesky((J.T @ J) * np.outer(scale, scale) + np.eye(len(scale)))
-    z = np.linalg.solve(factor, scale * (J.T @ r))
-    return float(z @ z - r @ r) / 2 - float(np.log(np.diag(factor)).sum())
+    own = _with_unit_priors(fit)
+    return float(_marginal(own.T @ own))
 
 
 class UnknownErrors:
@@ -240,6 +252,7 @@ class UnknownErrors:
         processes = list(_processes(bench, base, counts)) if with_stages else []
         self.inputs = [name for name, _ in processes]  # of each process
         self.processes = [modes for _, modes in processes]
+        self._known: dict[object, list[tuple[Array, Array]]] = {}  # the same of the last peaks
 
     def evidence(self, fit: Linearised) -> tuple[float, Peak]:
         """Logarithm of the evidence averaged over kinds and sizes of errors, and the most probable one.
@@ -250,10 +263,9 @@ class UnknownErrors:
         smooth, peak = self._of_tips(fit)
         if not self.processes:
             return smooth, peak
-        r, J = fit.r.ravel(), fit.J.reshape(fit.r.size, -1)
-        gains = self._gains(r, J, fit.precision)
+        gains = self._gains(fit)
         alone = without_error(fit) + float(_averaged(gains.ravel(), axis=0))
-        beside = self._gains(peak.whitened(r), peak.whitened(J), fit.precision, peak)
+        beside = self._gains(fit, peak)
         both = smooth + float(_averaged(beside.ravel(), axis=0))
         k, s = np.unravel_index(int(gains.argmax()), gains.shape)
         other, there = self._beside(_leading(SIZES[s] * self.processes[k]), fit)
@@ -275,34 +287,60 @@ class UnknownErrors:
         mean = np.linalg.solve(J.T @ J + np.diag(wide.precision), J.T @ fit.r.ravel())[len(fit.precision) :]
         rest = replace(fit, r=(fit.r.ravel() - modes @ mean).reshape(fit.r.shape))
         averaged, near = self._of_tips(rest)
-        highest, position, tangent = near.error.spectrum(wide).highest()
+        highest, position, tangent = near.around(wide).highest()
         return highest / 2 + averaged - near.evidence(rest), Peak(near.error, position, tangent, modes)
 
     def along(self, fit: Linearised) -> dict[str, float]:
         """How probable it is that an unknown error goes along with each input, if it is one of tips or of a stage."""
         smooth = [_over_sizes(error, fit)[0] - np.log(len(self.smooth)) for error in self.smooth]
-        of_size = self._gains(fit.r.ravel(), fit.J.reshape(fit.r.size, -1), fit.precision)
+        of_size = self._gains(fit)
         gains = _averaged(of_size, axis=1) - np.log(len(self.inputs) or 1) if len(of_size) else np.zeros(0)
         weights = np.array([*smooth, *(without_error(fit) + gains)])
         names = [*(error.along for error in self.smooth), *self.inputs]
         shares = np.exp(weights - logsumexp(weights))
         return {name: float(shares[[other == name for other in names]].sum()) for name in dict.fromkeys(names)}
 
-    def _gains(self, r: Array, J: Array, precision: Array, peak: Peak | None = None) -> Array:
-        """(M, S) logarithm of what each process, of each size, multiplies the evidence by."""
-        scale = 1 / np.sqrt(precision)
-        factor = np.linalg.cholesky((J.T @ J) * np.outer(scale, scale) + np.eye(len(scale)))
-        taken = np.linalg.solve(factor, (J * scale).T)  # (P, N), whose square is J H^-1 J^T
-        left = r - taken.T @ (taken @ r)
-        gains = []
-        for B in self.processes:
-            over = peak.whitened(B) if peak else B
-            by = taken @ over
-            values, vectors = np.linalg.eigh(over.T @ over - by.T @ by)
-            along, v = (vectors.T @ (over.T @ left)) ** 2, np.maximum(values, 0.0)
-            square = SIZES[:, None] ** 2
-            gains.append((square * along / (1 + square * v) - np.log1p(square * v)).sum(axis=1) / 2)
-        return np.array(gains)
+    def _gains(self, fit: Linearised, peak: Peak | None = None) -> Array:
+        """(M, S) logarithm of what each process, of each size, multiplies the evidence by; beside a smooth error."""
+        own = _with_unit_priors(fit)
+        over = own if peak is None else peak.over_covariance(own)
+        whole, gains = own.T @ over, list[Array]()
+        square = SIZES[:, None] ** 2
+        for B, (values, vectors) in zip(self.processes, self._apart(peak), strict=True):
+            along, spread = vectors.T @ (B.T @ over), np.log1p(square * values).sum(axis=1)
+            taken = (along.T * (square / (1 + square * values))[:, None]) @ along
+            gains.append(_marginal(whole - taken) - spread / 2)
+        of_sizes = np.array(gains).reshape(-1, len(SIZES))
+        return of_sizes - of_sizes[:, :1]  # of size zero there is no process
+
+    def _apart(self, peak: Peak | None) -> list[tuple[Array, Array]]:
+        """Eigenvalues (m,) and vectors (m, m) of every process over the noise, and over the smooth error of a peak."""
+        key = peak and (peak.error, peak.position, peak.tangent)
+        if key not in self._known:
+            over = ((B, peak.over_covariance(B) if peak else B) for B in self.processes)
+            squares = [np.linalg.eigh(B.T @ weighed) for B, weighed in over]
+            if len(self._known) > RECENT:
+                del self._known[next(reversed(self._known))]
+            self._known[key] = [(np.maximum(values, 0.0), vectors) for values, vectors in squares]
+        return self._known[key]
+
+
+def _with_unit_priors(fit: Linearised) -> Array:
+    """(5 K, P + 1) derivatives by parameters over the widths of their priors, then residuals."""
+    return np.column_stack([fit.J.reshape(fit.r.size, -1) / np.sqrt(fit.precision), fit.r.ravel()])
+
+
+def _marginal(square: Array) -> Array:
+    """(...) logarithm of the evidence by the squares (..., P + 1, P + 1) of what `_with_unit_priors` has.
+
+    Rounding of the largest of them may not take more than the priors add.
+    """
+    H, g, of_r = square[..., :-1, :-1], square[..., :-1, -1], square[..., -1, -1]
+    least = 1 + ROUNDING * np.trace(H, axis1=-2, axis2=-1)
+    factor = np.linalg.cholesky(H + least[..., None, None] * np.eye(H.shape[-1]))
+    z = np.linalg.solve(factor, g[..., None])[..., 0]
+    logarithm: Array = ((z**2).sum(axis=-1) - of_r) / 2
+    return logarithm - np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(axis=-1)
 
 
 def _averaged(logarithms: Array, axis: int) -> Array:

@@ -10,8 +10,9 @@ from measured_data import SIGMA_M, SIGMA_RAD, measured, pair_robot, waypoints
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
+from ctrplan.base.arrays import Array
 from ctrplan.calibration import least_squares
-from ctrplan.calibration.discrepancy import Linearised
+from ctrplan.calibration.discrepancy import SIZES, Linearised
 from ctrplan.calibration.residuals import Noise
 from ctrplan.diagnosis import CATALOGUE, partial_diagnosis
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
@@ -178,20 +179,40 @@ def test_processes_have_the_size_of_the_noise_and_rows_in_any_order_say_the_same
     assert all(np.mean((modes**2).sum(axis=1)) == pytest.approx(1) for modes in errors.processes)
     order = np.random.default_rng(1).permutation(fit.r.size)
     again = UnknownErrors.__new__(UnknownErrors)
-    again.smooth, again.processes = errors.smooth, [modes[order] for modes in errors.processes]
+    again.smooth, again.processes, again._known = errors.smooth, [modes[order] for modes in errors.processes], {}
     r, J = fit.r.ravel(), fit.J.reshape(fit.r.size, -1)
-    np.testing.assert_allclose(
-        again._gains(r[order], J[order], fit.precision), errors._gains(r, J, fit.precision), atol=1e-6
-    )
+    mixed = replace(fit, r=r[order].reshape(fit.r.shape), J=J[order].reshape(fit.J.shape))
+    np.testing.assert_allclose(again._gains(mixed), errors._gains(fit), atol=1e-6)
+
+
+def test_gains_of_processes_are_ratios_of_gaussian_densities() -> None:
+    fit, errors = errors_of_noise()
+    _, peak = errors.evidence(fit)
+    peak = replace(peak, position=0.7, tangent=0.4, process=None)
+    r, J = fit.r.ravel(), fit.J.reshape(fit.r.size, -1)
+    for beside in (None, peak):
+        alone = np.eye(r.size) if beside is None else np.linalg.inv(beside.over_covariance(np.eye(r.size)))
+        alone = alone + (J / fit.precision) @ J.T
+        gains = errors._gains(fit, beside)
+        for k in (0, len(errors.processes) // 2):
+            for s in (0, 8, 20):
+                wider = alone + SIZES[s] ** 2 * errors.processes[k] @ errors.processes[k].T
+                expected = _log_density(r, wider) - _log_density(r, alone)
+                assert gains[k, s] == pytest.approx(expected, rel=1e-6, abs=1e-6)
+
+
+def _log_density(r: Array, covariance: Array) -> float:
+    """Of a Gaussian, up to a constant."""
+    return -float(r @ np.linalg.solve(covariance, r) + np.linalg.slogdet(covariance)[1]) / 2
 
 
 def test_process_that_acts_gains_and_noise_gains_nothing() -> None:
     fit, errors = errors_of_noise()
-    r, J, modes = fit.r.ravel(), fit.J.reshape(fit.r.size, -1), errors.processes[0]
+    modes = errors.processes[0]
     acting = 3 * modes @ np.random.default_rng(3).standard_normal(modes.shape[1])
-    idle, told = (errors._gains(values, J, fit.precision).mean(axis=1).max() for values in (r, r + acting))
-    assert idle < 0 < 10 < told
     weighed = replace(fit, r=fit.r + acting.reshape(fit.r.shape))
+    idle, told = (errors._gains(of_data).mean(axis=1).max() for of_data in (fit, weighed))
+    assert idle < 0 < 10 < told
     assert errors.evidence(weighed)[0] > without_error(weighed) + 10
 
 
