@@ -13,6 +13,7 @@ from ctrplan.measurement.measurements import Measurements, Poses, frames_along
 from ctrplan.robot.robot import Robot
 
 MONOMIALS = tuple("".join(m) or "1" for k in range(4) for m in itertools.combinations_with_replacement("xyz", k))
+FACTORS = np.array([["1xyz".index(axis) for axis in monomial.rjust(3, "1")] for monomial in MONOMIALS])
 CENTRE_M, SPAN_M = np.array([0.0, 0.0, 0.15]), 0.1  # where the polynomials are centred and how far one unit is
 AHEAD_M = 1e-4  # along the tangent, for the slope of the field
 
@@ -73,5 +74,7 @@ class SensorDistortion(Effect):
 
 
 def _monomials(position: Array) -> Array:
-    axes = dict(zip("1xyz", [np.ones(len(position)), *((position - CENTRE_M) / SPAN_M).T], strict=True))
-    return np.column_stack([np.prod([axes[axis] for axis in monomial], axis=0) for monomial in MONOMIALS])
+    """(K, M) of positions (K, 3)."""
+    axes = np.column_stack([np.ones(len(position)), (position - CENTRE_M) / SPAN_M])
+    monomials: Array = axes[:, FACTORS].prod(axis=2)
+    return monomials
