@@ -46,22 +46,18 @@ class Tubes(Protocol):
     @property
     def tubes(self) -> tuple[Tube, ...]:
         """Outermost first."""
-        ...
 
     @property
     def loads(self) -> Loads:
         """Force, moment and weight."""
-        ...
 
     @property
     def path(self) -> str | None:
         """For messages."""
-        ...
 
     @property
     def mechanics(self) -> Mechanics:
         """What solves with clearance and friction."""
-        ...
 
 
 STEP_M = 4e-3  # of the integration from the tips, of fourth order: angles are within 1e-6 rad of shorter ones
@@ -173,10 +169,10 @@ def branches(robot: Tubes, theta_b: ArrayLike, l_b: ArrayLike, *, accuracy: Accu
     Friction turns the tips as if the collars stood elsewhere: the equilibria there are begun from as well. Raises
     InputError as `equilibria` does.
     """
-    theta, l = joint_row(theta_b, len(robot.tubes)), joint_row(l_b, len(robot.tubes))  # noqa: E741
     refuse_other_kinds(robot)
-    looked = _Looked(robot, theta, l, accuracy)
+    looked = _Looked(robot, joint_row(theta_b, len(robot.tubes)), joint_row(l_b, len(robot.tubes)), accuracy)
     looked.begin()
+    looked.begin_pointwise()
     looked.begin_beside()
     return tuple(looked.branches())
 
@@ -331,13 +327,14 @@ class _Looked:
         self.torus = Torus(robot.tubes, l)
         self.phi = np.vstack([np.zeros(len(theta) - 1), corner_signs(len(theta) - 1)])
         self.tips, self.angles, self.energy = list[Array](), list[Array](), list[float]()
-        self.s_m = np.zeros(0)
+        self.s_m, self.stable = np.zeros(0), list[Equilibrium]()
 
     def begin(self) -> None:
         """Every state from every stable equilibrium without clearance."""
-        roots = [root for root in self.torus.roots(np.diff(self.theta), float(self.theta[0]))[0] if root.is_stable]
+        roots, _ = self.torus.roots(np.diff(self.theta), float(self.theta[0]))
+        self.stable = [root for root in roots if root.is_stable]
         states = range(len(self.phi))
-        for root in roots:
+        for root in self.stable:
             shape = self._shape(root, np.zeros(len(self.theta) - 1))
             self._add(states, self._solve(np.array(states), np.repeat(shape[None], len(states), axis=0)), root.energy_J)
 
@@ -352,25 +349,34 @@ class _Looked:
                 break
             tips[missing[new]], angles[missing[new]] = rows.tip_m[new], rows.angles_rad[new]
 
+    def begin_pointwise(self) -> None:
+        """States as they are solved by themselves, which a fold may part from every shape without friction."""
+        collars = np.tile(self.theta, (len(self.phi), 1)), np.tile(self.l, (len(self.phi), 1))
+        tips = self.mechanics.tips_with_friction(*collars, self.phi, accuracy=self.accuracy)
+        for state in np.flatnonzero(tips.status == Status.CONVERGED).tolist() if self.stable else ():
+            if not self._is_known(state, tips.position_m[state]):
+                shape = self.mechanics.solve(self.theta, self.l, self.phi[state], accuracy=self.accuracy)
+                angles = np.array([np.interp(self.s_m, tube.s_m, tube.theta_rad) for tube in shape.tubes])
+                near = min(self.stable, key=lambda root: _apart(root.tip_angles_rad, np.diff(angles[:, -1])))
+                self._add([state], self._solve(np.array([state]), angles[None]), near.energy_J)
+
     def begin_beside(self) -> None:
         """States from equilibria without clearance at collars that would turn the tips as far as friction does, and so
         many times as far as BEYOND says. Friction the other way turns them back, where no more is known of a state.
         """
         tips = [(state, angles[state]) for angles in self.angles for state in range(len(self.phi))]
-        known = [(state, np.diff(angles[:, -1])) for state, angles in tips if np.isfinite(angles[0, 0])]
-        if not known:
+        if not (known := [(state, np.diff(angles[:, -1])) for state, angles in tips if np.isfinite(angles[0, 0])]):
             return
         turned = self.torus.shapes(np.array([psi for _, psi in known]), [0.0] * len(known))[1][:, :, 0]
-        alpha = np.diff(self.theta)
+        alpha, has = np.diff(self.theta), {state for state, _ in known}
         off = list(zip([state for state, _ in known], _principal(np.diff(turned, axis=1) - alpha), strict=True))
-        has = {state for state, _ in known}
         off += [(len(self.phi) - state, -by) for state, by in off if state and len(self.phi) - state not in has]
         beside = [(state, factor * by) for factor in BEYOND for state, by in off]
         every = self.torus.all_roots(alpha + np.array([by for _, by in beside]), [float(self.theta[0])] * len(beside))
-        guesses = list[tuple[int, Array, Array, float]]()
+        guesses: list[tuple[int, Array, Array, float]] = []
         for (state, by), (roots, _) in zip(beside, every, strict=True):
             for root in roots if len(roots) > 1 else ():
-                away = [np.abs(_principal(psi - root.tip_angles_rad)).max() for k, psi in known if k == state]
+                away = [_apart(psi, root.tip_angles_rad) for k, psi in known if k == state]
                 if root.is_stable and min(away, default=np.inf) > NEAR_RAD:
                     known.append((state, root.tip_angles_rad))
                     guesses.append((state, self._shape(root, by), by, root.energy_J))
@@ -414,9 +420,11 @@ class _Looked:
         return self.mechanics.core_solve_from(theta, self.l, phi, self.s_m, angles, self.accuracy)
 
     def _is_new(self, state: int, rows: Branched, row: int) -> bool:
-        if rows.status[row] != Status.CONVERGED:
-            return False
-        return not any(np.linalg.norm(tips[state] - rows.tip_m[row]) < SAME_SHAPE_M for tips in self.tips)
+        return rows.status[row] == Status.CONVERGED and not self._is_known(state, rows.tip_m[row])
+
+    def _is_known(self, state: int, tip_m: Array) -> bool:
+        """Whether a branch that was solved has a tip (3,) in a friction state."""
+        return any(np.linalg.norm(tips[state] - tip_m) < SAME_SHAPE_M for tips in self.tips)
 
     def _add(self, states: Iterable[int], rows: Branched, energy_J: float, first: int = 0) -> None:
         """A branch of states that are new, solved in rows from a first one on, and of what is reached from there."""
@@ -430,6 +438,11 @@ class _Looked:
             self.tips.append(tips)
             self.angles.append(angles)
             self.energy.append(energy_J)
+
+
+def _apart(tips_rad: Array, other_rad: Array) -> float:
+    """[rad] the largest difference of angles at the tips (n - 1,), without whole turns."""
+    return float(np.abs(_principal(tips_rad - other_rad)).max())
 
 
 def _principal(angle: Array) -> Array:

@@ -236,6 +236,24 @@ def test_a_shape_that_friction_holds_beside_a_fold_is_known() -> None:
     assert not other_start(replace(scenario, start_turns="absolute", start_friction="released"), at)
 
 
+def test_a_friction_state_that_a_fold_parts_from_every_frictionless_shape_is_on_a_branch() -> None:
+    """Four histories to this configuration of RViM end there, and the bound counts it."""
+    robot = rvim()
+    theta, l = robot.drive.collars(JointSpace.of_robot(robot).sample(np.random.default_rng(12), 1000)[153])  # noqa: E741
+    phi = np.vstack([np.zeros(2), corner_signs(2)])
+    alone_m = robot.mechanics.tips_with_friction(np.tile(theta, (5, 1)), np.tile(l, (5, 1)), phi).position_m
+    own, apart = robot.equilibria(theta, l).branches
+    assert own.solved.tolist() == [True, True, False, True, True] and apart.solved.tolist() == [
+        False,
+        False,
+        True,
+        False,
+        False,
+    ]
+    np.testing.assert_allclose(apart.tip_m[2], alone_m[2], atol=1e-6)
+    assert np.linalg.norm(alone_m[2] - alone_m[0]) == pytest.approx(robot.bound(theta, l).position_m, rel=1e-6)
+
+
 @pytest.mark.parametrize("name", ["bent", "bent without friction", "rvim", "three_tube"])
 def test_where_a_history_ends_is_solved_again_from_its_shape(name: str) -> None:
     """From whole turns of every pair; where all contacts of a pair are at one end of what friction holds, or free."""
