@@ -339,8 +339,9 @@ def _marginal(square: Array) -> Array:
     least = 1 + ROUNDING * np.trace(H, axis1=-2, axis2=-1)
     factor = np.linalg.cholesky(H + least[..., None, None] * np.eye(H.shape[-1]))
     z = np.linalg.solve(factor, g[..., None])[..., 0]
-    logarithm: Array = ((z**2).sum(axis=-1) - of_r) / 2
-    return logarithm - np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(axis=-1)
+    volume = np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(axis=-1)
+    logarithm: Array = ((z**2).sum(axis=-1) - of_r) / 2 - volume
+    return logarithm
 
 
 def _averaged(logarithms: Array, axis: int) -> Array:
