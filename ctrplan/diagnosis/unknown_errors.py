@@ -64,7 +64,6 @@ QUARTERS = 4.0  # of the experiment, or of a quantity's range, that count as muc
 LENGTHS = (0.4, 1.0)  # [rad] over which a process changes: three waves a turn, and one
 SENSOR = Target("sensor")
 RECENT = 8  # peaks whose processes are kept apart, a budget of memory: sets that are alike share theirs
-ROUNDING = 1e-15  # of sums of squares
 LEAST_MODE = 0.02  # of the largest: modes of a process that are smaller are left out
 
 
@@ -336,7 +335,7 @@ def _marginal(square: Array) -> Array:
     Rounding of the largest of them may not take more than the priors add.
     """
     H, g, of_r = square[..., :-1, :-1], square[..., :-1, -1], square[..., -1, -1]
-    least = 1 + ROUNDING * np.trace(H, axis1=-2, axis2=-1)
+    least = 1 + 4 * np.finfo(np.float64).eps * np.trace(H, axis1=-2, axis2=-1)
     factor = np.linalg.cholesky(H + least[..., None, None] * np.eye(H.shape[-1]))
     z = np.linalg.solve(factor, g[..., None])[..., 0]
     volume = np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(axis=-1)
