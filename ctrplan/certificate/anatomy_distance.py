@@ -11,8 +11,7 @@ that a cover of the turns by squares bounds the least of them. Squares are halve
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -70,12 +69,19 @@ class AnatomyDistance:
 
     scenario: Scenario
     grid: SignedDistanceField
+    turn_rad: float = 0.0  # by how much the base may be turned about any axis
 
     @classmethod
     def of(cls, scenario: Scenario) -> AnatomyDistance | None:
         """None in free space."""
         grid = anatomy_grid(scenario)
-        return None if grid is None else cls(scenario, grid)
+        base = BaseBall.of(scenario.registration.position_sigma_m, scenario.registration.rotation_sigma_rad)
+        return None if grid is None else cls(scenario, grid, base.rotation_rad)
+
+    @property
+    def as_registered(self) -> AnatomyDistance:
+        """The same with the base where the scenario has it."""
+        return replace(self, turn_rad=0.0)
 
     def __call__(self, points_m: Array, needed_m: Array) -> Array:
         """(K,) [m] at points (K, 3): exact where it may be below `needed_m` (K,), else a lower bound above that."""
@@ -86,12 +92,6 @@ class AnatomyDistance:
         if near.any():
             result[near] = self._exact(points_m[near], needed_m[near])
         return result
-
-    @cached_property
-    def turn_rad(self) -> float:
-        """By how much the base may be turned about any axis."""
-        given = self.scenario.registration
-        return BaseBall.of(given.position_sigma_m, given.rotation_sigma_rad).rotation_rad
 
     def _reach(self, points_m: Array) -> Array:
         """(K,) [m] no turn moves a point (K, 3) farther."""

@@ -46,7 +46,7 @@ class SimulatedBodies:
     def of(cls, scenario: Scenario) -> SimulatedBodies | None:
         """None in free space."""
         distance = AnatomyDistance.of(scenario)
-        return None if distance is None else cls(distance)
+        return None if distance is None else cls(distance.as_registered)
 
     def __call__(self, shape: Shape) -> None:
         """Looks at the stations of the innermost tube, with the radius of what is around it."""

@@ -45,9 +45,9 @@ def closest_places(scenario: Scenario, pieces: Sequence[Piece], samples: Certifi
     the least
     clearance is certified, of samples that are certified alike the one that comes closest. None where a walk failed.
     """
-    distance = AnatomyDistance.of(scenario)
-    if distance is None:
+    if (turned := AnatomyDistance.of(scenario)) is None:
         return ClosestPlaces()
+    distance = turned.as_registered
     nominal = _rows(np.concatenate([p.nominal_m[k > 0 :] for k, p in enumerate(pieces)]))
     narrow = _rows(np.concatenate([_as_solved(scenario, p)[k > 0 :] for k, p in enumerate(pieces)]))
     phi = np.concatenate([p.phi[k > 0 :] for k, p in enumerate(pieces)])

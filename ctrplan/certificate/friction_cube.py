@@ -73,7 +73,7 @@ class StateMinima:
 ERROR_FACTOR = 1.5  # times the difference in a cell's middle
 SUSPECTS = 1  # points of a cell that are looked at first: one that is too near tells enough of most cells
 BEYOND = 10  # points towards the tip whose difference counts too
-HALVINGS = 9  # of the states of one interpolated point, along every pair
+WITHIN_M = 1e-5  # [m] a tolerance: states of an interpolated point are looked at no closer than they move it
 HALF_M = POINT_SPACING_M / 2  # of the body around a point
 PIECE_M = HALF_M / PARTS  # of a piece around its middle
 
@@ -148,10 +148,10 @@ def _closest(
     if not len(near):
         return {}
     points = bodies.shape[2]
-    rough = nearest_points(bodies, near, error, enough_m, distance, parts=1, half_m=HALF_M, halvings=HALVINGS)
+    rough = nearest_points(bodies, near, error, enough_m, distance, parts=1, half_m=HALF_M, within_m=WITHIN_M)
     is_rough = rough[0] >= enough_m[near // points]
     narrow = near[~is_rough]
-    closer = nearest_points(bodies, narrow, error, enough_m, distance, parts=PARTS, half_m=PIECE_M, halvings=HALVINGS)
+    closer = nearest_points(bodies, narrow, error, enough_m, distance, parts=PARTS, half_m=PIECE_M, within_m=WITHIN_M)
     lower, unit, place = (np.concatenate([a[is_rough], b]) for a, b in zip(rough, closer, strict=True))
     owner = np.concatenate([near[is_rough], np.tile(narrow, PARTS)]) // points
     order = np.lexsort((lower, owner))

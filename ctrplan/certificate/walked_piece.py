@@ -321,7 +321,7 @@ def _solved_clearances(scenario: Scenario, samples: PathSamples, walks: VariantW
         return np.full(count, np.inf), np.full(count, np.inf), np.full(count, np.inf)
     points = np.concatenate(samples.bodies)
     owner = np.concatenate([_groups(len(body), 2 * k, scenario.robot.n) for k, body in enumerate(samples.bodies)])
-    least = distance.least(points[:, :3], points[:, 3], owner, 2 * count)
+    least = distance.as_registered.least(points[:, :3], points[:, 3], owner, 2 * count)
     nominal, bare = least[::2], least.reshape(-1, 2).min(axis=1)
     if not walks.reach_m:
         return nominal, bare, bare

@@ -217,16 +217,16 @@ def nearest_points(
     *,
     parts: int,
     half_m: float,
-    halvings: int,
+    within_m: float,
 ) -> tuple[Array, Array, Array]:
     """(S,) lower bounds of clearance over all states of a cell, (S, P) states there, 0 to 1 of the cell, (S, 3) where.
 
     Of `parts` of the body around each of K points of cells' bodies (L, 2^P + 1, N, 4), counted over all cells: S is
     parts K, part by part. Each stands for `half_m` of the body on both sides. error_m (L, N) is taken off, enough_m
-    (L,) is what is asked for: less than that says only that it is not enough. States are halved up to `halvings` times
-    along every pair, where they move the point most.
+    (L,) is what is asked for: less than that says only that it is not enough. States are halved along the pair
+    that moves the point most, until they move it by no more than `within_m`.
     """
-    search = _model.PointsInCells(bodies_m, points, error_m, enough_m, parts, half_m, halvings)
+    search = _model.PointsInCells(bodies_m, points, error_m, enough_m, parts, half_m, within_m)
     while len(places := np.asarray(search.points())):
         search.tell(np.ascontiguousarray(distance(places, np.asarray(search.needed()))))
     least, unit, place = search.found()

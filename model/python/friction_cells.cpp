@@ -102,11 +102,11 @@ nb::object cell_bodies(nb::list bodies, nb::list radii, nb::list doubts, std::si
     return array(std::move(values), {count / of_cell, of_cell, longest, 4});
 }
 
-void make(ctr::PointsInCells* self, Bodies bodies, Indices points, Matrix error, Vector enough, int parts, double half, int halvings) {
+void make(ctr::PointsInCells* self, Bodies bodies, Indices points, Matrix error, Vector enough, int parts, double half, double within) {
     const ctr::CellBodies given = bodies_of(bodies);
     if (error.shape(0) != given.cells || error.shape(1) != given.points || enough.shape(0) != given.cells)
         throw ctr::InvalidInput("every cell has errors of all its points, and what is asked of it");
-    new (self) ctr::PointsInCells(given, {points.data(), points.shape(0), parts, half, halvings}, error.data(), enough.data());
+    new (self) ctr::PointsInCells(given, {points.data(), points.shape(0), parts, half, within}, error.data(), enough.data());
 }
 
 void tell(ctr::PointsInCells& self, Vector clearance) {
@@ -126,7 +126,7 @@ void bind_friction_cells(nb::module_& m) {
     m.def("cell_spread", &spread, "bodies"_a.noconvert(), "beyond"_a);
     nb::class_<ctr::PointsInCells>(m, "PointsInCells", "Least clearance of points of bodies over cells of friction states")
         .def("__init__", &make, "bodies"_a.noconvert(), "points"_a.noconvert(), "error_m"_a.noconvert(), "enough_m"_a.noconvert(), "parts"_a,
-             "half_m"_a, "halvings"_a)
+             "half_m"_a, "within_m"_a)
         .def("points", [](const ctr::PointsInCells& self) { return array(self.points()); })
         .def("needed", [](const ctr::PointsInCells& self) { return array(self.needed()); })
         .def("tell", &tell, "clearance_m"_a.noconvert())

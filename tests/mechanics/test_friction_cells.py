@@ -11,7 +11,7 @@ import ctrplan._model as core
 from ctrplan.base.arrays import Array
 from ctrplan.mechanics.friction import Doubts, bodies_between, cell_bodies, cell_spread, nearest_points
 
-HALVINGS, HALF_M = 9, 0.5e-3
+WITHIN_M, HALF_M = 1e-5, 0.5e-3
 
 
 def drawn_bodies(pairs: int, cells: int = 2, points: int = 7, seed: int = 0) -> Array:
@@ -50,7 +50,7 @@ def test_the_spread_is_what_plain_formulas_say(pairs: int) -> None:
         assert reach[cell, k] == pytest.approx(max(np.linalg.norm(row[:3]) + row[3] for row in away), abs=1e-15)
 
 
-@pytest.mark.parametrize("pairs", [1, 2, 3])
+@pytest.mark.parametrize("pairs", [1, 2, 3, 4])
 @pytest.mark.parametrize("enough_mm", [-5.0, 0.5, 2.0])
 def test_no_state_of_a_cell_has_less_than_is_said(pairs: int, enough_mm: float) -> None:
     """No state has less than is claimed, and where the claim is not "enough" some state has about as little."""
@@ -58,8 +58,8 @@ def test_no_state_of_a_cell_has_less_than_is_said(pairs: int, enough_mm: float) 
     cells, _, points, _ = bodies.shape
     error = np.full((cells, points), 0.1e-3)
     asked = np.arange(cells * points)
-    unit = np.array(list(itertools.product(np.linspace(0, 1, 15), repeat=pairs)))
-    given = {"parts": 1, "half_m": HALF_M, "halvings": HALVINGS}
+    unit = np.array(list(itertools.product(np.linspace(0, 1, 15 if pairs < 4 else 7), repeat=pairs)))
+    given = {"parts": 1, "half_m": HALF_M, "within_m": WITHIN_M}
     least, where, place = nearest_points(bodies, asked, error, np.full(cells, enough_mm * 1e-3), from_ball, **given)
     for k in asked:
         corners = bodies[k // points, :-1, k % points]
@@ -73,6 +73,30 @@ def test_no_state_of_a_cell_has_less_than_is_said(pairs: int, enough_mm: float) 
         np.testing.assert_allclose(at_states(corners, where[k : k + 1])[0, :3], place[k], atol=1e-15)
 
 
+@pytest.mark.parametrize("pairs", [2, 4])
+def test_a_clearance_that_many_states_have_takes_boxes_within_a_budget(pairs: int) -> None:
+    """All corners of a cell lie on a sphere around the ball: nearly as much is left in a whole region of states."""
+    rng = np.random.default_rng(8)
+    sides = rng.normal(size=(1, 2**pairs, 1, 3)) * [0.2, 0.2, 0.2] + [1.0, 0, 0]
+    corners = 20e-3 * sides / np.linalg.norm(sides, axis=3, keepdims=True) + [6e-3, 0, 4e-3]
+    bodies = np.concatenate([corners, corners.mean(axis=1, keepdims=True)], axis=1)
+    bodies = np.concatenate([bodies, np.zeros((*bodies.shape[:3], 1))], axis=3)
+    states = at_states(bodies[0, :-1, 0], rng.uniform(0, 1, (200_000, pairs)))
+    true = float(np.sqrt(from_ball(states[:, :3]) ** 2 - HALF_M**2).min())
+    asked: list[int] = []
+
+    def distance(points_m: Array, _: Array) -> Array:
+        asked.append(len(points_m))
+        return from_ball(points_m)
+
+    none, given = np.zeros((1, 1)), {"parts": 1, "half_m": HALF_M, "within_m": WITHIN_M}
+    for enough in (true - 1e-6, true - 0.2e-3, true - 1e-3):
+        least = nearest_points(bodies, np.array([0]), none, np.full(1, enough), distance, **given)[0][0]
+        assert least <= true + 1e-12
+    assert least >= enough  # 1 mm is to spare
+    assert max(asked) <= 2 * 16384 and sum(asked) < 500_000
+
+
 def test_parts_stand_between_a_point_and_those_beside_it() -> None:
     bodies = drawn_bodies(1, cells=1, points=3)
     told = list[Array]()
@@ -82,7 +106,7 @@ def test_parts_stand_between_a_point_and_those_beside_it() -> None:
         return needed_m + 1.0
 
     none = np.zeros((1, 3))
-    nearest_points(bodies, np.array([1]), none, np.zeros(1), distance, parts=4, half_m=HALF_M / 4, halvings=HALVINGS)
+    nearest_points(bodies, np.array([1]), none, np.zeros(1), distance, parts=4, half_m=HALF_M / 4, within_m=WITHIN_M)
     assert len(told) == 1  # far away: nothing is halved
     before, own, after = bodies[0, :-1, :, :3].mean(axis=0)
     expected = [own + share * (other - own) for other in (before, after) for share in (0.125, 0.375)]
@@ -93,7 +117,7 @@ def test_what_is_asked_for_is_what_has_to_be_exact() -> None:
     """A clearance told as a lower bound above what was asked for changes no answer that is enough."""
     bodies = drawn_bodies(2, seed=5)
     error, enough, asked = np.zeros(bodies.shape[::2][:2]), np.full(2, 1e-3), np.arange(14)
-    given = {"parts": 1, "half_m": HALF_M, "halvings": HALVINGS}
+    given = {"parts": 1, "half_m": HALF_M, "within_m": WITHIN_M}
 
     def rough(points_m: Array, needed_m: Array) -> Array:
         exact = from_ball(points_m)
@@ -109,16 +133,16 @@ def test_what_is_asked_for_is_what_has_to_be_exact() -> None:
 def test_what_makes_no_cells_is_refused() -> None:
     bodies, enough = drawn_bodies(2), np.zeros(2)
     error = np.zeros((2, 7))
-    search = core.PointsInCells(bodies, np.array([0, 13]), error, enough, 1, HALF_M, HALVINGS)
+    search = core.PointsInCells(bodies, np.array([0, 13]), error, enough, 1, HALF_M, WITHIN_M)
     for wrong in (np.array([14]), np.array([-1])):
         with pytest.raises(ValueError, match="no cell has"):
-            core.PointsInCells(bodies, wrong, error, enough, 1, HALF_M, HALVINGS)
+            core.PointsInCells(bodies, wrong, error, enough, 1, HALF_M, WITHIN_M)
     with pytest.raises(ValueError, match="errors of all its points"):
-        core.PointsInCells(bodies, np.array([0]), error[:, :3].copy(), enough, 1, HALF_M, HALVINGS)
+        core.PointsInCells(bodies, np.array([0]), error[:, :3].copy(), enough, 1, HALF_M, WITHIN_M)
     with pytest.raises(ValueError, match="even number"):
-        core.PointsInCells(bodies, np.array([0]), error, enough, 3, HALF_M, HALVINGS)
+        core.PointsInCells(bodies, np.array([0]), error, enough, 3, HALF_M, WITHIN_M)
     with pytest.raises(ValueError, match="2\\^P corners"):
-        core.PointsInCells(bodies[:, 1:].copy(), np.array([0]), error, enough, 1, HALF_M, HALVINGS)
+        core.PointsInCells(bodies[:, 1:].copy(), np.array([0]), error, enough, 1, HALF_M, WITHIN_M)
     with pytest.raises(ValueError, match="one clearance"):
         search.tell(np.zeros(5))
 

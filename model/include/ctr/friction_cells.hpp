@@ -69,7 +69,8 @@ BodiesBetween bodies_between(const CornerBodies& own, const double* phi, std::si
 // Looks for the least clearance of single points of bodies over all states of their cells.
 //
 // Boxes of states are halved along the pair that moves their point most, until it has enough clearance all over the box or surely
-// has not. A point moves no farther within a part of a cell than its corners' distances say, and clearance is 1-Lipschitz. Whoever
+// has not, or until the point moves by no more than a tolerance in it; a point of too many boxes is short of it. A point is farthest
+// from a box's middle in one of its vertices, for it is linear in every pair, and clearance is 1-Lipschitz. Whoever
 // knows clearances is asked for those of `points()`, exact where they are below `needed()`, and tells them.
 class PointsInCells {
   public:
@@ -78,7 +79,7 @@ class PointsInCells {
         std::size_t count = 0;
         int parts = 1;                        // of the body around each point, looked at one by one: 1 or even
         double half = 0;                      // of the body that one of them stands for, on both sides, m
-        int halvings = 0;                     // of the states along every pair
+        double within = 0;                    // that a box may be short of enough by its size alone, and is not halved, m
     };
     // error [cell][point] is taken off; `enough` [cell] is what is asked for, m.
     PointsInCells(const CellBodies& bodies, const Asked& asked, const double* error, const double* enough);
@@ -97,13 +98,16 @@ class PointsInCells {
     const double* corner(std::size_t part, int corner) const { return corners_.data() + 4 * (part * corner_count_ + corner); }
     void gather(const CellBodies& bodies, const Asked& asked);
     void measure_moves();
+    double slack(std::size_t part, const double* size, const std::vector<Vec3>& slope) const;
     void halve(const std::vector<std::size_t>& boxes);
+    void keep_less(std::size_t box, double found);
     void ask();
 
-    int pairs_, corner_count_, level_ = 0, most_;
-    double half_;
+    int pairs_, corner_count_;
+    double half_, within_;
     std::vector<double> corners_;                  // [part][corner][x, y, z, radius]
     std::vector<double> error_, enough_, moves_;   // [part], [part], [part][pair]
+    std::vector<double> turns_, mixed_;            // [part][pair] of the radius; [part][pairs], a bit for each
     std::vector<std::size_t> index_;               // of the part of each box
     std::vector<double> low_, size_;               // [box][pair]
     std::vector<Vec3> points_, place_;
