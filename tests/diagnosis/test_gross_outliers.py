@@ -109,6 +109,7 @@ def test_what_went_wrong_at_every_so_manieth_pose_is_no_direction_of_approach(by
     assert "direction of approach" not in found.place.sentence
 
 
+@pytest.mark.usefixtures("without_building")
 @pytest.mark.parametrize("kind", ["tip load", "backlash", "unknown"] if FUZZ else ["backlash"])
 def test_what_an_effect_does_is_no_outlier(kind: str) -> None:
     """However large it is, and however few poses have it most."""
