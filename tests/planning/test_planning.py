@@ -56,7 +56,7 @@ def past(told: list[Progress]) -> ctrplan.Plan:
 
 @pytest.fixture(scope="module")
 def snap() -> ctrplan.Plan:
-    return ctrplan.plan(scenario("snap", "planner.time_s=0.5"), seed=0)
+    return ctrplan.plan(scenario("snap", "planner.time_s=0.3"), seed=0)
 
 
 def test_the_time_of_a_plan_is_split_by_what_took_it(snap: ctrplan.Plan) -> None:
