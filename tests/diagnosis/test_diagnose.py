@@ -93,6 +93,7 @@ def test_two_effects_that_hide_one_another_are_found_together() -> None:
     assert found.verdict == "named" and set(found.chosen.names) == {"tip_load", "eccentricity"}
 
 
+@pytest.mark.usefixtures("without_building")  # of the same effect test_gross_outliers.py builds a term
 def test_an_effect_outside_the_catalogue_gets_no_name() -> None:
     data = measured(ROBOT, PLAN, BASE | {"eccentricity": {"sin_2_deg": 9.0, "cos_2_deg": 5.0}})
     found = diagnose(ROBOT, data, catalogue=QUICK)
