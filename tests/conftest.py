@@ -27,7 +27,7 @@ OBSTACLES = [
     {"kind": "sphere", "center_mm": [0, 60, 110], "radius_mm": 15, "margin_mm": 1.0},
     {"kind": "capsule", "from_mm": [-40, -20, 90], "to_mm": [40, -25, 110], "radius_mm": 8},
 ]
-WAYPOINTS_DEG_MM = [[0, 0, 0, -80], [0, 60, 110, -80], [0, 60, 110, -20]]
+WAYPOINTS_DEG_MM = [[0, 30, 60, -50], [0, 60, 110, -50], [0, 60, 110, -20]]
 
 PlanMaker = Callable[..., Plan]
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from made_up_input import NUMBERS, assert_names_the_fault, cases
+from made_up_input import FUZZ, NUMBERS, assert_names_the_fault, cases
 from places import SCENARIOS
 
 from ctrplan.errors import CtrplanError, InputError
@@ -103,11 +103,30 @@ NUMBER = re.compile(r"(\s*[\w\"']+\s*=\s*)(\[.*\]|-?[\d.e+-]+)\s*(#.*)?$")
 EXTREMES = ("5e-324", "-5e-324", "1e-200", "1e160", "1.7e308", "-1.7e308")
 
 
-@pytest.mark.parametrize("name", sorted(ROBOTS))
+def numbers() -> dict[str, list[tuple[int, re.Match[str]]]]:
+    """Lines with a number of each robot file: of each key in the first file that has it, and in every one if FUZZ."""
+    found, tried = dict[str, list[tuple[int, re.Match[str]]]](), set[tuple[str, str]]()
+    for name in sorted(ROBOTS):
+        own, table = dict[int, tuple[str, str]](), ""
+        matches = {k: parts for k, line in enumerate(ROBOTS[name].splitlines()) if (parts := NUMBER.match(line))}
+        for k, line in enumerate(ROBOTS[name].splitlines()):
+            table = line.strip() if line.lstrip().startswith("[") else table
+            if k in matches:
+                own[k] = table, line.split("=")[0].strip()
+        if rows := [(k, matches[k]) for k, key in own.items() if FUZZ or key not in tried]:
+            found[name] = rows
+        tried |= set(own.values())
+    return found
+
+
+NUMBERS_OF = numbers()
+
+
+@pytest.mark.parametrize("name", NUMBERS_OF)
 def test_no_number_of_a_robot_file_is_too_small_or_too_large_for_its_reader(folder: Path, name: str) -> None:
     """Products of tiny numbers are zero and those of huge ones infinite: a radius of 1 / 0 was a traceback."""
     lines, file = ROBOTS[name].splitlines(), folder / "robot.toml"
-    for k, parts in ((k, parts) for k, line in enumerate(lines) if (parts := NUMBER.match(line))):
+    for k, parts in NUMBERS_OF[name]:
         for new in EXTREMES:
             value = f"[{', '.join([new] * len(parts[2].split(',')))}]" if parts[2].startswith("[") else new
             content = "\n".join([*lines[:k], parts[1] + value, *lines[k + 1 :]])

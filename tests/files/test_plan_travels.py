@@ -35,7 +35,7 @@ def saved(tmp_path_factory: pytest.TempPathFactory) -> Path:
     shutil.copy(ROBOTS / "table_5_pair.toml", home / "pair.toml")
     trimesh.creation.box((5, 5, 5)).apply_translation((120, 0, 60)).export(home / "task" / "meshes" / "box.stl")
     part = {"kind": "mesh", "file": "meshes/box.stl", "unit": "mm"}
-    goal = {"joints": START | {"rotate inner": 120.0}}
+    goal = {"joints": START | {"rotate inner": 20.0}}
     content = {"name": "a task", "robot": "../pair.toml", "start": START, "goal": goal, "anatomy": [part]}
     (home / "task" / "task.toml").write_text(tomli_w.dumps(content))
     scenario = ctrplan.load_scenario(home / "task" / "task.toml", ["margins.stability=0.05"], allow_outside=True)

@@ -162,7 +162,7 @@ def test_free_space_has_no_places(make_plan: PlanMaker) -> None:
 def test_no_corner_shape_of_the_path_comes_closer(make_plan: PlanMaker) -> None:
     """Samples that are narrow only by what is taken off for the mesh are not taken for the narrowest."""
     room = {"kind": "sphere", "role": "inside", "center_mm": [5.0, 0.0, 95.0], "radius_mm": 125.0}
-    plan = make_plan([[50, 110, 160, -30], [150, 210, 260, -30]], anatomy=[room])
+    plan = make_plan([[100, 160, 210, -30], [150, 210, 260, -30]], anatomy=[room])
     scenario, samples = plan.scenario, plan.certificate.samples
     corners = np.array(list(itertools.product((-1.0, 1.0), repeat=scenario.robot.n - 1)))
     least_m = np.inf

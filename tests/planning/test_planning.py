@@ -56,7 +56,7 @@ def past(told: list[Progress]) -> ctrplan.Plan:
 
 @pytest.fixture(scope="module")
 def snap() -> ctrplan.Plan:
-    return ctrplan.plan(scenario("snap", "planner.time_s=0.5"), seed=0)
+    return ctrplan.plan(scenario("snap", "planner.time_s=0.3"), seed=0)
 
 
 def test_the_time_of_a_plan_is_split_by_what_took_it(snap: ctrplan.Plan) -> None:
@@ -129,7 +129,7 @@ def test_progress_of_a_search_only_rises(past: ctrplan.Plan, told: list[Progress
 def test_bound_aware_plan_ends_with_less_error_than_blind_one(tmp_path: Path) -> None:
     # how much less is the user's choice: here the target matters most
     weights = ({"error_goal": 100.0}, {"error_along": 0.0, "error_goal": 0.0})
-    aware, blind = (ctrplan.plan(pair_without_named_joints(tmp_path, 0.5, **cost), seed=0) for cost in weights)
+    aware, blind = (ctrplan.plan(pair_without_named_joints(tmp_path, 0.3, **cost), seed=0) for cost in weights)
     assert aware.certificate.goal_bound_m < 0.5 * blind.certificate.goal_bound_m
 
 

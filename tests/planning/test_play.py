@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -108,8 +107,7 @@ def test_a_certificate_has_the_play_in_every_clearance_and_says_so() -> None:
     assert plain.worst_play_m < 1e-8 and 0.2e-3 < lost_m < found.worst_play_m + 0.2e-3
 
 
-def test_a_plan_tells_what_play_may_do(make_plan: Callable[..., Plan]) -> None:
-    plan = make_plan()
+def test_a_plan_tells_what_play_may_do(plan: Plan) -> None:
     without = " ".join(certificate_in_words(plan))
     certificate = replace(plan.certificate, worst_play_m=2.5e-3, goal_play_m=1.5e-3)
     said = " ".join(certificate_in_words(replace(plan, certificate=certificate)))

@@ -271,8 +271,13 @@ def toured(plan: Plan) -> Callable[[float, float], Plan]:
     return with_tolerances
 
 
-def test_each_target_has_its_own_chance_and_all_together_one(toured: Callable[[float, float], Plan]) -> None:
-    found = ctrplan.plan_uncertainty(toured(0.6e-3, 0.7e-3))
+@pytest.fixture(scope="module")
+def tour_found(toured: Callable[[float, float], Plan]) -> Uncertainty:
+    return ctrplan.plan_uncertainty(toured(0.6e-3, 0.7e-3))
+
+
+def test_each_target_has_its_own_chance_and_all_together_one(tour_found: Uncertainty) -> None:
+    found = tour_found
     (via,), goal, both = found.via, found.goal, found.tour
     assert both is not None and both.targets == 2 and both.chance_by_history is not None
     assert via.name == "first" and via.sample is not None and goal.sample is not None and via.sample < goal.sample
@@ -308,9 +313,10 @@ def test_a_target_that_nobody_misses_leaves_the_chance_of_the_other(toured: Call
     assert found.tour.chance_any_friction == found.goal.chance_any_friction
 
 
-def test_a_target_on_the_way_is_judged_as_if_it_were_the_goal(toured: Callable[[float, float], Plan]) -> None:
-    plan = toured(0.6e-3, 0.7e-3)
-    here = ctrplan.plan_uncertainty(plan).via[0]
+def test_a_target_on_the_way_is_judged_as_if_it_were_the_goal(
+    toured: Callable[[float, float], Plan], tour_found: Uncertainty
+) -> None:
+    plan, here = toured(0.6e-3, 0.7e-3), tour_found.via[0]
     q = plan.certificate.samples.joints[here.sample]
     alone = replace(plan.scenario, goal=plan.scenario.via[0], via=())
     there = ctrplan.plan_uncertainty(alone, q).goal

@@ -257,9 +257,9 @@ def test_a_target_that_fails_is_named_as_the_file_names_it(second: dict[str, obj
 
 def test_progress_never_runs_backwards() -> None:
     """Over several targets, an oscillation and a compensation: what is nearly done stays nearly done."""
-    first = {"tip_mm": [50, 10, 200], "tolerance_mm": 1}
-    second = {"tip_mm": [45, -15, 205], "tolerance_mm": 1}
-    case = pair(target=[first, second], planner={"time_s": 0.2, "settle": "oscillate"})
+    first = {"tip_mm": [46.7, 6.2, 172.3], "tolerance_mm": 1}
+    second = {"tip_mm": [47.0, 10.6, 173.8], "tolerance_mm": 1}
+    case = pair(target=[first, second], planner={"time_s": 0.1, "settle": "oscillate"})
     told: list[Progress] = []
     ctrplan.plan(case, seed=0, progress=told.append, compensated=True)
     searched = [progress.fraction for progress in told if progress.stage == "search"]

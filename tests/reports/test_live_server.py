@@ -199,8 +199,8 @@ def test_slow_clients_are_let_go(server: LiveServer, monkeypatch: pytest.MonkeyP
 
 
 def test_many_requests_at_once_are_all_answered(server: LiveServer) -> None:
-    """600 at the same time, every fourth with a pose to solve."""
-    asked = [(f"/pose?q={VESSEL_START}", b"200")] + 3 * [("/pose?q=1,2", b"400")]
+    """600 at the same time, every twelfth with a pose to solve."""
+    asked = [(f"/pose?q={VESSEL_START}", b"200")] + 11 * [("/pose?q=1,2", b"400")]
     clients = []
     for k in range(600):  # each asks when it has come: all poses are solved in this process, which slows the asking
         clients.append(socket.create_connection(server.server_address, timeout=120))

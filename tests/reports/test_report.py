@@ -104,7 +104,7 @@ def test_report_says_what_the_plan_says(plan: Plan, content: str) -> None:
         assert row.quantity in text and row.value in text
     for fact in (plan.scenario.sha256, plan.scenario.robot.sha256, f"seed {plan.seed}", *plan.notes):
         assert fact in text
-    assert "translate inner: -80.00 mm → -20.00 mm" in text and "rotate inner: 0.00° → 110.00°" in text
+    assert "translate inner: -50.00 mm → -20.00 mm" in text and "rotate inner: 60.00° → 110.00°" in text
 
 
 def test_texts_are_no_html(hostile: Plan, scene: PlanScene, content: str) -> None:

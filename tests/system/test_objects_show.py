@@ -9,9 +9,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from here import Here
 from matplotlib.figure import Figure
 from measured_data import measured, pair_robot, waypoints
 from places import ROBOTS, SCENARIOS
+from small_scenarios import NEAR
 
 import ctrplan
 from ctrplan.base.package import MOST_LINES, summary
@@ -24,7 +26,7 @@ CONFIGURATION = [0.0, 1.3, 2.9], [0.0, -0.017, -0.07]
 
 @pytest.fixture(scope="module")
 def plan() -> ctrplan.Plan:
-    return ctrplan.plan(ctrplan.load_scenario(SCENARIOS / "pair_free.toml"), seed=0, time_s=0.5)
+    return ctrplan.plan(ctrplan.load_scenario(SCENARIOS / "pair_free.toml", [NEAR]), seed=0, time_s=0.2)
 
 
 @pytest.fixture(scope="module")
@@ -134,7 +136,7 @@ def test_a_study_s_report_is_a_page(tmp_path: Path) -> None:
     vary = [{"key": "theta_2", "low": 0, "high": 180, "count": 3}]
     content = {"robot": str(ROBOTS / "table_5_pair.toml"), "task": task, "vary": vary}
     study = Study.of(content, tmp_path, allow_outside=True)
-    page = study.show(study.run(tmp_path / "out", workers=1))
+    page = study.show(study.run(tmp_path / "out", executor=Here(), workers=1))
     assert "<iframe" in page._repr_html_() and len(repr(page)) < 120
     page.save(tmp_path / "report.html")
     assert (tmp_path / "report.html").read_text() == page.html

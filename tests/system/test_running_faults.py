@@ -238,7 +238,7 @@ def test_a_read_only_disk_is_refused_before_anything_is_computed(tmp_path: Path)
 @needs_namespaces
 @pytest.mark.parametrize("options", ["ro", "size=8k"] if FUZZ else ["ro"])
 def test_a_cache_without_room_or_permission_is_no_error_to_those_who_only_use_it(options: str, tmp_path: Path) -> None:
-    arguments = f"{PLAN} -o '{tmp_path / 'out'}'"
+    arguments = f"{PLAN} --no-report -o '{tmp_path / 'out'}'"
     done = in_a_small_world(tmp_path, options, arguments)
     assert "exit 0\n" in done.stdout and not done.stderr, done.stderr
     assert ".ctrplan-" not in done.stdout and (tmp_path / "out" / "plan.json").exists()
@@ -257,7 +257,7 @@ def test_two_processes_share_a_cache(tmp_path: Path) -> None:
     for attempt in range(repetitions(1)):
         cache = tmp_path / f"cache {attempt}"
         sphere = 'anatomy=[{kind="sphere", center_mm=[0, 60, 210], radius_mm=10}]'
-        given = ["--set", sphere, "--set", NEAR, "--time", "0.2", "--quiet", "--formats", "csv"]
+        given = ["--set", sphere, "--set", NEAR, "--time", "0.2", "--quiet", "--formats", "csv", "--no-report"]
         plan = ["plan", str(SCENARIOS / "pair_free.toml"), *given]
         pair = [started(plan, folder, cache) for folder in (tmp_path / "a", tmp_path / "b") if not folder.mkdir()]
         told = [process.communicate(timeout=PATIENCE_S) for process in pair]
