@@ -114,7 +114,7 @@ def test_one_offset_of_homing_is_calibrated_and_the_other_stays() -> None:
 def test_friction_of_the_file_and_of_its_effect_are_one_number() -> None:
     """Once 0.3 was fitted and 0.2 read again."""
     robot = robot_from_dict({**PLAIN.content, "effects": {"friction": {"mu_1": 0.2, "ci95": {"mu_1": [0.1, 0.3]}}}})
-    data = measured(PLAIN, waypoints(PLAIN, 6), {"friction": {"mu_1": 0.3}}, noise=0.0)
+    data = measured(PLAIN, waypoints(PLAIN, 12), {"friction": {"mu_1": 0.3}}, noise=0.0)
     found = calibrate(robot, data, ["contact.1.friction_coefficient"])
     again = robot_from_dict(found.robot_content())
     assert again.friction[0, 1] == pytest.approx(0.3, abs=0.01)
@@ -125,7 +125,7 @@ def test_friction_of_the_file_and_of_its_effect_are_one_number() -> None:
 def test_clearance_of_the_file_is_what_its_effect_is_added_to() -> None:
     """Once 0.07 mm was fitted and 0.09 mm read again."""
     robot = robot_from_dict({**PLAIN.content, "effects": {"clearance": {"delta_1_mm": 0.02}}})
-    data = measured(PLAIN, waypoints(PLAIN, 6), {"clearance": {"delta_1_mm": 0.04}}, noise=0.0)
+    data = measured(PLAIN, waypoints(PLAIN, 12), {"clearance": {"delta_1_mm": 0.04}}, noise=0.0)
     found = calibrate(robot, data, ["contact.1.clearance_m"])
     again = robot_from_dict(found.robot_content())
     assert again.clearance_m[0] * 1e3 == pytest.approx(0.09, abs=2e-3)
