@@ -1,12 +1,12 @@
 """Exact clearances of points and bodies of a scenario's robot, also of what lies between two points.
 
 Between two points h apart an obstacle as thin as a wire comes nearer than at either. A point of clearance c stands for
-for the body within h / 2 of it, whose clearance is at least sqrt(c^2 - h^2 / 4). Where that is not enough, the body
+the body within h / 2 of it, whose clearance is at least sqrt(c^2 - h^2 / 4). Where that is not enough, the body
 between the points is looked at.
 
 A base whose rotation is known within a ball turns every point about the base's origin, across its lever: along it the
-point stays where it is. The clearance after a turn is no more than 1 times steeper than the turn moves the point, so
-that a cover of the turns by squares bounds the least of them. Squares are halved where they may hold it.
+point stays where it is. Two turns leave it no farther apart than they differ by, times the lever, and clearance changes
+by no more than the point moves: a cover of the turns by squares bounds the least. Squares are halved where that may be.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def around(points: Array, at: NDArray[np.intp], begins: NDArray[np.bool_] | None
 TURNED_M = 0.1e-3  # [m] a tolerance: the least clearance over all turns is known within
 QUARTERS = np.array([[-1.0, -1.0], [-1.0, 1.0], [1.0, -1.0], [1.0, 1.0]])
 GRID_SHARE = 0.03  # of a clearance by which the grid may be off far from surfaces (ctrplan.anatomy.clearance_grid)
-HALF_M = POINT_SPACING_M / 2
+HALF_M = POINT_SPACING_M / 2  # of the body around a point
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,8 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
-from ctrplan.certificate.anatomy_distance import PARTS, clearance_of_segments
-from ctrplan.certificate.friction_states import POINT_SPACING_M, Cell, Solved, State
+from ctrplan.certificate.anatomy_distance import HALF_M, PARTS, clearance_of_segments
+from ctrplan.certificate.friction_states import Cell, Solved, State
 from ctrplan.errors import InputError
 from ctrplan.mechanics.friction import Distance, cell_bodies, cell_spread, nearest_points
 from ctrplan.robot.robot import Robot
@@ -71,10 +71,8 @@ class StateMinima:
 
 
 ERROR_FACTOR = 1.5  # times the difference in a cell's middle
-SUSPECTS = 1  # points of a cell that are looked at first: one that is too near tells enough of most cells
 BEYOND = 10  # points towards the tip whose difference counts too
 WITHIN_M = 1e-5  # [m] a tolerance: states of an interpolated point are looked at no closer than they move it
-HALF_M = POINT_SPACING_M / 2  # of the body around a point
 PIECE_M = HALF_M / PARTS  # of a piece around its middle
 
 
@@ -131,11 +129,13 @@ def cell_clearances(
 
 
 def _by_suspicion(near: NDArray[np.intp], spare: Array, points: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Points `near` of cells of `points` each: the SUSPECTS of every cell with the least to spare, and the others."""
+    """Points `near` of cells of `points` each: of every cell the one with the least to spare, and the others.
+
+    One that is too near tells enough of most cells.
+    """
     ordered = near[np.lexsort((spare[near], near // points))]
-    owner = ordered // points
-    rank = np.arange(len(ordered)) - np.searchsorted(owner, owner)
-    return np.sort(ordered[rank < SUSPECTS]), np.sort(ordered[rank >= SUSPECTS])
+    is_first = np.diff(ordered // points, prepend=-1) > 0
+    return np.sort(ordered[is_first]), np.sort(ordered[~is_first])
 
 
 def _closest(
