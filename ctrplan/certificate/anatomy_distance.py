@@ -80,7 +80,7 @@ class AnatomyDistance:
 
     @property
     def as_registered(self) -> AnatomyDistance:
-        """The same with the base where the scenario has it."""
+        """Distances of a base that stands where the scenario has it, not turned."""
         return replace(self, turn_rad=0.0)
 
     def __call__(self, points_m: Array, needed_m: Array) -> Array:
@@ -95,7 +95,7 @@ class AnatomyDistance:
 
     def _reach(self, points_m: Array) -> Array:
         """(K,) [m] no turn moves a point (K, 3) farther."""
-        return np.asarray(self.turn_rad * lengths(points_m))
+        return np.asarray(self.turn_rad * lengths(points_m)) if self.turn_rad else np.zeros(len(points_m))
 
     def _exact(self, points_m: Array, needed_m: Array | None = None) -> Array:
         """(K,) [m] the least over all turns at points (K, 3), where it may be below `needed_m` (K,) within TURNED_M."""

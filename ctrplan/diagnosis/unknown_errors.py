@@ -63,7 +63,7 @@ ROOM_M = 0.05  # of translation, that counts as much as a radian, or as a fricti
 QUARTERS = 4.0  # of the experiment, or of a quantity's range, that count as much as a radian each
 LENGTHS = (0.4, 1.0)  # [rad] over which a process changes: three waves a turn, and one
 SENSOR = Target("sensor")
-RECENT = 8  # peaks whose processes are kept apart, a budget of memory: sets that are alike share theirs
+RECENT = 8  # peaks beside which processes are remembered, a budget of memory (5 MB each): like sets share theirs
 LEAST_MODE = 0.02  # of the largest: modes of a process that are smaller are left out
 
 
@@ -251,7 +251,7 @@ class UnknownErrors:
         processes = list(_processes(bench, base, counts)) if with_stages else []
         self.inputs = [name for name, _ in processes]  # of each process
         self.processes = [modes for _, modes in processes]
-        self._known: dict[object, list[tuple[Array, Array]]] = {}  # the same of the last peaks
+        self._known: dict[object, list[tuple[Array, Array]]] = {}  # processes apart from each other, by peak
 
     def evidence(self, fit: Linearised) -> tuple[float, Peak]:
         """Logarithm of the evidence averaged over kinds and sizes of errors, and the most probable one.
@@ -318,8 +318,8 @@ class UnknownErrors:
         if key not in self._known:
             over = ((B, peak.over_covariance(B) if peak else B) for B in self.processes)
             squares = [np.linalg.eigh(B.T @ weighed) for B, weighed in over]
-            if len(self._known) > RECENT:
-                del self._known[next(reversed(self._known))]
+            if len(self._known) > RECENT:  # the oldest peak makes room; without one they are always kept
+                del self._known[next(filter(None, self._known))]
             self._known[key] = [(np.maximum(values, 0.0), vectors) for values, vectors in squares]
         return self._known[key]
 

@@ -43,7 +43,7 @@ def names(found: Diagnosis) -> list[set[str]]:
 
 @cache
 def of_nominal_parameters() -> Diagnosis:
-    """Of a robot whose parameters alone are wrong."""
+    """The diagnosis of a robot whose parameters alone are wrong, made once; nobody changes it."""
     return diagnose(ROBOT, measured(ROBOT, PLAN, BASE), catalogue=QUICK)
 
 

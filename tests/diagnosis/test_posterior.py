@@ -202,7 +202,7 @@ def test_gains_of_processes_are_ratios_of_gaussian_densities() -> None:
 
 
 def _log_density(r: Array, covariance: Array) -> float:
-    """Of a Gaussian, up to a constant."""
+    """Logarithm of the density of a Gaussian, up to a constant."""
     return -float(r @ np.linalg.solve(covariance, r) + np.linalg.slogdet(covariance)[1]) / 2
 
 

@@ -46,7 +46,7 @@ def arrival(scenario: Scenario, path: np.ndarray[Any, Any] = PATH) -> Arrival:
 
 
 def plain_arrival(path: np.ndarray[Any, Any] = PATH) -> Arrival:
-    """Of the pair without overrides."""
+    """The arrival of the pair without overrides."""
     return arrival_of(certified(path))
 
 
