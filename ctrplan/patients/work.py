@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import csv
 import hashlib
-import io
 import json
 import math
 import threading
@@ -25,7 +23,7 @@ from ctrplan.patients.request import RADIUS_MM, Request, request_of
 from ctrplan.planning.base_pose import DIGITS, BaseFrame, BasePose, as_written
 from ctrplan.plans.plan import Plan
 from ctrplan.scenario.scenario import Scenario
-from ctrplan.storage.csv_table import CsvTable, file_bytes
+from ctrplan.storage.csv_table import CsvTable, csv_text, file_bytes
 from ctrplan.storage.output_folder import write_atomically
 
 
@@ -193,15 +191,12 @@ class BaseRow:
 
 def bases_text(poses: Sequence[BasePose]) -> str:
     """The file's content. Position and quaternion are read again, the rest is for whoever looks at it."""
-    stream = io.StringIO()
-    table = csv.writer(stream, lineterminator="\n")
-    table.writerow([*POSITION, *TURN, *TOLD])
+    rows = []
     for pose in poses:
-        written = BaseFrame(pose.position_m, pose.R)
         position = np.round(pose.position_m * MM_PER_M, MM_DIGITS) + 0.0
-        turn = np.round(written.quaternion_wxyz, DIGITS) + 0.0
-        table.writerow([*map(repr, position.tolist()), *map(repr, turn.tolist()), *_told(pose)])
-    return stream.getvalue()
+        turn = np.round(BaseFrame(pose.position_m, pose.R).quaternion_wxyz, DIGITS) + 0.0
+        rows.append([*position.tolist(), *turn.tolist(), *_told(pose)])
+    return csv_text([*POSITION, *TURN, *TOLD], rows)
 
 
 def read_bases(file: Path) -> list[BaseRow]:

@@ -5,11 +5,13 @@ from __future__ import annotations
 import codecs
 import csv
 import hashlib
+import io
 import os
 import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
+from typing import Any
 
 import numpy as np
 
@@ -79,6 +81,15 @@ def file_bytes(file: str, largest_bytes: int, kind: str, what: str) -> bytes:
     if (other := other_than_named(data[:HEAD_BYTES])) is not None:
         raise InputError(other, file=file)
     return data
+
+
+def csv_text(header: Iterable[str], rows: Iterable[Iterable[Any]]) -> str:
+    """The content of a CSV file: names of the columns and rows of numbers, with every digit, and texts."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(header)
+    writer.writerows(rows)
+    return text.getvalue()
 
 
 LARGEST_FILE_BYTES = 200_000_000

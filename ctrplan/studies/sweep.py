@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -40,6 +38,7 @@ from ctrplan.pipeline.chain import range_notes
 from ctrplan.planning.planner import plan
 from ctrplan.plans.plan import Plan
 from ctrplan.robot.robot import Robot, nesting_violation
+from ctrplan.storage.csv_table import csv_text
 from ctrplan.storage.toml_document import LARGEST_NUMBER, override_names
 from ctrplan.storage.toml_faults import unit_of
 from ctrplan.studies.child_process import ChildExecutor
@@ -248,13 +247,10 @@ def sweep_csv(result: Sweep) -> str:
     """A row per configuration: the axes, bound_mm, bound_deg, stability, max_strain, status; failed solves have nan."""
     bounds = result.bounds
     results = [bounds.position_m * 1e3, np.degrees(bounds.tangent_rad), bounds.stability, bounds.max_strain]
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
     names = [axis.column for axis in result.axes]
-    writer.writerow([*names, "bound_mm", "bound_deg", "stability", "max_strain", "status"])
-    numbers = np.column_stack([result.values, *results]).tolist()
-    writer.writerows([*row, Status(status).name] for row, status in zip(numbers, bounds.status.tolist(), strict=True))
-    return text.getvalue()
+    rows = zip(np.column_stack([result.values, *results]).tolist(), bounds.status.tolist(), strict=True)
+    header = [*names, "bound_mm", "bound_deg", "stability", "max_strain", "status"]
+    return csv_text(header, ([*numbers, Status(status).name] for numbers, status in rows))
 
 
 def _robot(content: Mapping[str, Any], file: str | None, axes: Sequence[SweepAxis], setting: Sequence[float]) -> Robot:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from ctrplan.base.package import __version__
 from ctrplan.errors import InputError
 from ctrplan.files.study_file import StudyEntry, VaryEntry
-from ctrplan.storage.toml_document import Document, TomlTable
+from ctrplan.storage.toml_document import Document, TomlTable, chosen
 from ctrplan.studies.study.axes import CONFIGURATION, TASK_PREFIX, Axis, axes_of, files_varied
 from ctrplan.studies.study.sources import Sources
 from ctrplan.studies.study.task import CATALOGUE, Job, Loaded, TaskKind, TaskList, check_settings
@@ -75,8 +75,6 @@ class StudyDefinition:
 
 def defined(entry: StudyEntry, document: Document, allow_outside: bool) -> StudyDefinition:
     """The study of a file's entries. Raises InputError."""
-    from ctrplan.storage.toml_document import chosen
-
     folder = Path(document.file or ".").parent
     kind = chosen(TomlTable(document, ("task",)), "kind", CATALOGUE, TaskKind)
     start = "robot" if entry.robot is not None else "scenario"
@@ -90,12 +88,11 @@ def defined(entry: StudyEntry, document: Document, allow_outside: bool) -> Study
         raise document.fault("is not a file that exists", start)
     others = [folder / name for name in kind.files() if (folder / name).is_file()]
     sources = Sources.of([main, *others, *(file for some in files.values() for file in some)], folder)
-    task = {key: value for key, value in document.content["task"].items()}
     job = Job(
         sources=sources,
         main=sources.name(main),
         is_robot=start == "robot",
-        task=task,
+        task=dict(document.content["task"]),
         study_folder=sources.name(folder),
         allow_outside=allow_outside,
         numbers=tuple(entry.keep.numbers),
