@@ -12,8 +12,6 @@ import numpy as np
 from ctrplan.anatomy.mesh_file import axes_notes, is_gltf, read_triangles, stated_frame, stated_unit
 from ctrplan.anatomy.mesh_repair import (
     Indices,
-    MeshDefect,
-    MeshDefectError,
     MeshRefusal,
     Repair,
     closed,
@@ -24,7 +22,6 @@ from ctrplan.anatomy.mesh_repair import (
 )
 from ctrplan.anatomy.patient_frame import Frame, to_scenario
 from ctrplan.base.arrays import MM_PER_M, Array
-from ctrplan.base.surface import Surface
 from ctrplan.storage.toml_document import TomlTable
 
 HUGE, ENOUGH = 1_000_000, 200_000  # triangles: what is thinned, and to what
@@ -183,7 +180,6 @@ class MeshChoice:
 def read_body(table: TomlTable, path: Path, choice: MeshChoice, repair: Repair) -> SurfaceFile:
     """The closed surface of a body that `table` names, turned outward. Raises InputError."""
     _check_unit(table, path, choice)
-    vertices, faces = np.zeros((0, 3)), np.zeros((0, 3), np.int64)
     try:
         vertices, faces = merged(*read_triangles(path, choice.unit, choice.group, choice.up))
         faces, notes = closed(vertices, faces, repair)
@@ -193,10 +189,7 @@ def read_body(table: TomlTable, path: Path, choice: MeshChoice, repair: Repair) 
         notes = (*axes_notes(path, choice.unit, choice.up), *notes, *thinning_note(faces, error))
         return SurfaceFile(_placed(table, path, choice.frame, vertices), faces, notes, error)
     except MeshRefusal as refusal:
-        fault = table.fault(str(refusal), "file")
-        if refusal.place_m is None:
-            raise fault from refusal.__cause__
-        raise MeshDefectError(fault, MeshDefect(path, Surface(vertices, faces), refusal.place_m)) from None
+        raise table.fault(str(refusal), "file") from refusal.__cause__
 
 
 def read_sheet(table: TomlTable, path: Path, choice: MeshChoice) -> SurfaceFile:
