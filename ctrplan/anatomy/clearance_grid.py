@@ -30,7 +30,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ctrplan import _model
-from ctrplan.anatomy.parts import CHUNK_POINTS, FEW, AnatomyPart, combined_clearance, nearby, surface_distance
+from ctrplan.anatomy.parts import (
+    CHUNK_POINTS,
+    FEW,
+    AnatomyPart,
+    combined_clearance,
+    lumens_box,
+    nearby,
+    surface_distance,
+)
 from ctrplan.anatomy.shape import PartShape
 from ctrplan.base.arrays import Array
 from ctrplan.base.long_work import Progress, cores
@@ -145,7 +153,7 @@ def field_bounds(
     across, along = np.linalg.norm(R[:, :2], axis=1) * side, R[:, 2] * reach_m
     upper = base + np.minimum(across + np.maximum(along, 0), reach_m)
     lower = base - np.minimum(across + np.maximum(-along, 0), reach_m)
-    if (box := _lumens(parts)) is not None:
+    if (box := lumens_box(parts)) is not None:
         lower, upper = np.clip(box[0], lower, upper), np.clip(box[1], lower, upper)
     return lower, upper
 
@@ -194,7 +202,7 @@ Index = tuple[int, int, int]
 def shared_spacing_m(parts: Sequence[AnatomyPart], reach_m: float) -> float:
     """Spacing [m] for an anatomy and robots of about that reach, whatever their base; see `default_spacing_m`."""
     extents = [np.array([2 * reach_m, 2 * reach_m, reach_m])]
-    if (box := _lumens(parts)) is not None:
+    if (box := lumens_box(parts)) is not None:
         extents.append(box[1] - box[0])
     spacing = min(default_spacing_m(np.zeros(3), extent) for extent in extents)
     return float(FINEST_M * 2 ** (round(RUNGS * np.log2(spacing / FINEST_M)) / RUNGS))
@@ -239,7 +247,7 @@ class Lattice:
     @classmethod
     def of(cls, parts: Sequence[AnatomyPart], spacing_m: float) -> Lattice:
         """The lattice of an anatomy."""
-        box = _lumens(parts)
+        box = lumens_box(parts)
         if box is None:
             return cls(np.zeros(3), spacing_m, np.full(3, -np.inf), np.full(3, np.inf))
         cells = np.ceil(np.maximum((box[1] - box[0]) / (COARSEST * spacing_m) - ROUNDING, 1.0)) * COARSEST
@@ -335,14 +343,6 @@ def _ball(lattice: Lattice, start: NDArray[np.int_], shape: ArrayLike) -> tuple[
     """Centre (3,) and radius [m] around so many nodes, those that coarse levels ask for included."""
     half = lattice.spacing_m * (np.asarray(shape) - 1) / 2
     return lattice.node_m(start) + half, float(np.linalg.norm(half)) * (1 + 1e-9)
-
-
-def _lumens(parts: Sequence[AnatomyPart]) -> tuple[Array, Array] | None:
-    """The box (3,), (3,) [m] of all lumens; None without any."""
-    boxes = [part.shape.box() for part in parts if part.role == "inside"]
-    if not boxes:
-        return None
-    return np.min([lower for lower, _ in boxes], axis=0), np.max([upper for _, upper in boxes], axis=0)
 
 
 def _box(first: NDArray[np.int_], last: NDArray[np.int_]) -> tuple[slice, slice, slice]:

@@ -19,7 +19,8 @@ from ctrplan.mechanics.shapes import Status
 from ctrplan.plans.planned_motion import Played, joints_at
 from ctrplan.reports import looks
 from ctrplan.reports.html_page import FIGURE_TEXT
-from ctrplan.reports.robot_surface import RobotPose, pose, tube_surface
+from ctrplan.reports.looks import view_box
+from ctrplan.reports.robot_surface import RobotPose, anatomy_surface, pose, stand, tube_surface
 from ctrplan.scenario.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -101,6 +102,11 @@ def mesh_trace(surface: Surface, colour: str, opacity: float, name: str, shown: 
     }
 
 
+def plate_trace(scenario: Scenario) -> Trace:
+    """The front plate and the fixtures at it."""
+    return mesh_trace(stand(scenario), looks.PLATE_LOOK.colour, 1.0, looks.PLATE_LOOK.name, shown=False)
+
+
 def xyz(points_m: Array) -> dict[str, Any]:
     """Coordinates in mm to 1/128, in single precision: more than a screen can show, and pages are half as large."""
     x, y, z = (np.round(points_m * 1e3 * FINENESS) / FINENESS).astype(np.float32).T
@@ -153,6 +159,18 @@ def laid_out(
         "meta": {"view": view},
     }
     return {"data": traces, "layout": layout}
+
+
+def in_anatomy(traces: list[Trace], scenario: Scenario, points_m: Array, seen_m: Array | None = None) -> dict[str, Any]:
+    """The figure of traces about points (K, 3) [m] in a scenario's anatomy, seen from beside its base.
+
+    seen_m: (K, 3) what a view of all has to hold, where that is not the same.
+    """
+    surfaces = [anatomy_surface(part) for part in scenario.anatomy]
+    solid = np.concatenate([np.empty((0, 3)), *(surface.vertices_m for surface in surfaces)])
+    shown = [*traces, *anatomy_traces(scenario, surfaces)]
+    seen = points_m if seen_m is None else seen_m
+    return laid_out(shown, *view_box(points_m, solid), seen, scenario.frame, base_m=scenario.base_position_m)
 
 
 def seen_from(points_m: Array, base_m: Array | None = None) -> tuple[Array, Array]:
