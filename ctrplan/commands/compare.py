@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
     from ctrplan.base.arrays import Array
     from ctrplan.files.plan_file import WrittenPlan
+    from ctrplan.reports.curves import Panel, Timeline
     from ctrplan.reports.robot_surface import RobotPose
 
 DESCRIPTION = (
@@ -29,7 +30,6 @@ EXAMPLES = """examples:
 """
 OUTPUTS = ("compare.html", "compare.png")
 SHOWN = {"m": (1e3, "mm"), "rad": (180 / math.pi, "deg"), "mm": (1.0, "mm"), "number": (1.0, ""), "count": (1.0, "")}
-COLUMNS = (("bound_m", "bound (mm)"), ("clearance_m", "clearance (mm)"))  # of the certificate's samples
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -109,28 +109,25 @@ def _table(rows: list[tuple[str, float | None, float | None, str]]) -> list[list
 
 
 def compared_figure(first: WrittenPlan, second: WrittenPlan, names: tuple[str, str]) -> Figure:
-    """Bound and clearance along both plans, and the ways of their tips in space."""
+    """Bound and clearance over the time of both plans, and the ways of their tips in space."""
     import numpy as np
     from matplotlib.figure import Figure
 
     from ctrplan.reports.looks import SERIES
+    from ctrplan.reports.plan_picture import draw_panel
 
     figure = Figure(figsize=(12, 4.2), layout="constrained")
-    axes: list[Any] = [figure.add_subplot(1, 3, k + 1) for k in range(2)]
+    figure.suptitle("\n".join(_heads(first, second, names)[:2]), x=0.01, ha="left", fontsize=9, parse_math=False)
+    panels, time = _panels((first, second))
+    for k, panel in enumerate(panels):
+        ax = figure.add_subplot(1, 3, k + 1)
+        draw_panel(ax, panel, time, heading=f"{panel.title}: A blue, B orange")
+        ax.set_xlabel("time (s)")
     space: Any = figure.add_subplot(1, 3, 3, projection="3d")
-    for plan, name, colour in zip((first, second), names, SERIES, strict=False):
-        share = plan.certified_places / max(float(plan.certified_places[-1]), 1e-12)
-        for ax, (column, label) in zip(axes, COLUMNS, strict=True):
-            values = _column(plan, column)
-            if np.isfinite(values).any():
-                ax.plot(100 * share, values * 1e3, color=colour, label=name)
-            ax.set_ylabel(label)
-            ax.set_xlabel("along the plan (% of its legs)")
-            ax.spines[["top", "right"]].set_visible(False)
+    for plan, colour in zip((first, second), SERIES, strict=False):
         tips = np.array(plan.content["certificate"]["samples"]["tip_m"], dtype=float) * 1e3
         space.plot(*tips.T, color=colour)
         space.plot(*tips[-1:].T, "o", color=colour)
-    axes[0].legend(frameon=False, fontsize=8)
     space.set_title("way of the tip without friction (mm)", fontsize=9)
     return figure
 
@@ -154,6 +151,7 @@ def compared_html(first: WrittenPlan, second: WrittenPlan, names: tuple[str, str
     """
     import numpy as np
 
+    from ctrplan.reports.curves import stacked_figure
     from ctrplan.reports.html_page import plot, rendered, scene_script
     from ctrplan.reports.looks import SERIES
     from ctrplan.reports.plan_scene import poses_along
@@ -191,7 +189,7 @@ def compared_html(first: WrittenPlan, second: WrittenPlan, names: tuple[str, str
         now=[(letter, SERIES[k], figures[f"now_{letter}"][0]) for k, letter in enumerate(LETTERS)],
         heads=_heads(first, second, names),
         rows=[row for row in _table(compared(first, second))[1:]],
-        curves=plot(_curves(plans), "curves"),
+        curves=plot(stacked_figure(*_panels(plans)), "curves"),
     )
 
 
@@ -236,11 +234,11 @@ def _scene(plans: tuple[WrittenPlan, WrittenPlan], paths: list[list[RobotPose]],
     return figure, frames
 
 
-def _curves(plans: tuple[WrittenPlan, WrittenPlan]) -> Any:
+def _panels(plans: tuple[WrittenPlan, WrittenPlan]) -> tuple[list[Panel], Timeline]:
     """Bound and clearance of both over their times."""
     import numpy as np
 
-    from ctrplan.reports.curves import Panel, Series, Timeline, stacked_figure
+    from ctrplan.reports.curves import Panel, Series, Timeline
     from ctrplan.reports.looks import SERIES
 
     panels = []
@@ -253,4 +251,4 @@ def _curves(plans: tuple[WrittenPlan, WrittenPlan]) -> Any:
                 series.append(Series(f"plan {letter}", time_s, values, colour))
         if series:
             panels.append(Panel(title, "length", "mm", tuple(series)))
-    return stacked_figure(panels, Timeline(max(float(plan.time_s[-1]) for plan in plans), ()))
+    return panels, Timeline(max(float(plan.time_s[-1]) for plan in plans), ())
