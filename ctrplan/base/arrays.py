@@ -93,6 +93,14 @@ def unit(vector: ArrayLike) -> Array:
     return np.asarray(scaled / np.linalg.norm(scaled))
 
 
+def spread_directions(count: int) -> Array:
+    """(count, 3) unit vectors spread evenly over the sphere, along a spiral of the golden ratio."""
+    k = np.arange(count) + 0.5
+    height, turn = 1 - 2 * k / count, np.pi * (1 + np.sqrt(5)) * k
+    around = np.sqrt(1 - height**2)
+    return np.column_stack([around * np.cos(turn), around * np.sin(turn), height])
+
+
 def shortest_rotation(direction: ArrayLike) -> Array:
     """(3, 3) the rotation by the smallest angle that takes z to a direction (3,); for -z about x."""
     from scipy.spatial.transform import Rotation  # slow to import

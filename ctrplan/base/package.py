@@ -162,6 +162,12 @@ def _cut(text: str, most: int = WIDEST) -> str:
     return line if len(line) <= most else line[: most - 3] + "..."
 
 
+def counted(count: int, thing: str) -> str:
+    """So many of a thing, "1 leg" or "2 entries"."""
+    several = f"{thing.removesuffix('y')}ies" if thing.endswith("y") else f"{thing}s"
+    return f"{count} {thing if count == 1 else several}"
+
+
 def warn_caller(text: str) -> None:
     """Warns whoever called this package, at the line that did; commands warn in words of their own."""
     level, frame = 1, sys._getframe()

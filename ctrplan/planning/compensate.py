@@ -182,8 +182,7 @@ def brought_to_goal(checker: MotionChecker, corners: Array) -> Array | None:
 
 def _frictionless(robot: Robot, joints: Array) -> tuple[Array, Array]:
     """Frictionless tips and tangents (K, 3), (K, 3) at joints (K, m), robot's frame."""
-    free = np.zeros((len(joints), robot.n - 1))
-    tips = robot.mechanics.tips_with_friction(*robot.drive.collars(joints), free)
+    tips = robot.mechanics.tips_with_friction(*robot.drive.collars(joints), np.zeros((len(joints), robot.n - 1)))
     return tips.position_m, tips.tangent
 
 

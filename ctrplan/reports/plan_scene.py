@@ -10,7 +10,7 @@ import numpy as np
 
 from ctrplan.anatomy.parts import exact_clearance
 from ctrplan.anatomy.patient_frame import ENDS, Frame, axis_label
-from ctrplan.base.arrays import Array
+from ctrplan.base.arrays import Array, spread_directions
 from ctrplan.base.long_work import Progress
 from ctrplan.base.surface import Rod, Surface
 from ctrplan.errors import SolverError
@@ -191,11 +191,7 @@ DIRECTIONS = 96  # in which outermost points are sought, a few degrees apart
 
 def _outermost_mm(points_m: Array) -> list[list[float]]:
     """Points among (K, 3) that lie farthest in some direction, which a view of all has to hold."""
-    k = np.arange(DIRECTIONS) + 0.5
-    height, turn = 1 - 2 * k / DIRECTIONS, np.pi * (1 + np.sqrt(5)) * k
-    around = np.sqrt(1 - height**2)
-    directions = np.column_stack([around * np.cos(turn), around * np.sin(turn), height])
-    rows = np.unique(np.argmax(points_m @ directions.T, axis=0))
+    rows = np.unique(np.argmax(points_m @ spread_directions(DIRECTIONS).T, axis=0))
     outermost: list[list[float]] = np.round(points_m[rows] * 1e3, 2).tolist()
     return outermost
 

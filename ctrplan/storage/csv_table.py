@@ -161,6 +161,13 @@ class CsvTable:
                 return result
         return np.array([self._number(row, name, text, blanks) for row, text in enumerate(texts)])
 
+    def columns(self, names: Sequence[str]) -> Array:
+        """(K, N) finite numbers of several columns. Raises InputError for one that there is not."""
+        for name in names:
+            if name not in self.header:
+                raise self.fault("is missing in the header", column=name)
+        return np.column_stack([self.numbers(name) for name in names])
+
     def others(self, known: set[str]) -> dict[str, Array]:
         """Numeric columns besides the known ones; notes and names are none."""
         results = {}

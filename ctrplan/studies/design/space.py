@@ -16,7 +16,7 @@ from typing import Any
 from ctrplan.base.arrays import Array
 from ctrplan.base.package import __version__
 from ctrplan.errors import InputError
-from ctrplan.files.design_file import DesignEntry, MadeEntry, ParameterEntry, StockEntry
+from ctrplan.files.design_file import DesignEntry, MadeEntry, ParameterEntry, StockEntry, checked_design
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.scenario.scenario import Scenario
 from ctrplan.storage.toml_document import Document, toml_value
@@ -143,8 +143,9 @@ class DesignDefinition:
         return sorted(results, key=lambda row: -row[3])
 
 
-def defined(entry: DesignEntry, document: Document, allow_outside: bool) -> DesignDefinition:
-    """The search of a file's entries. Raises InputError."""
+def defined(document: Document, allow_outside: bool) -> DesignDefinition:
+    """The search of a file. Raises InputError, one sentence, for anything malformed or contradictory."""
+    entry = checked_design(document)
     folder = Path(document.file or ".").parent
     main = folder / entry.scenario
     if not main.is_file():

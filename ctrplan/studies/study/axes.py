@@ -97,6 +97,7 @@ class KeyAxis(Axis):
 class DrawAxis(Axis):
     """Numbers drawn for several keys together, (K, keys)."""
 
+    values: Array
     names: tuple[str, ...]
 
     @property

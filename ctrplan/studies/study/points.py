@@ -47,8 +47,7 @@ def target_points(targets: TargetsEntry, scenario: Scenario | None, document: Do
 
 
 def _listed(file: Path) -> Array:
-    table = CsvTable(str(file), "points")
-    return np.column_stack([table.numbers(name) for name in ("x_mm", "y_mm", "z_mm")])
+    return CsvTable(str(file), "points").columns(("x_mm", "y_mm", "z_mm"))
 
 
 def _within(targets: TargetsEntry, scenario: Scenario | None, document: Document, folder: Path) -> Array:
