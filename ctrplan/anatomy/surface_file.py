@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import importlib
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from ctrplan.anatomy.mesh_file import axes_notes, is_gltf, read_triangles, stated_frame, stated_unit
+from ctrplan.anatomy.mesh_file import Unit, Up, axes_notes, is_gltf, read_triangles, stated_frame, stated_unit
 from ctrplan.anatomy.mesh_repair import (
     Indices,
     MeshRefusal,
@@ -21,6 +20,7 @@ from ctrplan.anatomy.mesh_repair import (
     turned_outward,
 )
 from ctrplan.anatomy.patient_frame import Frame, to_scenario
+from ctrplan.anatomy.shape import PartEntry
 from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.storage.toml_document import TomlTable
 
@@ -136,8 +136,17 @@ def _to_sides_m(points: Array, starts: Array, sides: Array) -> Array:
     return np.asarray(np.linalg.norm(offset - along[..., None] * sides, axis=2).min(axis=1))
 
 
-@dataclass(frozen=True, eq=False)
-class SurfaceFile:
+class OfMeshFile(PartEntry):
+    """What is read of a mesh file, and how: None is what its format says."""
+
+    file: str
+    unit: Unit | None = None  # of glTF m, of other files to be said
+    up: Up | None = None  # the axis that is turned up to z: y of glTF, else z
+    frame: Frame | None = None
+    group: str | None = None
+
+
+class SurfaceFile(NamedTuple):
     """Vertices (V, 3) [m] in the scenario's frame and triangles (F, 3); notes of what was repaired.
 
     error_m: what thinning may have moved the surface by.
@@ -145,21 +154,12 @@ class SurfaceFile:
 
     vertices_m: Array
     faces: Indices
-    notes: tuple[str, ...] = ()
-    error_m: float = 0.0
+    file: str
+    notes: tuple[str, ...]
+    error_m: float
 
 
-@dataclass(frozen=True)
-class MeshChoice:
-    """What is read of a mesh file, and how: None is what its format says."""
-
-    unit: str | None
-    up: str | None
-    frame: Frame | None
-    group: str | None
-
-
-def read_body(table: TomlTable, path: Path, choice: MeshChoice, repair: Repair) -> SurfaceFile:
+def read_body(table: TomlTable, path: Path, choice: OfMeshFile, repair: Repair) -> SurfaceFile:
     """The closed surface of a body that `table` names, turned outward. Raises InputError."""
     _check_unit(table, path, choice)
     try:
@@ -169,22 +169,23 @@ def read_body(table: TomlTable, path: Path, choice: MeshChoice, repair: Repair) 
         vertices, faces, error = thinned(vertices, faces)
         faces = turned_outward(vertices, faces)
         notes = (*axes_notes(path, choice.unit, choice.up), *notes, *thinning_note(faces, error))
-        return SurfaceFile(_placed(table, path, choice.frame, vertices), faces, notes, error)
+        return SurfaceFile(_placed(table, path, choice.frame, vertices), faces, str(path), notes, error)
     except MeshRefusal as refusal:
         raise table.fault(str(refusal), "file") from refusal.__cause__
 
 
-def read_sheet(table: TomlTable, path: Path, choice: MeshChoice) -> SurfaceFile:
+def read_sheet(table: TomlTable, path: Path, choice: OfMeshFile) -> SurfaceFile:
     """A surface of any kind that `table` names, open ones as well. Raises InputError."""
     _check_unit(table, path, choice)
     try:
         vertices, faces = merged(*read_triangles(path, choice.unit, choice.group, choice.up))
     except MeshRefusal as refusal:
         raise table.fault(str(refusal), "file") from refusal.__cause__
-    return SurfaceFile(_placed(table, path, choice.frame, vertices), faces, axes_notes(path, choice.unit, choice.up))
+    notes = axes_notes(path, choice.unit, choice.up)
+    return SurfaceFile(_placed(table, path, choice.frame, vertices), faces, str(path), notes, 0.0)
 
 
-def _check_unit(table: TomlTable, path: Path, choice: MeshChoice) -> None:
+def _check_unit(table: TomlTable, path: Path, choice: OfMeshFile) -> None:
     """Raises InputError where neither the table nor the file or its format says a unit."""
     if choice.unit is None and not is_gltf(path) and stated_unit(path) is None:
         raise table.fault("is missing: the file does not say whether its numbers are in mm, cm, m or in", "unit")

@@ -71,6 +71,7 @@ def _kind_of(given: NDArray[Any]) -> str:
 
 MILLIMETRE = 1e-3  # m
 MM_PER_M = 1 / MILLIMETRE
+UNITS_M = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "in": 25.4e-3, "um": 1e-6}  # the likeliest mistake first
 UNIT_WORDS = {"m": "metres", "mm": "millimetres", "in": "inches", "cm": "centimetres", "um": "micrometres"}
 DEGREE = math.pi / 180  # rad
 HOUR_S = 3600.0

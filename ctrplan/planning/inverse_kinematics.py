@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ctrplan.base.arguments import SEED, Number, Whole, checked, require
-from ctrplan.base.arrays import LONGEST_MM, MM_PER_M, Array, numbers
+from ctrplan.base.arrays import LONGEST_MM, MM_PER_M, UNITS_M, Array, numbers
 from ctrplan.base.package import of_this_process, shown, warn_caller
 from ctrplan.errors import InputError
 from ctrplan.motion.checker import MotionChecker, breach, path_limits
@@ -26,7 +26,6 @@ from ctrplan.planning.reach import (
     rooms_on_stretches,
     tips_by_joints,
 )
-from ctrplan.robot.magnitudes import UNITS_M
 from ctrplan.robot.observer import ObserverState
 from ctrplan.robot.robot import Robot
 from ctrplan.scenario.joint_space import bare_scenario
