@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ctrplan.base.arguments import SEED, Number, Whole, checked, require
+from ctrplan.base.arguments import DIRECTION_TOLERANCE_DEG, MOST_STARTS, SEED, Number, Whole, checked, require
 from ctrplan.base.arrays import LONGEST_MM, MM_PER_M, UNITS_M, Array, numbers
 from ctrplan.base.package import of_this_process, shown, warn_caller
 from ctrplan.errors import InputError
@@ -40,8 +40,6 @@ if TYPE_CHECKING:
     from ctrplan.scenario.prediction import FrictionStart
 
 TOLERANCE_M = 1e-4
-DIRECTION_TOLERANCE_RAD = math.radians(5.0)
-MOST_STARTS = 100_000
 STARTS = 400
 FARTHEST_M = LONGEST_MM * 1e-3
 
@@ -167,7 +165,8 @@ def _target(
         raise InputError("must not be zero", key="direction", value=given.tolist())
     scaled = given / largest  # so that squares do not vanish
     along = scenario.base_R.T @ (scaled / np.linalg.norm(scaled))
-    return TipTarget(tip, along, DIRECTION_TOLERANCE_RAD if tolerance_rad is None else float(tolerance_rad))
+    allowed = math.radians(DIRECTION_TOLERANCE_DEG) if tolerance_rad is None else float(tolerance_rad)
+    return TipTarget(tip, along, allowed)
 
 
 def _vector(key: str, value: ArrayLike, largest: float, unit: str | None = None) -> Array:

@@ -241,7 +241,6 @@ def _bare(model: Node, storage: Node) -> Iterator[Node]:
 PERCENTS = tuple(range(0, 101, 10))  # of the motion's time, at which centrelines are written
 MOST_POINTS = 300  # of a curve: Slicer draws each of them
 SIDES, ENVELOPE_SIDES = 16, 14
-OPACITY = {"avoid": 0.6, "inside": 0.3}
 
 
 def case_files(motion: WrittenMotion, frame: Frame) -> dict[str, str | bytes]:
@@ -301,10 +300,9 @@ class _Case:
 
 def _anatomy(case: _Case, motion: WrittenMotion) -> None:
     for k, part in enumerate(motion.scenario.anatomy, start=1):
-        name = f"anatomy {k}: {part.shape.name}, {looks.ANATOMY_LOOK[part.role].name}"
-        case.model(
-            f"anatomy_{k}.ply", name, part.shape.surface(), looks.ANATOMY_LOOK[part.role].colour, OPACITY[part.role]
-        )
+        look, opacity = looks.ANATOMY_LOOK[part.role], looks.ANATOMY_OPACITY[part.role]
+        name = f"anatomy {k}: {part.shape.name}, {look.name}"
+        case.model(f"anatomy_{k}.ply", name, part.shape.surface(), look.colour, opacity)
     case.model("plate.ply", looks.PLATE_LOOK.name, stand(motion.scenario), looks.PLATE_LOOK.colour)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import ExitStack
@@ -42,6 +41,7 @@ from ctrplan.storage.csv_table import csv_text
 from ctrplan.storage.toml_document import LARGEST_NUMBER, override_names
 from ctrplan.storage.toml_faults import unit_of
 from ctrplan.studies.child_process import ChildExecutor
+from ctrplan.studies.study.axes import CONFIGURATION
 
 if TYPE_CHECKING:
     from ctrplan.base.long_work import Progress
@@ -50,7 +50,6 @@ if TYPE_CHECKING:
 
 MOST_POINTS = 1_000_000
 FORM = "has the form KEY=FROM:TO:COUNT, such as theta_3=0:180:91 or contact.1.friction_coefficient=0:0.5:26"
-_COLLAR = re.compile(r"(theta|l)_([0-9]+)")
 _KINDS: dict[str, Kind] = {"theta": "rotation", "l": "translation"}
 
 
@@ -92,7 +91,7 @@ def parse_axis(text: str, n: int) -> SweepAxis:
     if not equals or not key or len(parts) != 3:
         raise InputError(FORM, key="--sweep", value=text)
     values = _values(parts, text)
-    match = _COLLAR.fullmatch(key)
+    match = CONFIGURATION.fullmatch(key)
     if not match:
         return SweepAxis(key, values)
     tube = int(match[2])
