@@ -5,9 +5,13 @@ from __future__ import annotations
 import argparse
 import math
 import shlex
+import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ctrplan.base.arguments import SEARCH_TIME, SEED
 from ctrplan.base.long_work import INTERRUPTED, interrupt_event
@@ -19,6 +23,7 @@ from ctrplan.commands.options import (
     add_set_option,
 )
 from ctrplan.commands.terminal import ProgressBar, amber, tell_next, warn
+from ctrplan.errors import CtrplanError
 from ctrplan.storage.output_folder import output_folder
 
 if TYPE_CHECKING:
@@ -111,45 +116,127 @@ def run(arguments: argparse.Namespace) -> int:
             return INTERRUPTED
         if standing(result) == "good":
             return 0
-        _print_helpful(arguments, result)
+        _print_levers(arguments, result, interrupted)
         return MAY_MISS
 
 
-def _line(arguments: argparse.Namespace, *keys: str, seed: int | None = None, is_compensated: bool = False) -> str:
-    """The command as it was given, with keys of the scenario, a seed or a compensation set anew, for a shell."""
-    names = [text.split("=")[0].strip() for text in keys]
-    kept = [text for text in arguments.overrides if text.split("=")[0].strip() not in names]
-    chosen = arguments.seed if seed is None else seed
-    words = ["ctrplan", "plan", arguments.scenario, "-o", str(arguments.output)]
-    words += [word for text in (*kept, *keys) for word in ("--set", text)]
-    words += ["--seed", str(chosen)] if chosen else []
-    words += [] if arguments.time is None else ["--time", f"{arguments.time:g}"]
-    words += ["--no-compensation"] if arguments.no_compensation and not is_compensated else []
-    words += [flag for flag in ("--no-report", "--allow-outside") if getattr(arguments, flag[2:].replace("-", "_"))]
-    return shlex.join(words)
+LEVERS_S = 10.0  # after which no lever is waited for, a budget
+LEVER_SEARCH_S = 2.0  # of work counted in another search, a budget
+POLL_S = 0.1  # between two looks at what is computed
 
 
-def _print_helpful(arguments: argparse.Namespace, plan: Plan) -> None:
-    """What would bring the worst arrival nearer by its causes, and what may be tried, each with the line to type."""
+@dataclass(frozen=True)
+class Command:
+    """What the command was given, or what is to be typed in its place."""
+
+    scenario: str
+    overrides: tuple[str, ...]
+    seed: int
+    is_compensated: bool
+    allow_outside: bool
+
+    def with_keys(self, *overrides: str) -> Command:
+        """The command with keys of the scenario set anew."""
+        keys = [text.split("=")[0].strip() for text in overrides]
+        kept = [text for text in self.overrides if text.split("=")[0].strip() not in keys]
+        return replace(self, overrides=(*kept, *overrides))
+
+    def line(self, arguments: argparse.Namespace) -> str:
+        """To be typed into a shell; output and time of the search as they were given, the latter unless it is a key."""
+        words = ["ctrplan", "plan", self.scenario, "-o", str(arguments.output)]
+        words += [word for text in self.overrides for word in ("--set", text)]
+        words += ["--seed", str(self.seed)] if self.seed else []
+        if arguments.time is not None and not any(text.startswith("planner.time_s") for text in self.overrides):
+            words += ["--time", f"{arguments.time:g}"]
+        words += [] if self.is_compensated else ["--no-compensation"]
+        words += ["--no-report"] if arguments.no_report else []
+        words += ["--allow-outside"] if self.allow_outside else []
+        return shlex.join(words)
+
+
+@dataclass(frozen=True)
+class Lever:
+    """Something that would bring the arrival nearer to its target: a plan, or an arrival, that was computed."""
+
+    what: str
+    off: float  # how far the worst target may be missed with it: m, or rad where only the direction is off
+    command: Command | str  # to be typed; a string where it needs what only the user has
+
+
+@dataclass
+class Levers:
+    """What was computed in time, and the names of what was not."""
+
+    computed: list[Lever]
+    missing: list[str]
+
+
+def levers(
+    plan: Plan, command: Command, until_s: float, interrupted: threading.Event, report: Callable[[], object]
+) -> Levers:
+    """What would help a plan that may miss its target, each computed, until a time of `time.monotonic`.
+
+    What follows from the arrival's causes is known at once. Other plans are made in processes of their own, which are
+    ended when the time is over or `interrupted` is set: planning cannot be told to end in the middle of a simulation.
+    """
+    from concurrent.futures import FIRST_COMPLETED, wait
+
+    from ctrplan.reports.plan_words import worst_arrival
+    from ctrplan.studies.child_process import ChildEnded, ChildExecutor
+
+    worst = worst_arrival(plan)
+    if worst is None or worst.arrival is None:
+        return Levers([], [])
+    is_turned = worst.error_m <= worst.tolerance_m
+    computed = [] if is_turned else [*_known_better(plan, worst.arrival, command)]
+    with ChildExecutor() as children:
+        tries = {children.submit(function, *given): what for what, function, given in _tries(plan, worst, command)}
+        pending = set(tries)
+        while pending and time.monotonic() < until_s and not interrupted.is_set():
+            done, pending = wait(pending, timeout=POLL_S, return_when=FIRST_COMPLETED)
+            for future in done:
+                with suppress(ChildEnded):
+                    error_m, error_rad, improved = future.result()
+                    computed.append(Lever(tries[future], error_rad if is_turned else error_m, improved))
+            report()
+        return Levers(computed, [what for future, what in tries.items() if future in pending])
+
+
+def _print_levers(arguments: argparse.Namespace, plan: Plan, interrupted: threading.Event) -> None:
+    """What would help, ranked, each with the line to type; the plan is written already."""
     from ctrplan.reports.plan_words import worst_arrival
 
     worst = worst_arrival(plan)
     if worst is None:
         return
+    overrides, is_compensated = tuple(arguments.overrides), not arguments.no_compensation
+    command = Command(arguments.scenario, overrides, arguments.seed, is_compensated, arguments.allow_outside)
+    began = time.monotonic()
+    with ProgressBar(quiet=arguments.quiet, patience_s=0.0) as bar:
+
+        def report() -> None:
+            bar.show("what would help", min(1.0, (time.monotonic() - began) / LEVERS_S))
+
+        report()
+        result = levers(plan, command, began + LEVERS_S, interrupted, report)
     is_turned = worst.error_m <= worst.tolerance_m
     off, most = (worst.error_rad, worst.direction_tolerance_rad) if is_turned else (worst.error_m, worst.tolerance_m)
     unit, scale = ("deg", math.degrees(1.0)) if is_turned else ("mm", 1e3)
-    print(f"  what would bring it below {off * scale:.2f} {unit}:")
-    known = [] if is_turned or worst.arrival is None else [*_known_better(arguments, plan, worst.arrival)]
-    for what, error_m, line in sorted(known, key=lambda row: row[1]):
-        enough = " (enough)" if most is not None and error_m <= most else ""
-        print(f"    {error_m * scale:8.2f} {unit}{enough}  {what}: {line}")
+    helpful = sorted((lever for lever in result.computed if lever.off < off), key=lambda lever: lever.off)
+    print(
+        f"  what would bring it below {off * scale:.2f} {unit}, computed:" if helpful else "  nothing computed helps:"
+    )
+    for lever in helpful:
+        enough = " (enough)" if most is not None and lever.off <= most else ""
+        line = lever.command if isinstance(lever.command, str) else lever.command.line(arguments)
+        print(f"    {lever.off * scale:8.2f} {unit}{enough}  {lever.what}: {line}")
     if math.isfinite(off):
         key = f"{worst_table(plan, worst)}.{'direction_tolerance_deg' if is_turned else 'tolerance_mm'}"
-        allowed = _line(arguments, f"{key}={math.ceil(off * scale * 100) / 100:g}")
-        print(f"    as it is, with another tolerance: {allowed}")
-    for what, line in _worth_trying(arguments, plan, worst):
-        print(f"    to be tried, {what}: {line}")
+        allowed = command.with_keys(f"{key}={math.ceil(off * scale * 100) / 100:g}")
+        print(f"    as it is, with another tolerance: {allowed.line(arguments)}")
+    if result.missing:
+        why = "interrupted" if interrupted.is_set() else f"not within {LEVERS_S:g} s"
+        print(f"    not computed ({why}): {', '.join(dict.fromkeys(result.missing))}")
 
 
 def worst_table(plan: Plan, worst: TargetArrival) -> str:
@@ -159,43 +246,100 @@ def worst_table(plan: Plan, worst: TargetArrival) -> str:
     return names[worst.target.split(" (")[0]]
 
 
-def _known_better(arguments: argparse.Namespace, plan: Plan, arrival: Arrival) -> Iterator[tuple[str, float, str]]:
-    """Uncertainties known to half, which the arrival's own shares tell: what, the error then [m], a line to type."""
+def _known_better(plan: Plan, arrival: Arrival, command: Command) -> Iterator[Lever]:
+    """Uncertainties known to half, which the arrival's own shares tell."""
     cause, stated = arrival.by_cause, plan.scenario.registration
     if cause.registration_m > 0:
         position, rotation = stated.position_sigma_m * 1e3 / 2, math.degrees(stated.rotation_sigma_rad) / 2
         better = [f"base.position_sigma_mm={position:.3g}"] if position else []
         better += [f"base.rotation_sigma_deg={rotation:.3g}"] if rotation else []
-        error_m = arrival.error_m - cause.registration_m / 2
-        yield "a registration twice as good", error_m, _line(arguments, *better)
+        located = command.with_keys(*better)
+        yield Lever("a registration twice as good", arrival.error_m - cause.registration_m / 2, located)
     if cause.parameters_m > 0:
         what, by_measuring = "parameters known to half their intervals", "ctrplan calibrate ROBOT MEASUREMENTS"
-        yield what, arrival.error_m - cause.parameters_m / 2, by_measuring
-    halves = [
+        yield Lever(what, arrival.error_m - cause.parameters_m / 2, by_measuring)
+
+
+Answer = tuple[float, float, Command]  # [m] and [rad] that the worst target may be missed by, with a command
+
+
+def _tries(
+    plan: Plan, worst: TargetArrival, command: Command
+) -> Iterator[tuple[str, Callable[..., Answer], tuple[Any, ...]]]:
+    """What may help, the likeliest first: its name, a function that computes it, and its arguments."""
+    scenario, arrival = plan.scenario, worst.arrival
+    short = command
+    if scenario.planner.time_s > LEVER_SEARCH_S:
+        short = command.with_keys(f"planner.time_s={LEVER_SEARCH_S:g}")
+    if not command.is_compensated:
+        yield "compensation", _replanned, (replace(short, is_compensated=True),)
+    friction = scenario.robot.friction.tolist()
+    halves = {
         f"robot.contact.{k}.friction_coefficient=[{(3 * low + high) / 4:.4g}, {(low + 3 * high) / 4:.4g}]"
-        for k, (low, high) in enumerate(plan.scenario.robot.friction.tolist(), start=1)
+        for k, (low, high) in enumerate(friction, start=1)
         if low < high
-    ]
-    if halves and cause.coefficients_m > 0:
-        what, error_m = (
-            "friction coefficients known to half their intervals",
-            arrival.error_m - cause.coefficients_m / 2,
-        )
-        yield what, error_m, _line(arguments, *halves)
-
-
-def _worth_trying(arguments: argparse.Namespace, plan: Plan, worst: TargetArrival) -> Iterator[tuple[str, str]]:
-    """Other plans, the likeliest to help first, each with a line to type."""
-    goal, settle = plan.scenario.goal, plan.scenario.planner.settle
-    if arguments.no_compensation:
-        yield "compensation", _line(arguments, is_compensated=True)
-    past_m = worst.arrival.by_cause.past_m if worst.arrival else 0.0
+    }
+    if halves and arrival and arrival.by_cause.coefficients_m > 0:
+        samples, certificate = plan.certificate.samples, plan.certificate
+        motion = (samples.joints, samples.leg, certificate.goal_bound_m, certificate.goal_play_m)
+        rest_m = arrival.error_m - arrival.by_cause.coefficients_m
+        known = command.with_keys(*sorted(halves))
+        yield "friction coefficients known to half their intervals", _better_known, (known, motion, rest_m)
+    yield "another path and goal state", _replanned, (replace(short, seed=command.seed + 1),)
+    past_m = arrival.by_cause.past_m if arrival else 0.0
     for kind, what in (("auto", "an ending by which every pair slips"), ("oscillate", "an oscillation at the end")):
-        if past_m > 0.1 * goal.tolerance_m and settle != kind:
-            yield what, _line(arguments, f'planner.settle="{kind}"')
-    yield "another path and goal state", _line(arguments, seed=arguments.seed + 1)
-    if goal.joints is None:
-        yield "another base", shlex.join(["ctrplan", "place", arguments.scenario])
+        if past_m > 0.1 * scenario.goal.tolerance_m and scenario.planner.settle != kind:
+            yield what, _replanned, (short.with_keys(f'planner.settle="{kind}"'),)
+    yield "another path and goal state", _replanned, (replace(short, seed=command.seed + 2),)
+    if scenario.goal.joints is None:
+        yield "another base", _placed, (short,)
+
+
+def _replanned(command: Command) -> Answer:
+    """The plan of a command; inf where there is none."""
+    from ctrplan.files.scenario_file import load_scenario
+    from ctrplan.planning import plan
+    from ctrplan.reports.plan_words import worst_arrival
+
+    try:
+        scenario = load_scenario(command.scenario, command.overrides, allow_outside=command.allow_outside)
+        worst = worst_arrival(plan(scenario, seed=command.seed, compensated=command.is_compensated))
+    except CtrplanError:
+        return math.inf, math.inf, command
+    return (worst.error_m, worst.error_rad, command) if worst else (math.inf, math.inf, command)
+
+
+def _placed(command: Command) -> Answer:
+    """The plan of a command with the base where `ctrplan place` would put it."""
+    from ctrplan.files.file_content import base_key
+    from ctrplan.files.scenario_file import load_scenario
+    from ctrplan.planning.place import place
+
+    scenario = load_scenario(command.scenario, command.overrides, allow_outside=command.allow_outside)
+    try:
+        pose = place(scenario, candidates=64, confirmed=2).poses[0]
+    except CtrplanError:
+        return math.inf, math.inf, command
+    kept = tuple(text for text in command.overrides if not text.lstrip().startswith("base"))
+    return _replanned(replace(command, overrides=(*kept, base_key(scenario, pose))))
+
+
+def _better_known(command: Command, motion: tuple[Any, Any, float, float], rest_m: float) -> Answer:
+    """The arrival of a motion, joints (K, m) on legs (K,), with other intervals of friction: that of the rest of causes
+    and of these coefficients, simulated.
+    """
+    from ctrplan.certificate.arrival import arrival, simulated_rows
+    from ctrplan.files.scenario_file import load_scenario
+    from ctrplan.scenario.prediction import predict_end, start_states
+
+    joints, leg, bound_m, play_m = motion
+    scenario = load_scenario(command.scenario, command.overrides, allow_outside=command.allow_outside)
+    scenario = replace(scenario, via=())
+    rows, keep = simulated_rows(scenario, joints, leg)
+    path, starts = (joints[rows], leg[rows]), start_states(scenario)
+    prediction, _ = predict_end(scenario.robot, path[0], starts, keep=keep)
+    known = arrival(scenario, *path, prediction, starts, goal_bound_m=bound_m, play_m=play_m)
+    return rest_m + known.by_cause.coefficients_m, known.error_rad, command
 
 
 def _summary(folder: Path, plan: Plan, outputs: Sequence[str]) -> str:

@@ -342,6 +342,14 @@ def content_at(content: dict[str, Any], pose: BasePose | BaseFrame) -> dict[str,
     return {**copy.deepcopy(content), "base": base}
 
 
+def base_key(scenario: Scenario, pose: BasePose) -> str:
+    """An override that puts a scenario's robot to a pose; how well the base is known stays as it was said."""
+    stated, degrees = scenario.registration, math.degrees(scenario.registration.rotation_sigma_rad)
+    sigmas = {"position_sigma_mm": stated.position_sigma_m * MM_PER_M, "rotation_sigma_deg": degrees}
+    content = {**_pose(pose), **{key: value for key, value in sigmas.items() if value}}
+    return f"base={{{toml_text(content).strip().replace(chr(10), ', ')}}}"
+
+
 def names_files_outside(document: Document, file: Path) -> bool:
     """Whether the file at `file` would name some that lie outside of its folder."""
     inside, here = file.parent.resolve(), Path(document.file or ".").parent

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import argparse
 import itertools
 import json
+import os
 import shlex
+import signal
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,7 +24,11 @@ from ctrplan.certificate.arrival import friction_variants
 from ctrplan.certificate.certificate import joined_certificates
 from ctrplan.certificate.certify import certify
 from ctrplan.certificate.other_equilibria import _windings, other_start
+from ctrplan.commands import plan as plan_command
+from ctrplan.commands.plan import Command, _replanned
+from ctrplan.commands.terminal import ProgressBar
 from ctrplan.drive.drive import ExecutionTolerance
+from ctrplan.files.file_content import base_key
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.mechanics.friction import FrictionLaw
 from ctrplan.mechanics.history import HistoryOptions
@@ -241,7 +248,10 @@ def test_a_robot_that_may_be_wound_up_is_refused_at_its_start() -> None:
         ctrplan.plan(replace(case, start=np.array([0.0, wound[0], -0.02])), time_s=0.3)
 
 
-def test_the_command_says_what_would_help(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_says_what_would_help(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(plan_command, "LEVERS_S", 1.0)
     tip = (pair().goal.tip_m * 1e3).round(3).tolist()
     goal = f"goal={{tip_mm={tip}, tolerance_mm=0.06}}"
     given = ["plan", str(SCENARIOS / "pair_free.toml"), "-o", str(tmp_path / "out"), "--time", "0.2", "--quiet"]
@@ -314,25 +324,66 @@ def amber(folder: Path) -> list[str]:
 
 
 def line_of(text: str, what: str) -> tuple[float, list[str]]:
-    """The number and the words to type of something that would help."""
+    """The number and the words to type of a lever."""
     (line,) = [line for line in text.splitlines() if f"{what}: ctrplan" in line]
     return float(line.split()[0]), shlex.split(line.split(f"{what}: ")[1])[1:]
 
 
-def test_a_line_to_type_is_the_command_with_what_would_help(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Keys are set anew, all else stays as it was given; with the tolerance that it shows a plan is no longer amber."""
-    given = [*amber(tmp_path / "a b"), "--seed", "3", "--no-compensation"]
-    assert main(given) == 3
+def test_a_line_to_type_is_what_its_number_was_computed_from(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(plan_command, "LEVERS_S", 0.01)  # of the second run, whose levers nobody reads
+    keys = tuple(word for word in amber(tmp_path) if "=" in word)
+    command = Command(str(SCENARIOS / "pair_free.toml"), keys, 3, is_compensated=False, allow_outside=False)
+    better = command.with_keys("goal.tolerance_mm=0.07", "planner.time_s=0.1")
+    assert sum(text.startswith("planner.time_s") for text in better.overrides) == 1
+    error_m, _, same = _replanned(better)
+    # The search is counted: its time is a key.
+    given = argparse.Namespace(output=tmp_path / "a b", time=5.0, no_report=True)
+    assert same is better and main([*shlex.split(better.line(given))[1:], "--quiet"]) == 3
+    content = json.loads((tmp_path / "a b" / "plan.json").read_text())
+    assert content["certificate"]["arrival"]["error_m"] == pytest.approx(error_m, rel=1e-9)
+    assert content["seed"] == 3 and content["compensation"] is None
+
+
+def test_levers_end_in_time_and_say_what_is_missing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(plan_command, "LEVERS_S", 0.01)
+    assert main(amber(tmp_path)) == 3
     text = capsys.readouterr().out
-    error_mm, words = line_of(text, "a registration twice as good")
-    arrival = json.loads((tmp_path / "a b" / "plan.json").read_text())["certificate"]["arrival"]
-    assert 0 < error_mm < 1e3 * arrival["error_m"]
-    assert words.count("base.position_sigma_mm=0.25") == 1 and "base.position_sigma_mm=0.5" not in words
-    assert {*given} - {"base.position_sigma_mm=0.5", "--quiet"} <= {*words}
-    assert "to be tried, compensation: " in text and "to be tried, another base: ctrplan place " in text
-    (another,) = (line for line in text.splitlines() if "to be tried, another path and goal state: " in line)
-    assert another.endswith("--seed 4 --no-compensation --no-report")
+    assert "not computed (not within 0.01 s): another path and goal state, another base" in text
+    assert line_of(text, "a registration twice as good")[0] > 0
+    capsys.readouterr()
     assert main([*shlex.split(text.split("another tolerance: ")[1].splitlines()[0])[1:], "--quiet"]) == 0
+
+
+def test_ctrl_c_during_the_levers_keeps_the_plan(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    show = ProgressBar.show
+
+    def pressing(bar: ProgressBar, stage: str, fraction: float, note: str = "") -> None:
+        show(bar, stage, fraction, note)
+        if stage == "what would help" and fraction < 0.5:
+            assert (tmp_path / "plan.json").exists()
+            os.kill(os.getpid(), signal.SIGINT)
+
+    monkeypatch.setattr(ProgressBar, "show", pressing)
+    previous = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        assert main(amber(tmp_path)) == 3
+    finally:
+        signal.signal(signal.SIGINT, previous)
+    assert "not computed (interrupted): another path and goal state, another base" in capsys.readouterr().out
+    assert json.loads((tmp_path / "plan.json").read_text())["certificate"]["valid"] is True
+
+
+def test_a_base_may_be_set_by_one_key() -> None:
+    case = load_scenario(SCENARIOS / "vessel.toml", ["base.position_sigma_mm=0.5"])
+    pose = ctrplan.place(case, candidates=8, confirmed=1).poses[0]
+    there = load_scenario(SCENARIOS / "vessel.toml", [base_key(case, pose)])
+    np.testing.assert_array_equal(there.base_position_m, pose.position_m)
+    np.testing.assert_array_equal(there.base_R, pose.R)
+    assert there.registration == case.registration
 
 
 def test_a_detour_counts_as_if_it_were_driven_to_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
