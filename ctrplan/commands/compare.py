@@ -117,13 +117,11 @@ def compared_figure(first: WrittenPlan, second: WrittenPlan, names: tuple[str, s
     from ctrplan.reports.plan_picture import draw_panel
 
     figure = Figure(figsize=(12, 4.2), layout="constrained")
-    heads = zip(_heads(first, second, names), ("blue", "orange"), strict=False)
-    title = "\n".join(f"{head}, {colour}" for head, colour in heads)
-    figure.suptitle(title, x=0.01, ha="left", fontsize=9, parse_math=False)
+    figure.suptitle("\n".join(_heads(first, second, names)[:2]), x=0.01, ha="left", fontsize=9, parse_math=False)
     panels, time = _panels((first, second))
     for k, panel in enumerate(panels):
         ax = figure.add_subplot(1, 3, k + 1)
-        draw_panel(ax, panel, time, heading=panel.title)
+        draw_panel(ax, panel, time, heading=f"{panel.title}: A blue, B orange")
         ax.set_xlabel("time (s)")
     space: Any = figure.add_subplot(1, 3, 3, projection="3d")
     for plan, colour in zip((first, second), SERIES, strict=False):

@@ -1,4 +1,4 @@
-"""Studies on processes of this machine, and on dask, whose scheduler and workers were started by hand."""
+"""Studies on dask: a cluster of this machine, and one whose scheduler and workers were started by hand."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, suppress
+from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -87,7 +88,7 @@ def test_a_worker_is_killed_and_another_joins_late(started: Any, tmp_path: Path)
     assert table["pressed"].tolist() == [seed**2 for seed in range(40)]
 
 
-def test_the_command_on_processes_of_this_machine(
+def test_the_command_on_a_cluster_of_this_machine(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     script = ModuleType("__main__")  # one without a guard: workers that ran it again would end at once
@@ -105,6 +106,7 @@ def test_the_command_on_processes_of_this_machine(
     said = capsys.readouterr()
     assert "9 of 9 tasks, 9 of them done now" in said.out and "results.parquet" in said.out
     assert "9 tasks (bound), about" in said.err
+    assert ("can be watched at http" in said.err) == (find_spec("bokeh") is not None)
     table = load_study(tmp_path / "out")
     assert (tmp_path / "out" / "report.html").is_file() and table.done.all()
     alone = Study.read(file).run(tmp_path / "pool", executor=Here())

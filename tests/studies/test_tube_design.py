@@ -227,6 +227,7 @@ def test_without_optuna_a_sentence_says_what_to_install(monkeypatch: Any, capsys
 def test_the_command_writes_the_front_and_its_robots(tmp_path: Path, capsys: Any, monkeypatch: Any) -> None:
     import tomli_w
 
+    monkeypatch.setattr("ctrplan.studies.study.study.is_installed", lambda: False)  # dask starts in two seconds
     monkeypatch.setattr("ctrplan.studies.study.study.PoolEngine", lambda workers: ExecutorEngine(Here(), workers))
     (tmp_path / "design.toml").write_text(tomli_w.dumps(content(trials=2, local={"designs": 0})), encoding="utf-8")
     folder = tmp_path / "out"

@@ -180,6 +180,9 @@ class Engine(ABC):
     def workers(self) -> int:
         """How many there are now."""
 
+    def prepare(self, content: bytes) -> None:  # noqa: B027 (where it is none of its business)
+        """Lets workers that were started for this study do what comes before a first task, all at the same time."""
+
     @abstractmethod
     def rows(self, content: bytes, chunks: Chunks, limit_s: float | None) -> Iterator[Lines]:
         """Rows of all chunks in any order. `content` is the pickled job; raises CtrplanError where nobody can go on."""

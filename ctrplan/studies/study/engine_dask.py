@@ -1,4 +1,4 @@
-"""Workers of dask.distributed: any cluster by its scheduler's address.
+"""Workers of dask.distributed: a cluster of processes on this machine, or any cluster by its scheduler's address.
 
 dask hands tasks to workers that live, and again where one dies or another joins; nothing here does.
 """
@@ -9,14 +9,18 @@ import asyncio
 import json
 import logging
 import os
+import signal
+import sys
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from functools import cached_property
+from types import ModuleType
 from typing import Any
 
+from ctrplan.base.long_work import cores
 from ctrplan.base.package import __version__
-from ctrplan.errors import InputError
+from ctrplan.errors import CtrplanError, InputError
 from ctrplan.studies.study.engine import (
     AHEAD,
     Chunk,
@@ -26,14 +30,39 @@ from ctrplan.studies.study.engine import (
     check_version,
     do_chunk,
     do_limited,
+    prepare,
 )
 from ctrplan.studies.study.store import Lines
+
+
+@contextmanager
+def no_main_module() -> Iterator[None]:
+    """Meanwhile such processes import no main module, so that scripts need no guard of theirs.
+
+    They would run a script without `if __name__ == "__main__":` from its beginning, and the study in it once more.
+    """
+    own = sys.modules["__main__"]
+    sys.modules["__main__"] = ModuleType("__main__")
+    try:
+        yield
+    finally:
+        sys.modules["__main__"] = own
+
 
 EXTRA = "pip install 'ctrplan[cluster]'"
 CONNECT_S = 5.0
 LOOK_S = 2.0  # between two looks at how many workers there are
 LONGEST_PAGE = 10_000  # bytes that are looked at
 FEWEST_AHEAD = 4  # chunks, where no worker has come yet
+# On one machine workers and client share the cores, of which dask took 5 % to look at itself.
+QUIET = {
+    "distributed.worker.profile.enabled": False,  # samples the stack of every worker each 10 ms
+    "distributed.admin.tick.interval": "1s",
+    "distributed.admin.low-level-log-length": 100,  # entries for each kind; 1,000 of them are 10 MB
+    "distributed.admin.system-monitor.interval": "2s",
+    "distributed.admin.system-monitor.gil.enabled": False,
+    "distributed.worker.memory.monitor-interval": "1s",
+}
 
 
 def is_installed() -> bool:
@@ -46,24 +75,29 @@ def is_installed() -> bool:
 class DaskEngine(Engine):
     """A cluster; one thread for each worker is all that ctrplan uses."""
 
-    def __init__(self, *, scheduler: str | None = None, scheduler_file: str | None = None) -> None:
-        """Connects within 5 s, by an address or a file that has it. Raises InputError."""
+    def __init__(
+        self, workers: int | None = None, *, scheduler: str | None = None, scheduler_file: str | None = None
+    ) -> None:
+        """Connects within 5 s, or starts `workers` processes here. Raises InputError, CtrplanError in one sentence."""
         if not is_installed():
             key = "--scheduler" if scheduler else "--scheduler-file"
             raise InputError(f"a cluster needs dask.distributed: {EXTRA}", key=key, value=scheduler or scheduler_file)
         logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what concerns the study is said by it
         self.opened = ExitStack()
         self.looked, self.count = -LOOK_S, 0
+        self.is_own = not (scheduler or scheduler_file)
         try:
-            self.client = self._client(scheduler, scheduler_file)
+            self.client = self._client(workers, scheduler, scheduler_file)
             self._check_versions()
         except BaseException:
             self.opened.close()
             raise
 
-    def _client(self, scheduler: str | None, scheduler_file: str | None) -> Any:
+    def _client(self, workers: int | None, scheduler: str | None, scheduler_file: str | None) -> Any:
         from distributed import Client
 
+        if not (scheduler or scheduler_file):
+            return self.opened.enter_context(Client(self._local(workers or cores())))
         key, value = ("--scheduler", scheduler) if scheduler else ("--scheduler-file", scheduler_file)
         if scheduler_file and not os.path.isfile(scheduler_file):  # for which dask would wait
             raise InputError("is not a file that exists", key=key, value=value)
@@ -74,12 +108,41 @@ class DaskEngine(Engine):
         except Exception as error:  # whatever else listens there may answer anything
             raise InputError(f"no scheduler answered within {CONNECT_S:g} s", key=key, value=value) from error
 
+    def _local(self, workers: int) -> Any:
+        import dask
+        from distributed import LocalCluster
+
+        self.opened.enter_context(dask.config.set(QUIET))
+        self.opened.enter_context(no_main_module())  # also where dask starts a worker anew
+        try:
+            cluster = LocalCluster(
+                n_workers=workers,
+                threads_per_worker=1,
+                processes=True,
+                host="127.0.0.1",
+                dashboard_address="127.0.0.1:0",  # any port that is free
+                silence_logs=logging.CRITICAL,
+                preload=["ctrplan.studies.study.engine_dask"],
+            )
+        except (OSError, RuntimeError) as error:
+            raise CtrplanError(f"no cluster could be started on this machine: {error}.") from error
+        return self.opened.enter_context(cluster)
+
     def _check_versions(self) -> None:
         """Raises VersionError for a worker that is there; those that join later say it with their first task."""
+        from ctrplan.studies.study.engine import VersionError
+
         try:
             self.client.run(check_version, __version__)
+        except VersionError:
+            raise
         except ModuleNotFoundError as error:
             raise InputError(f"the workers lack the module {error.name}: install ctrplan where they run") from error
+
+    def prepare(self, content: bytes) -> None:
+        """Prepares the workers. Those of other clusters do it with their first task: some may not have joined yet."""
+        if self.is_own:
+            self.client.run(prepare, content)
 
     @property
     def workers(self) -> int:
@@ -125,7 +188,7 @@ class DaskEngine(Engine):
         return self.client.submit(do_limited, shared, chunk, limit_s, pure=False)
 
     def __exit__(self, *_: object) -> None:
-        """Leaves the cluster."""
+        """Leaves the cluster, and ends it where it was started here."""
         self.opened.close()
 
 
@@ -165,3 +228,8 @@ def _shows_a_dashboard(link: str) -> bool:
             return b"needs bokeh" not in page.read(LONGEST_PAGE)
     except (URLError, OSError, ValueError):
         return False
+
+
+def dask_setup(worker: Any) -> None:
+    """Leaves Ctrl-C, which a terminal sends to all, to the process of the study: it ends the workers."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -20,7 +20,7 @@ from ctrplan.base.long_work import cores
 from ctrplan.errors import InputError
 from ctrplan.storage.toml_document import Document
 from ctrplan.studies.study.engine import Engine, ExecutorEngine, PoolEngine
-from ctrplan.studies.study.engine_dask import DaskEngine
+from ctrplan.studies.study.engine_dask import DaskEngine, is_installed
 from ctrplan.studies.study.store import Store
 from ctrplan.studies.study.study_definition import FromFile, StudyDefinition, defined
 from ctrplan.studies.study.table import StudyTable, extreme_tasks, load_study, write_table
@@ -76,8 +76,8 @@ class Where:
         if self.executor is not None:
             with ExecutorEngine(self.executor, self.expected) as engine:
                 yield engine
-        elif self.scheduler or self.scheduler_file:
-            with DaskEngine(scheduler=self.scheduler, scheduler_file=self.scheduler_file) as engine:
+        elif self.scheduler or self.scheduler_file or is_installed():
+            with DaskEngine(self.workers, scheduler=self.scheduler, scheduler_file=self.scheduler_file) as engine:
                 yield engine
         else:
             with PoolEngine(self.workers) as engine:
@@ -208,6 +208,8 @@ def _do(
     report(Doing("workers", 0, 1))
     try:
         with where.engine() as engine:
+            for study in some:
+                engine.prepare(study.content)
             for did in _done({study: missing[study] for study in some}, store, engine, report):  # noqa: B007
                 pass
             for study in extreme:
