@@ -5,12 +5,15 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arrays import MM_PER_M, Array
+from ctrplan.base.surface import Surface
+from ctrplan.errors import InputError
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
@@ -24,7 +27,15 @@ logger = logging.getLogger(__name__)
 
 
 class MeshRefusal(Exception):
-    """A rule that a mesh breaks, as the end of a sentence; whoever reads the mesh says where it was named."""
+    """A rule that a mesh breaks, as the end of a sentence; whoever reads the mesh says where it was named.
+
+    place_m: (3,) where in the file's frame, of what has a place.
+    """
+
+    def __init__(self, rule: str, place_m: Array | None = None) -> None:
+        """rule: see the class."""
+        self.place_m = place_m
+        super().__init__(rule)
 
 
 def welded(vertices: Array, faces: Indices) -> tuple[Array, Indices]:
@@ -41,13 +52,11 @@ def refuse_open(vertices: Array, faces: Indices) -> None:
     """Raises MeshRefusal for a mesh that is not closed."""
     odd = odd_edges(faces)
     if len(odd):
+        # The place is reported in the file's own frame, as the viewer of the mesh shows it (but in mm).
+        place = vertices[odd[0]].mean(axis=0)
+        x, y, z = place * 1e3
         count = f"{len(odd)} open edge{'s' if len(odd) > 1 else ''}"
-        raise MeshRefusal(f"is not closed: has {count}, one at {_place(vertices[odd[0]].mean(axis=0))}, must have none")
-
-
-def _place(point_m: Array) -> str:
-    """A point (3,) in the file's own frame, as the viewer of the mesh shows it, but in mm."""
-    return f"({', '.join(f'{x:.2f}' for x in point_m * MM_PER_M)}) mm"
+        raise MeshRefusal(f"is not closed: has {count}, one at ({x:.2f}, {y:.2f}, {z:.2f}) mm, must have none", place)
 
 
 def merged(vertices: Array, faces: Indices) -> tuple[Array, Indices]:
@@ -170,8 +179,9 @@ def _refuse_inside_out(vertices: Array, faces: Indices) -> None:
     behind, before = (np.asarray(igl.winding_number(vertices, faces, middle + s * step)) for s in (-1, 1))
     wrong = np.flatnonzero((behind < 0.5) | (before < -0.5))
     if len(wrong):
+        x, y, z = middle[wrong[0]] * 1e3
         rule = "its bodies share walls and can't be told apart, must bound a solid on one side"
-        raise MeshRefusal(f"can't be turned outward at {_place(middle[wrong[0]])}: {rule}")
+        raise MeshRefusal(f"can't be turned outward at ({x:.2f}, {y:.2f}, {z:.2f}) mm: {rule}", middle[wrong[0]])
 
 
 def _each(patch: Indices) -> Iterator[NDArray[np.bool_]]:
@@ -189,8 +199,10 @@ def _consistent(vertices: Array, faces: Indices) -> tuple[Indices, Indices]:
     turned = np.where((vote < 0)[patch][:, None], oriented[:, ::-1], oriented)
     bad = _unbalanced_edges(turned)  # one-sided, or patches that end at edges of more triangles and do not go together
     if len(bad):
-        place = _place(vertices[bad[0]].mean(axis=0))
-        raise MeshRefusal(f"can't be turned outward: its two sides meet at {place}, must bound a solid")
+        where = vertices[bad[0]].mean(axis=0)
+        x, y, z = where * 1e3
+        place = f"({x:.2f}, {y:.2f}, {z:.2f}) mm"
+        raise MeshRefusal(f"can't be turned outward: its two sides meet at {place}, must bound a solid", where)
     return turned, patch
 
 
@@ -231,6 +243,29 @@ def _bodies_within(vertices: Array, faces: Indices, body: Indices) -> NDArray[np
     return within
 
 
+@dataclass(frozen=True, eq=False)
+class MeshDefect:
+    """In the file's frame, m."""
+
+    file: Path
+    surface: Surface
+    place_m: Array  # (3,)
+
+    @property
+    def edges(self) -> Indices:
+        """Edges (E, 2) at which the surface ends, or one branches off."""
+        return odd_edges(self.surface.faces)
+
+
+class MeshDefectError(InputError):
+    """The refusal of a mesh that has a place."""
+
+    def __init__(self, refusal: InputError, defect: MeshDefect) -> None:
+        """Says what `refusal` says."""
+        super().__init__(refusal.rule, file=refusal.file, key=refusal.key, value=refusal.value, unit=refusal.unit)
+        self.defect = defect
+
+
 Repair = Literal["off", "holes", "caps"]
 
 FARTHEST_M = 2e-3  # of a patch from any vertex: what a hole may be closed by without being asked
@@ -267,7 +302,7 @@ def closed(vertices: Array, faces: Indices, repair: Repair) -> tuple[Indices, tu
         patch = triangulated(vertices, opening)
         away = _away_m(vertices[patch], tree)
         if away > FARTHEST_M and not (repair == "caps" and opening.off_plane_m <= FLAT_M):
-            raise MeshRefusal(_too_large(opening, away, repair))
+            raise MeshRefusal(_too_large(opening, away, repair), opening.middle_m)
         patches.append(patch)
         notes.append((away, opening))
     return np.concatenate([faces, *patches]), (_note(notes),)
@@ -313,7 +348,7 @@ def triangulated(vertices: Array, opening: Opening) -> Indices:
     loop = opening.loop.tolist()
     if len(loop) > LONGEST:
         rule = f"has an opening of {len(loop)} edges at {opening.place}: must have at most {LONGEST}"
-        raise MeshRefusal(rule)
+        raise MeshRefusal(rule, opening.middle_m)
     axes = np.linalg.svd(opening.normal[None])[2][1:]
     flat = (vertices[opening.loop] - opening.middle_m) @ axes.T
     points, turn = vertices[opening.loop], np.sign(_area(flat)) or 1.0
@@ -375,5 +410,6 @@ def _too_large(opening: Opening, away_m: float, repair: Repair) -> str:
 
 
 def _undecided(place_m: Array, what: str) -> None:
+    x, y, z = place_m * MM_PER_M
     rule = "inside and outside can't be told apart: clean it where the mesh was made, or say kind = 'surface'"
-    raise MeshRefusal(f"is not closed at {_place(place_m)}, where {what}: {rule}")
+    raise MeshRefusal(f"is not closed at ({x:.2f}, {y:.2f}, {z:.2f}) mm, where {what}: {rule}", place_m)

@@ -11,6 +11,8 @@ import numpy as np
 from ctrplan.anatomy.mesh_file import Unit, Up, axes_notes, is_gltf, read_triangles, stated_frame, stated_unit
 from ctrplan.anatomy.mesh_repair import (
     Indices,
+    MeshDefect,
+    MeshDefectError,
     MeshRefusal,
     Repair,
     closed,
@@ -22,6 +24,7 @@ from ctrplan.anatomy.mesh_repair import (
 from ctrplan.anatomy.patient_frame import Frame, to_scenario
 from ctrplan.anatomy.shape import PartEntry
 from ctrplan.base.arrays import MM_PER_M, Array
+from ctrplan.base.surface import Surface
 from ctrplan.storage.toml_document import TomlTable
 
 HUGE, ENOUGH = 1_000_000, 200_000  # triangles: what is thinned, and to what
@@ -162,6 +165,7 @@ class SurfaceFile(NamedTuple):
 def read_body(table: TomlTable, path: Path, choice: OfMeshFile, repair: Repair) -> SurfaceFile:
     """The closed surface of a body that `table` names, turned outward. Raises InputError."""
     _check_unit(table, path, choice)
+    vertices, faces = np.zeros((0, 3)), np.zeros((0, 3), np.int64)
     try:
         vertices, faces = merged(*read_triangles(path, choice.unit, choice.group, choice.up))
         faces, notes = closed(vertices, faces, repair)
@@ -171,7 +175,10 @@ def read_body(table: TomlTable, path: Path, choice: OfMeshFile, repair: Repair) 
         notes = (*axes_notes(path, choice.unit, choice.up), *notes, *thinning_note(faces, error))
         return SurfaceFile(_placed(table, path, choice.frame, vertices), faces, str(path), notes, error)
     except MeshRefusal as refusal:
-        raise table.fault(str(refusal), "file") from refusal.__cause__
+        fault = table.fault(str(refusal), "file")
+        if refusal.place_m is None:
+            raise fault from refusal.__cause__
+        raise MeshDefectError(fault, MeshDefect(path, Surface(vertices, faces), refusal.place_m)) from None
 
 
 def read_sheet(table: TomlTable, path: Path, choice: OfMeshFile) -> SurfaceFile:

@@ -108,6 +108,10 @@ def run(arguments: Sequence[str] | None = None) -> int:
         return code
     except CtrplanError as error:
         print(f"ctrplan: {error}", file=sys.stderr)
+        if (defect := getattr(error, "defect", None)) is not None:  # a mesh is refused because of a place in it
+            from ctrplan.reports.plan_picture import tell_picture
+
+            tell_picture(defect)
         return error.exit_code
     except MemoryError:
         print("ctrplan: there is not enough memory for this.", file=sys.stderr)

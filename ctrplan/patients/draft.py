@@ -15,6 +15,7 @@ import numpy as np
 from ctrplan.anatomy.image import ImageRefusal
 from ctrplan.anatomy.image_file import is_image, stated_image_frame
 from ctrplan.anatomy.mesh_file import stated_frame
+from ctrplan.anatomy.mesh_repair import MeshDefectError
 from ctrplan.anatomy.parts import AnatomyPart, combined_clearance, exact_clearance, surface_distance
 from ctrplan.anatomy.patient_frame import TURNED, Frame
 from ctrplan.anatomy.shape import PartShape, Role
@@ -324,4 +325,5 @@ def _said_of(structures: Sequence[Structure]) -> Iterator[None]:
         match = PART.match(error.key or "")
         if match is None or not 0 < int(match[1]) <= len(structures):
             raise
-        raise InputError(error.rule, file=structures[int(match[1]) - 1].file) from error
+        refusal = InputError(error.rule, file=structures[int(match[1]) - 1].file)
+        raise (MeshDefectError(refusal, error.defect) if isinstance(error, MeshDefectError) else refusal) from error
