@@ -8,10 +8,11 @@ import argparse
 import json
 import math
 import sys
+import time
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from ctrplan.commands.options import add_joint_options, add_set_option, configuration
 from ctrplan.commands.terminal import PATIENCE_S, ProgressBar, finite, tell_next, warn
@@ -25,6 +26,42 @@ if TYPE_CHECKING:
     from ctrplan.studies.sweep import Sweep
 
 TURNS = ": are whole parts of a turn in radians: are these in radians?"
+LONG_S = 2.0
+FEWEST_TUBES = 6  # that may take so long
+AT_ONCE = 4  # friction states that the core solves side by side
+EXTREME_SHARE = 0.55  # of the states that a search for extreme corners may ask for, those that it does: 6 to 10 tubes
+HARD_S = 10  # what the core grants corners that are hard to reach
+
+
+def states_visited(n: int, corners: Literal["all", "extreme"]) -> float:
+    """Friction states that a bound of n tubes solves; for extreme corners in the mean."""
+    pairs = n - 1
+    if corners == "all":
+        return float(2**pairs)
+    # each sign of each pair, two dozen candidates and their neighbours in four rounds, the corners chosen
+    return EXTREME_SHARE * (2 * pairs + 1 + 24 + 8 * pairs + 16)
+
+
+def sentence_beforehand(
+    robot: Robot, theta_b: Array, l_b: Array, accuracy: Accuracy, corners: Literal["all", "extreme"] | None
+) -> str | None:
+    """What will be visited and how long that takes, by one solve at the configuration; None where it is soon done."""
+    from ctrplan.mechanics.core import MOST_TUBES_OF_ALL_CORNERS
+
+    if robot.n < FEWEST_TUBES:
+        return None
+    chosen = corners or ("all" if robot.n <= MOST_TUBES_OF_ALL_CORNERS else "extreme")
+    began = time.perf_counter()
+    robot.solve(theta_b, l_b, accuracy=accuracy)
+    expected_s = (time.perf_counter() - began) * states_visited(robot.n, chosen) / AT_ONCE
+    which = f"{2 ** (robot.n - 1)} corners of {robot.n} tubes"
+    if chosen == "extreme":
+        which = f"the extreme ones of {which}" + ("" if corners else ", all with --corners all")
+    if expected_s < LONG_S:
+        return None if corners or chosen == "all" else which
+    return f"{which}: about {expected_s:.0f} s, up to {HARD_S} s more where corners are hard to reach"
+
+
 OUTPUTS = ("sweep.csv", "sweep.png")
 
 
@@ -195,13 +232,12 @@ def _no_bound(bound: Bound) -> str:
 
 
 def _bounded(robot: Robot, theta_b: Array, l_b: Array, arguments: argparse.Namespace) -> Bound:
-    """The bound, with a bar meanwhile where it takes long."""
-    from ctrplan.mechanics.core import MOST_TUBES_OF_ALL_CORNERS
+    """The bound, with its time said before and a bar meanwhile where it takes long."""
 
     accuracy: Accuracy = arguments.accuracy or "certificate"
-    if robot.n > MOST_TUBES_OF_ALL_CORNERS and arguments.corners is None:
-        print(f"ctrplan: the extreme ones of {2 ** (robot.n - 1)} corners, all with --corners all", file=sys.stderr)
-    with ProgressBar(patience_s=PATIENCE_S) as bar:
+    if notice := sentence_beforehand(robot, theta_b, l_b, accuracy, arguments.corners):
+        print(f"ctrplan: {notice}", file=sys.stderr)
+    with ProgressBar(patience_s=2.0) as bar:
         return robot.bound(
             theta_b,
             l_b,
