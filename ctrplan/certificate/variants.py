@@ -37,8 +37,8 @@ if TYPE_CHECKING:
 # What moves the tip less than that is first order: of second order is a tenth of it at most, and the corners of all
 # small axes together are solved where the anatomy is nearest.
 LARGE_M = 0.2e-3
-# Axes in cells, a budget: each doubles what is solved of a sample. At first, and where lengths of small ones may be what
-# refuses a path.
+# Axes in cells, a budget: each doubles what is solved of a sample. At first, and where lengths of small ones may refuse
+# a path.
 MOST_LARGE = (2, 3)
 PLACES = 5  # of the path where axes are ranked, its ends among them
 
