@@ -24,7 +24,7 @@ import copy
 import itertools
 import json
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import common
@@ -78,6 +78,7 @@ class World:
     play: Array  # (2 n,) rad, m
     registration: Registration
     delays_s: tuple[float, float]  # of rotations, of translations
+    made: dict[bytes, Robot] = field(default_factory=dict)  # robots by shares
 
     @property
     def robot(self) -> Robot:
@@ -85,13 +86,16 @@ class World:
 
     def changed(self, share: Array) -> Robot:
         """The robot with its knobs at shares (K,) from -1 to 1 of their intervals, as if the file said so."""
+        if (known := self.made.get(share.tobytes())) is not None:
+            return known
         content = copy.deepcopy({key: value for key, value in self.content.items() if key != "uncertainty"})
         for knob, s in zip(self.knobs, share, strict=True):
             at = content
             for key in knob.place[:-1]:
                 at = at[key]
             at[knob.place[-1]] = (knob.low + knob.high) / 2 + s * (knob.high - knob.low) / 2
-        return robot_from_dict(content, file=str(ROBOTS / "hunted.toml"))
+        self.made[share.tobytes()] = robot_from_dict(content, file=str(ROBOTS / "hunted.toml"))
+        return self.made[share.tobytes()]
 
 
 def world(kind: str, rng: np.random.Generator) -> World:
