@@ -4,13 +4,16 @@
     python benchmarks/run.py scenarios choice
     python benchmarks/run.py scenarios costs [SCENARIO ...] [--time 1] [--seeds 5] [--against CHECKOUT]
     python benchmarks/run.py scenarios success [SCENARIO ...] [--time 1] [--seeds 20]
+    python benchmarks/run.py scenarios cage [--time 2] [--seeds 5]
 
 costs: what plans of a search of so many seconds cost, how many seeds have one, and what all of it takes of a processor;
 with --against, in alternation with another checkout.
 success: how many seeds have a plan after a search of so many counted seconds, which ends with its first certified path.
+cage: the same of a robot whose inner tube stands in a cage of bars with three gaps, to three tips outside.
 choice: how much choice the scenarios' goals leave: goal configurations, their bounds, and the ratio between them.
 """
 
+import itertools
 import os
 import subprocess
 import sys
@@ -24,12 +27,14 @@ from arrival import driven, pasts
 from common import ROOT, SCENARIOS, again, table
 
 import ctrplan
+from ctrplan.anatomy.parts import AnatomyPart
+from ctrplan.anatomy.shapes.capsule import Capsule
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.motion.checker import MotionChecker
 from ctrplan.planning import Plan
 from ctrplan.planning.goal_states import goal_states
 from ctrplan.planning.search.stage_search import Progress
-from ctrplan.scenario.scenario import Cost, path_cost_mm
+from ctrplan.scenario.scenario import Cost, Scenario, path_cost_mm
 
 BLIND = ["cost.error_along=0", "cost.error_goal=0"]
 COLUMNS = ("scenario", "bound in the cost", "first certified path", "cost", "joint length", "worst bound")
@@ -149,25 +154,56 @@ def ended_by_a_path(progress: Progress) -> None:
         raise StopIteration
 
 
-def success(paths: list[Path], time_s: float, seeds: int) -> None:
-    """A row for each scenario; searches end by their count alone, so that a busy machine has the same rows."""
+def success(scenarios: dict[str, list[Scenario]], time_s: float, seeds: int, title: str) -> None:
+    """A row for each name; searches end by their count alone, so that a busy machine has the same rows."""
     rows = list[tuple[str, ...]]()
-    for path in paths:
-        scenario, took, planned = ctrplan.load_scenario(path, [f"planner.time_s={time_s}"]), list[float](), 0
-        told = None if scenario.via else ended_by_a_path  # a tour is planned to its end
-        for seed in range(seeds):
+    for name, several in scenarios.items():
+        took, planned = list[float](), 0
+        for scenario, seed in itertools.product(several, range(seeds)):
+            told = None if scenario.via else ended_by_a_path  # a tour is planned to its end
             began = time.process_time()
             try:
                 planned += ctrplan.plan(scenario, seed=seed, progress=told).certificate.valid
             except StopIteration:
                 planned += 1
             except ctrplan.CtrplanError as error:
-                print(path.stem, seed, error, file=sys.stderr, flush=True)
+                print(name, seed, error, file=sys.stderr, flush=True)
             took.append(time.process_time() - began)
-        rows.append((path.stem, f"{planned} of {seeds}", f"{np.median(took):.1f} s", f"{max(took):.1f} s"))
+        rows.append((name, f"{planned} of {len(took)}", f"{np.median(took):.1f} s", f"{max(took):.1f} s"))
         print(*rows[-1], sep=", ", file=sys.stderr, flush=True)
     heads = ("scenario", f"planned in {time_s:g} s", "median time of a processor", "longest")
-    table("success", heads, rows)
+    table(title, heads, rows)
+
+
+CAGE_M, BAR_M, FROM_M, TO_M, EVERY_DEG = (
+    18e-3,
+    0.8e-3,
+    130e-3,
+    260e-3,
+    6,
+)  # of bars; outer tubes reach 150
+GAPS_DEG, WIDE_DEG = (50.0, 170.0, 290.0), (60, 50, 40, 30)
+OUTSIDE_M, TIPS = 12e-3, 3  # of tips beyond the bars
+
+
+def caged(wide_deg: float, time_s: float) -> list[Scenario]:
+    """The three tubes of `ribs` in a cage with gaps so many degrees wide, to the tips of valid states outside."""
+    base = load_scenario(SCENARIOS / "ribs.toml", [f"planner.time_s={time_s}"])
+    around = np.arange(0.0, 360.0, EVERY_DEG)
+    away = np.abs((around[:, None] - GAPS_DEG + 180) % 360 - 180).min(axis=1)
+    at = CAGE_M * np.array([np.cos(np.radians(around)), np.sin(np.radians(around))]).T[away >= wide_deg / 2]
+    bars = [Capsule(np.append(xy, FROM_M), np.append(xy, TO_M), BAR_M) for xy in at]
+    parts = tuple(AnatomyPart(bar, "avoid", 0.5e-3) for bar in bars)
+    inside = replace(base, anatomy=parts, start=np.array([0.0, np.pi, 0.0, -75e-3]))
+    checker, results = MotionChecker(inside), list[Scenario]()
+    for joints in checker.space.sample(np.random.default_rng(0), 2000):
+        tip = inside.robot.solve(*inside.robot.drive.collars(joints)).tip_m
+        is_outside = np.hypot(*tip[:2]) > CAGE_M + OUTSIDE_M and tip[2] < TO_M
+        if is_outside and checker.state(joints).valid:
+            results.append(replace(inside, goal=replace(base.goal, tip_m=tip, joints=None)))
+        if len(results) == TIPS:
+            break
+    return results
 
 
 def main() -> None:
@@ -176,7 +212,7 @@ def main() -> None:
         print(*plan_once(Path(path), int(seed), float(time_s)))
         return
     parser = common.parser(__doc__)
-    parser.add_argument("section", choices=["plans", "choice", "costs", "success"])
+    parser.add_argument("section", choices=["plans", "choice", "costs", "success", "cage"])
     parser.add_argument("scenarios", nargs="*")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--seeds", type=int, default=5)
@@ -190,6 +226,10 @@ def main() -> None:
     elif given.section == "costs":
         costs(paths, given.time, given.seeds, given.against)
     elif given.section == "success":
-        success(paths, given.time, given.seeds)
+        shipped = {path.stem: [ctrplan.load_scenario(path, [f"planner.time_s={given.time}"])] for path in paths}
+        success(shipped, given.time, given.seeds, "success")
+    elif given.section == "cage":
+        cages = {f"gaps of {wide} deg": caged(wide, given.time) for wide in WIDE_DEG}
+        success(cages, given.time, given.seeds, "cage")
     else:
         print_choice(paths)

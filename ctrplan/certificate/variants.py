@@ -37,7 +37,9 @@ if TYPE_CHECKING:
 # What moves the tip less than that is first order: of second order is a tenth of it at most, and the corners of all
 # small axes together are solved where the anatomy is nearest.
 LARGE_M = 0.2e-3
-MOST_LARGE = 2  # axes in cells, a budget: each doubles what is solved of a sample
+# Axes in cells, a budget: each doubles what is solved of a sample. At first, and where lengths of small ones may refuse
+# a path.
+MOST_LARGE = (2, 3)
 PLACES = 5  # of the path where axes are ranked, its ends among them
 
 Point = tuple[float, ...]  # of the box, one number an axis
@@ -55,10 +57,12 @@ class Variants:
     _robots: dict[bytes, Robot] = field(default_factory=dict, repr=False)
 
     @classmethod
-    def of(cls, scenario: Scenario, joints: Array, large: tuple[int, ...] | None = None) -> Variants:
+    def of(
+        cls, scenario: Scenario, joints: Array, large: tuple[int, ...] | None = None, most: int = MOST_LARGE[0]
+    ) -> Variants:
         """The box of a scenario's robot on a path along joints (K, m).
 
-        Axes are large where they move the tip by more than LARGE_M on it, unless it is said which are.
+        Axes are large where they move the tip by more than LARGE_M on it, `most` at most, unless it is said which are.
         """
         robot, parameters = scenario.robot, uncertain_parameters(scenario.robot)
         half_widths = np.zeros(2 * robot.n) if robot.drive.play is None else np.concatenate(robot.drive.play)
@@ -70,8 +74,7 @@ class Variants:
             return result
         rows = joints[np.unique(np.linspace(0, len(joints) - 1, PLACES).round().astype(int))]
         moved_m = result.tip_moves(rows)
-        most = max(0, min(MOST_LARGE, MOST_TUBES - robot.n))
-        order = np.argsort(-moved_m, kind="stable")[:most]
+        order = np.argsort(-moved_m, kind="stable")[: max(0, min(most, MOST_TUBES - robot.n))]
         return cls(scenario, parameters, box, play, tuple(sorted(int(k) for k in order if moved_m[k] > LARGE_M)))
 
     @property

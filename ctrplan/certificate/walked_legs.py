@@ -30,7 +30,7 @@ from ctrplan.certificate.problems import (
     stated_bounds,
 )
 from ctrplan.certificate.uneven_friction import with_uneven_friction
-from ctrplan.certificate.variants import Variants
+from ctrplan.certificate.variants import MOST_LARGE, Variants
 from ctrplan.certificate.walked_piece import (
     Piece,
     checked_samples,
@@ -147,15 +147,12 @@ def walk_legs(
     scenario = standing(scenario, corners)
     space = JointSpace.of(scenario)
     known = failed.walked if failed and failed.scenario is scenario else ()
-    as_walked = pieces = walk_pieces(scenario, space, corners, accuracy, progress, known, timing)
-    judged = _judged(scenario, space, corners, pieces, spare_m)
-    for _ in range(FINER):
-        thin = judged.problems and all(TOO_CLOSE in problem for problem in judged.problems)
-        limit_m = path_limits(scenario).clearance_m
-        finer = walked_finely(judged.pieces, pieces, limit_m, space) if thin else None
-        if finer is None:
-            break
-        pieces, judged = finer, _judged(scenario, space, corners, finer, spare_m)
+    as_walked = walk_pieces(scenario, space, corners, accuracy, progress, known, timing)
+    judged = _closely_judged(scenario, space, corners, as_walked, spare_m)
+    if _may_keep_more(judged, path_limits(scenario).clearance_m):
+        wider = walk_pieces(scenario, space, corners, accuracy, progress, (), timing, most_large=MOST_LARGE[1])
+        if wider[0].variants.large != as_walked[0].variants.large:
+            judged = _closely_judged(scenario, space, corners, wider, spare_m)
     light = [piece.light() for piece in judged.pieces]
     kept = as_walked if judged.problems else ()
     figures = judged.samples, judged.bounds, judged.problems
@@ -170,6 +167,31 @@ class _Judged:
     samples: CertificateSamples
     bounds: StatedBounds
     problems: list[str]
+
+    @property
+    def is_too_close(self) -> bool:
+        """Whether the anatomy is all that is in the way."""
+        return bool(self.problems) and all(TOO_CLOSE in problem for problem in self.problems)
+
+
+def _closely_judged(
+    scenario: Scenario, space: JointSpace, corners: Array, pieces: list[Piece], spare_m: float
+) -> _Judged:
+    """What is said of walked pieces, which are walked in shorter steps where these may clear them."""
+    judged, limit_m = _judged(scenario, space, corners, pieces, spare_m), path_limits(scenario).clearance_m
+    for _ in range(FINER):
+        finer = walked_finely(judged.pieces, pieces, limit_m, space) if judged.is_too_close else None
+        if finer is None:
+            break
+        pieces, judged = finer, _judged(scenario, space, corners, finer, spare_m)
+    return judged
+
+
+def _may_keep_more(judged: _Judged, limit_m: float) -> bool:
+    """Whether all that is too close has enough but for lengths of small axes, which are added up."""
+    if not judged.is_too_close:
+        return False
+    return all(bool((piece.clearance_m + piece.added_up_m >= limit_m).all()) for piece in judged.pieces)
 
 
 def _judged(scenario: Scenario, space: JointSpace, corners: Array, pieces: list[Piece], spare_m: float) -> _Judged:

@@ -28,6 +28,7 @@ from ctrplan.certificate.friction_states import (
     mesh_allowance_m,
 )
 from ctrplan.certificate.variants import (
+    MOST_LARGE,
     VARIANT_SPACING_M,
     Variants,
     VariantWalks,
@@ -111,6 +112,13 @@ class Piece:
         """(K,) all that is taken off clearances of shapes solved at an accuracy."""
         return self.allowance_m + mesh_allowance_m(scenario.robot, accuracy)
 
+    @property
+    def added_up_m(self) -> Array:
+        """(K,) the largest sum of lengths that is taken off for small axes; zeros if there is none."""
+        if not self.walks.reach_m or not self.variants.small:
+            return np.zeros(len(self.l_b))
+        return np.array([reach.max() for reach in self.walks.reach_m]) - self.variants.base.shift_m
+
     def light(self) -> Piece:
         """Without the shapes."""
         corners = tuple(replace(walk, bodies=()) for walk in self.walks.corners)
@@ -172,14 +180,16 @@ def walk_pieces(
     known: Sequence[Piece] = (),
     timing: Trajectory | None = None,
     large: tuple[int, ...] | None = None,
+    most_large: int = MOST_LARGE[0],
 ) -> list[Piece]:
     """The legs in pieces, in parallel, each from scratch: of the frictionless and the corner shapes.
 
-    Those that are among the `known` ones of the same scenario, as they were walked, are not walked again.
+    Those that are among the `known` ones of the same scenario, as they were walked, are not walked again. `large` says
+    which axes of what the robot may be are looked at in cells, else the `most_large` that move the tip most are.
     """
     memory = {(piece.way.tobytes(), piece.variants.large, piece.accuracy): piece for piece in known}
     ways = _cut(space, driven_ways(scenario.robot.drive, corners, timing))
-    variants = Variants.of(scenario, np.concatenate([way for _, way in ways]), large)
+    variants = Variants.of(scenario, np.concatenate([way for _, way in ways]), large, most_large)
 
     def walk(leg_way: tuple[int, Array]) -> Piece:
         leg, way = leg_way

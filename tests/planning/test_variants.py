@@ -90,6 +90,16 @@ def test_play_does_not_refuse_what_is_free() -> None:
     assert certified(scene(loose, joints(0, 0, 0, -30), joints(0, 0, 17.2, -30))).valid
 
 
+def test_play_of_three_drives_along_an_obstacle_takes_nothing_of_the_clearance_across() -> None:
+    """All that play allows passes a sphere at 0.6 mm, sideways. The length of a third play refused it."""
+    play = {"theta_1_deg": 1.5, "theta_2_deg": 2.5, "theta_3_deg": 4.0}
+    ends = joints(0, 0, 40, -50), joints(0, 0, 41, -50)
+    case = scene(robot(effects={"backlash": play}, **FRICTIONLESS), *ends, ([70.257, 9.204, 162.81], 1.0))
+    result = certified(replace(case, start_friction="released"))
+    assert result.valid
+    assert 0 < result.min_clearance_m < 0.6e-3
+
+
 def test_a_term_of_the_drive_that_turns_a_tube_while_it_is_pushed_is_followed() -> None:
     bent = robot(effects={"learned_theta_3": BUMP})
     ends = joints(0, 0, 125, -69.5), joints(0, 0, 125, -31.5)
