@@ -31,19 +31,19 @@ SPACE: Frame = "LPS"  # of all files
 SCENE = "scene.mrml"  # of a case folder: what 3D Slicer is to open
 
 
-def patient_frame(scenario: Scenario, given: str | None, key: str = "--frame") -> Frame:
+def patient_frame(scenario: Scenario, given: str | None) -> Frame:
     """The frame of a scenario's anatomy: the one that its file says, or else the one given.
 
     Raises InputError where nobody says one, since a guess could turn the patient around, and where two are said.
     """
     own = scenario.frame
     if own is not None and given is not None and own != given:
-        raise InputError(f"contradicts the scenario, which says {own}", key=key, value=given)
+        raise InputError(f"contradicts the scenario, which says {own}", key="--frame", value=given)
     for frame in FRAMES:
         if (own or given) == frame:
             return frame
     rule = "must be RAS or LPS: which axes the anatomy's frame has in the patient can't be guessed"
-    raise InputError(rule, key=key, value=... if given is None else given)
+    raise InputError(rule, key="--frame", value=... if given is None else given)
 
 
 def to_lps(frame: Frame) -> Array:

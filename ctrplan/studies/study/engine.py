@@ -35,13 +35,11 @@ class VersionError(InputError):
     """A worker has another version of the package than whoever sent it tasks."""
 
 
-def check_version(theirs: str, worker: str = "") -> None:
+def check_version(theirs: str) -> None:
     """Raises VersionError, with both, unless this process has the version of whoever sends tasks."""
     if theirs != __version__:
-        where = worker or worker_name()
-        raise VersionError(
-            f"the worker {where} has ctrplan {__version__}, the study is run by {theirs}: install the same"
-        )
+        differ = f"has ctrplan {__version__}, the study is run by {theirs}: install the same"
+        raise VersionError(f"the worker {worker_name()} {differ}")
 
 
 def do_chunk(content: bytes, chunk: Chunk) -> Lines:
