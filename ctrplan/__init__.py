@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from ctrplan.base.package import __version__ as __version__
-from ctrplan.base.package import lazy_names
+from ctrplan.base.package import homes_in, lazy_names
 
 if TYPE_CHECKING:
     from ctrplan import planning
@@ -81,85 +81,6 @@ if TYPE_CHECKING:
     from ctrplan.studies.sweep import plan_many as plan_many
     from ctrplan.uncertainty.tip_slopes import bound_with_parameters as bound_with_parameters
 
-_HOMES = {
-    "Anatomy": "anatomy.parts:AnatomyPart",
-    "Section": "mechanics.tube:TubeSection",
-    "Tube": "mechanics.tube",
-    "Contact": "mechanics.tube",
-    "Loads": "mechanics.tube",
-    "Joint": "drive.drive",
-    "Drive": "drive.drive",
-    "Sphere": "anatomy.shapes.sphere",
-    "Capsule": "anatomy.shapes.capsule",
-    "Box": "anatomy.shapes.box",
-    "Mesh": "anatomy.shapes.mesh",
-    "Volume": "anatomy.shapes.volume",
-    "Fixture": "anatomy.fixture",
-    "Goal": "scenario.scenario",
-    "Margins": "scenario.scenario",
-    "Cost": "scenario.scenario",
-    "CostTerm": "scenario.scenario",
-    "Registration": "scenario.scenario",
-    "BITStar": "planning.search.planners.bit_star",
-    "RRTStar": "planning.search.planners.rrt_star",
-    "RRTConnect": "planning.search.planners.rrt_connect",
-    "MotionChecker": "motion.checker",
-    "as_read": "files.file_content",
-    "to_toml": "files.file_content",
-    "robot_from_dict": "files.robot_file",
-    "scenario_from_dict": "files.scenario_file",
-    "Calibration": "calibration.calibrate",
-    "Diagnosis": "diagnosis.result",
-    "calibrate": "calibration.calibrate",
-    "Case": "patients.case",
-    "case": "patients.case",
-    "Measurements": "measurement.measurements",
-    "diagnose": "diagnosis.workflow",
-    "load_measurements": "files.measurement_file",
-    "Bound": "mechanics.shapes",
-    "Bounds": "mechanics.shapes",
-    "Shape": "mechanics.shapes",
-    "Status": "mechanics.shapes",
-    "History": "mechanics.history",
-    "HistoryStep": "mechanics.history",
-    "CtrplanError": "errors",
-    "InputError": "errors",
-    "NoAnswerError": "errors",
-    "Robot": "robot.robot",
-    "load_robot": "files.robot_file",
-    "Scenario": "scenario.scenario",
-    "load_scenario": "files.scenario_file",
-    "load_plan": "files.plan_file",
-    "open_plan": "files.plan_folder",
-    "save_plan": "reports.plan_page",
-    "WrittenPlan": "files.plan_file",
-    "Verification": "audit.verify",
-    "verify": "audit.verify",
-    "Plan": "plans.plan",
-    "plan": "planning.planner",
-    "certify": "planning.given_path",
-    "reorder": "planning.given_path",
-    "l_shaped": "scenario.joint_space",
-    "InverseKinematics": "planning.inverse_kinematics",
-    "inverse_kinematics": "planning.inverse_kinematics",
-    "TipTracker": "planning.inverse_kinematics",
-    "BasePose": "planning.base_pose",
-    "Placement": "planning.place",
-    "place": "planning.place",
-    "plan_many": "studies.sweep",
-    "Study": "studies.study.study",
-    "TubeDesign": "studies.design.tube_design",
-    "TubeDesigns": "studies.design.tube_design",
-    "StudyTable": "studies.study.table",
-    "load_study": "studies.study.table",
-    "Page": "reports.object_figures",
-    "plot": "reports.object_figures",
-    "show": "reports.object_figures",
-    "Check": "reports.check",
-    "check": "reports.check",
-    "bound_with_parameters": "uncertainty.tip_slopes",
-    "plan_uncertainty": "plans.uncertainty",
-}
 __all__ = [
     "Anatomy",
     "BITStar",
@@ -242,7 +163,7 @@ __all__ = [
 ]
 
 
-__getattr__ = lazy_names(__name__, _HOMES)
+__getattr__ = lazy_names(__name__, homes_in(__file__))
 
 
 def __dir__() -> list[str]:

@@ -171,7 +171,7 @@ MUTANTS = (
         "tests/files/test_mapping_file.py",
     ),
     Mutant(
-        "ctrplan/uncertainty/worst_case.py",
+        "ctrplan/base/arrays.py",
         "CHI95 = 2.795483 ",
         "CHI95 = 1.959964 ",
         "95 % of distances in space lie within the worst case",

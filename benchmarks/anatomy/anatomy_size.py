@@ -21,10 +21,20 @@ from common import ROBOTS, SCENARIOS, table
 from scipy.spatial.transform import Rotation
 
 import ctrplan
-from ctrplan.anatomy.clearance_grid import anatomy_field, build_field, default_spacing_m, field_bounds, shared_spacing_m
+from ctrplan.anatomy.clearance_grid import (
+    COARSEST,
+    anatomy_field,
+    content_key,
+    default_spacing_m,
+    field_bounds,
+    grid_distance,
+    shared_spacing_m,
+)
+from ctrplan.anatomy.parts import combined_clearance
 from ctrplan.base.arrays import Array
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.scenario.scenario import Scenario
+from ctrplan.storage import cache
 
 POSES, MOVED_M, TURNED_RAD = 20, 5e-3, np.radians(10)
 
@@ -41,7 +51,14 @@ def bases(scenario: Scenario) -> list[tuple[Array, Array]]:
 def grids(scenario: Scenario, reach_m: float, base: tuple[Array, Array]) -> None:
     """A grid for this base alone."""
     lower, upper = field_bounds(scenario.anatomy, reach_m, *base)
-    build_field(scenario.anatomy, lower, upper, default_spacing_m(lower, upper))
+    spacing_m = default_spacing_m(lower, upper)
+    nx, ny, nz = (int(n) * COARSEST + 1 for n in np.ceil((upper - lower) / (COARSEST * spacing_m)))
+    key = content_key(scenario.anatomy, lower, spacing_m, (nx, ny, nz))
+    if cache.load(key, (nx, ny, nz)) is None:
+        values = combined_clearance(
+            scenario.anatomy, lambda part: grid_distance(part, lower, spacing_m, (nx, ny, nz), lambda _: None)
+        )
+        cache.store_all({key: values.astype(np.float32)})
 
 
 def bricks(scenario: Scenario, reach_m: float, base: tuple[Array, Array]) -> None:

@@ -30,10 +30,18 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ctrplan import _model
-from ctrplan.anatomy.parts import CHUNK_POINTS, FEW, AnatomyPart, combined_clearance, nearby, surface_distance
+from ctrplan.anatomy.parts import (
+    CHUNK_POINTS,
+    FEW,
+    AnatomyPart,
+    combined_clearance,
+    lumens_box,
+    nearby,
+    surface_distance,
+)
 from ctrplan.anatomy.shape import PartShape
 from ctrplan.base.arrays import Array
-from ctrplan.base.long_work import Progress, cores, part_of
+from ctrplan.base.long_work import Progress, cores
 from ctrplan.errors import InputError
 from ctrplan.storage import cache as field_cache
 
@@ -122,8 +130,7 @@ def _halved(coarse: Grid) -> Grid:
 
 
 FORMAT = b"ctrplan distance field 2"  # part of the cache key: change it with anything that changes the values
-SPACINGS_M = (1e-6, 1.0)
-DEFAULT_NODES, MAX_DEFAULT_NODES, MAX_NODES = 2e6, 8e6, 5e8
+DEFAULT_NODES, MAX_DEFAULT_NODES = 2e6, 8e6
 
 
 def field_bounds(
@@ -146,10 +153,8 @@ def field_bounds(
     across, along = np.linalg.norm(R[:, :2], axis=1) * side, R[:, 2] * reach_m
     upper = base + np.minimum(across + np.maximum(along, 0), reach_m)
     lower = base - np.minimum(across + np.maximum(-along, 0), reach_m)
-    boxes = [part.shape.box() for part in parts if part.role == "inside"]
-    if boxes:
-        inside_lower, inside_upper = np.min([b[0] for b in boxes], axis=0), np.max([b[1] for b in boxes], axis=0)
-        lower, upper = np.clip(inside_lower, lower, upper), np.clip(inside_upper, lower, upper)
+    if (box := lumens_box(parts)) is not None:
+        lower, upper = np.clip(box[0], lower, upper), np.clip(box[1], lower, upper)
     return lower, upper
 
 
@@ -159,56 +164,6 @@ def default_spacing_m(lower_m: ArrayLike, upper_m: ArrayLike) -> float:
     volume = float(extent.prod())
     spacing = float(np.clip(np.cbrt(volume / DEFAULT_NODES), 0.5e-3, 1e-3))
     return max(spacing, float(np.cbrt(volume / MAX_DEFAULT_NODES)))
-
-
-def build_field(
-    parts: Sequence[AnatomyPart],
-    lower_m: ArrayLike,
-    upper_m: ArrayLike,
-    spacing_m: float,
-    progress: Progress | None = None,
-    cache: bool = True,
-) -> SignedDistanceField | None:
-    """Clearance on a grid over the box lower_m (3,) to upper_m (3,) [m], or None when there are no parts.
-
-    The grid starts at lower_m and ends up to 4 nodes beyond upper_m. progress: called with the fraction done, 0 to 1.
-    cache: keep the grid on disk and take it from there (see `ctrplan.storage.cache`).
-    Values are exact within some 11 grid steps of a surface and coarser further away, see
-    `ctrplan.anatomy.clearance_grid`.
-    Raises InputError for a box or spacing that makes no grid.
-    """
-    if not parts:
-        return None
-    origin, spacing, shape = _grid(lower_m, upper_m, spacing_m)
-    key = content_key(parts, origin, spacing, shape)
-    values = field_cache.load(key, shape) if cache else None
-    if values is None:
-        steps = iter(range(len(parts)))
-        values = combined_clearance(
-            parts, lambda part: grid_distance(part, origin, spacing, shape, part_of(progress, next(steps), len(parts)))
-        ).astype(np.float32, copy=False)
-        if cache:
-            field_cache.store(key, values)
-    if progress:
-        progress(1.0)
-    return SignedDistanceField(origin, spacing, values, tuple(parts))
-
-
-def _grid(lower_m: ArrayLike, upper_m: ArrayLike, spacing_m: float) -> tuple[Array, float, tuple[int, int, int]]:
-    lower, upper = np.array(lower_m, dtype=np.float64), np.array(upper_m, dtype=np.float64)
-    if not (np.isfinite(spacing_m) and spacing_m > 0):
-        raise InputError("must be a finite number above zero", key="spacing_m", value=spacing_m, unit="m")
-    if not SPACINGS_M[0] <= spacing_m <= SPACINGS_M[1]:
-        rule = f"must be from {SPACINGS_M[0]:g} to {SPACINGS_M[1]:g} m"
-        raise InputError(rule, key="spacing_m", value=spacing_m, unit="m")
-    if lower.shape != (3,) or upper.shape != (3,) or not (np.isfinite(lower) & (lower <= upper)).all():
-        raise InputError("must not exceed upper_m", key="lower_m", value=lower.tolist(), unit="m")
-    cells = np.ceil(np.maximum((upper - lower) / (COARSEST * spacing_m) - 1e-9, 1.0)) * COARSEST
-    if (cells + 1).prod() > MAX_NODES:
-        rule = f"gives {(cells + 1).prod():.3g} grid nodes: must give at most {MAX_NODES:.0e}"
-        raise InputError(rule, key="spacing_m", value=spacing_m, unit="m")
-    nx, ny, nz = (int(c) + 1 for c in cells)
-    return lower, float(spacing_m), (nx, ny, nz)
 
 
 def content_key(parts: Sequence[AnatomyPart], *grid: ArrayLike) -> str:
@@ -247,7 +202,7 @@ Index = tuple[int, int, int]
 def shared_spacing_m(parts: Sequence[AnatomyPart], reach_m: float) -> float:
     """Spacing [m] for an anatomy and robots of about that reach, whatever their base; see `default_spacing_m`."""
     extents = [np.array([2 * reach_m, 2 * reach_m, reach_m])]
-    if (box := _lumens(parts)) is not None:
+    if (box := lumens_box(parts)) is not None:
         extents.append(box[1] - box[0])
     spacing = min(default_spacing_m(np.zeros(3), extent) for extent in extents)
     return float(FINEST_M * 2 ** (round(RUNGS * np.log2(spacing / FINEST_M)) / RUNGS))
@@ -292,7 +247,7 @@ class Lattice:
     @classmethod
     def of(cls, parts: Sequence[AnatomyPart], spacing_m: float) -> Lattice:
         """The lattice of an anatomy."""
-        box = _lumens(parts)
+        box = lumens_box(parts)
         if box is None:
             return cls(np.zeros(3), spacing_m, np.full(3, -np.inf), np.full(3, np.inf))
         cells = np.ceil(np.maximum((box[1] - box[0]) / (COARSEST * spacing_m) - ROUNDING, 1.0)) * COARSEST
@@ -388,14 +343,6 @@ def _ball(lattice: Lattice, start: NDArray[np.int_], shape: ArrayLike) -> tuple[
     """Centre (3,) and radius [m] around so many nodes, those that coarse levels ask for included."""
     half = lattice.spacing_m * (np.asarray(shape) - 1) / 2
     return lattice.node_m(start) + half, float(np.linalg.norm(half)) * (1 + 1e-9)
-
-
-def _lumens(parts: Sequence[AnatomyPart]) -> tuple[Array, Array] | None:
-    """The box (3,), (3,) [m] of all lumens; None without any."""
-    boxes = [part.shape.box() for part in parts if part.role == "inside"]
-    if not boxes:
-        return None
-    return np.min([lower for lower, _ in boxes], axis=0), np.max([upper for _, upper in boxes], axis=0)
 
 
 def _box(first: NDArray[np.int_], last: NDArray[np.int_]) -> tuple[slice, slice, slice]:

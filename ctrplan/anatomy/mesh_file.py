@@ -9,7 +9,7 @@ import re
 import warnings
 from os import PathLike
 from pathlib import Path
-from typing import Any, BinaryIO, Literal, TypeVar, cast
+from typing import Any, BinaryIO, Literal, TypeVar, cast, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ctrplan.anatomy.image import unit_mm
 from ctrplan.anatomy.mesh_repair import Indices, MeshRefusal, turned_outward, welded
 from ctrplan.anatomy.patient_frame import Frame
-from ctrplan.base.arrays import UNIT_WORDS, Array
+from ctrplan.base.arrays import UNIT_WORDS, UNITS_M, Array
 from ctrplan.errors import InputError
 from ctrplan.storage.csv_table import HEAD_BYTES, file_name, other_than_named, packed_by
 
@@ -25,7 +25,7 @@ Number = TypeVar("Number", np.float64, np.int64)
 
 Unit = Literal["mm", "cm", "m", "in"]
 Up = Literal["y", "z"]
-UNITS_M: dict[Unit, float] = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 25.4e-3}
+UNITS: tuple[Unit, ...] = get_args(Unit)
 SUFFIXES = (".stl", ".ply", ".obj", ".vtk", ".vtp", ".vtu", ".glb")
 WITH_GROUPS = (".obj", ".glb")
 MAX_BYTES = 500_000_000
@@ -51,7 +51,7 @@ def load_mesh(
 ) -> tuple[Array, Indices]:
     """Read a closed mesh: vertices (V, 3) [m] and triangles (F, 3) that wind outward. Several bodies are fine.
 
-    unit: of the file's coordinates, one of UNITS_M; by default mm, of glTF (.glb) m as its specification has it.
+    unit: of the file's coordinates, one of UNITS; by default mm, of glTF (.glb) m as its specification has it.
     up: "y" for a file whose y axis points up, which is turned so that z does; by default so for glTF alone. file, key:
     the scenario file and the key in it that named the mesh, for messages.
     Repaired: vertices less than 1 um apart are merged, repeated and collapsed triangles dropped, winding made
@@ -74,8 +74,8 @@ def read_triangles(
     """Vertices (V, 3) [m] and triangles (F, 3) of a file, or of a group of it, z up. Raises MeshRefusal."""
     vertices, faces = _read(path, group)
     unit = unit or usual_unit(path)
-    if unit not in UNITS_M:
-        raise MeshRefusal(f"can't be read in unit {unit!r}: must be one of {', '.join(UNITS_M)}")
+    if unit not in UNITS:
+        raise MeshRefusal(f"can't be read in unit {unit!r}: must be one of {', '.join(UNITS)}")
     if up not in (None, "y", "z"):
         raise MeshRefusal(f"can't have {up!r} up: must be y or z")
     vertices = vertices * UNITS_M[unit]
@@ -102,8 +102,8 @@ def stated_unit(path: Path) -> Unit | None:
     remarks = lines[1:2] if kind in VTK else [*(line[:80] for line in lines[:1])] if kind == ".stl" else remarks
     for match in filter(None, map(UNIT.search, remarks)):
         size = unit_mm(match[1].lower())
-        for unit, metres in UNITS_M.items():
-            if size is not None and math.isclose(metres, size * 1e-3):
+        for unit in UNITS:
+            if size is not None and math.isclose(UNITS_M[unit], size * 1e-3):
                 return unit
     return None
 
@@ -331,7 +331,7 @@ def _check_size(vertices: Array, faces: Indices, unit: Unit) -> None:
     extent = float(np.ptp(used, axis=0).max())
     across = f"m across when read in {unit!r}: must be"
     read = extent / UNITS_M[unit]
-    usual = [UNIT_WORDS[other] for other, si in UNITS_M.items() if ORGAN_M[0] <= read * si <= ORGAN_M[1]]
+    usual = [UNIT_WORDS[other] for other in UNITS if ORGAN_M[0] <= read * UNITS_M[other] <= ORGAN_M[1]]
     hint = f"({' or '.join(usual)}?)" if usual else "(converted twice?)"
     if extent > LARGEST_M:
         raise MeshRefusal(f"is {extent:.3g} {across} at most {LARGEST_M:g} m {hint}")

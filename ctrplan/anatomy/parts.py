@@ -66,6 +66,12 @@ class AnatomyPart:
         return self.shape.box()
 
 
+def lumens_box(parts: Sequence[AnatomyPart]) -> tuple[Array, Array] | None:
+    """Lower and upper corner (3,), (3,) [m] of what all lumens lie within; None without any."""
+    boxes = [part.box for part in parts if part.role == "inside"]
+    return (np.min([low for low, _ in boxes], axis=0), np.max([high for _, high in boxes], axis=0)) if boxes else None
+
+
 def surface_distance(part: AnatomyPart, points_m: Array) -> Array:
     """Distance of points (K, 3) [m] to the part's surface, (K,) [m], negative within the part.
 

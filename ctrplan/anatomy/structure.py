@@ -99,6 +99,11 @@ def _layer(image: Image, layer: int) -> NDArray[Any]:
     return image.voxels if image.voxels.ndim == 3 else image.voxels[..., layer]
 
 
+def volume_of(image: Image, label: int, layer: int) -> str:
+    """Volume of the voxels of a label in one of the layers, in ml."""
+    return f"{np.count_nonzero(_layer(image, layer) == label) * image.voxel_mm3 / 1e3:.3g} ml"
+
+
 def _labelled(image: Image, choice: StructureChoice) -> tuple[NDArray[Any], Mask]:
     label, layer = choice.label, 0
     if choice.segment is not None:
@@ -250,7 +255,7 @@ def _edge_keys(vertices: Array, shape: tuple[int, ...]) -> Indices:
 def listed(image: Image) -> str:
     """What there is to choose from: names, labels and their volumes."""
     if image.segments:
-        return _joined([f"{s.name!r} ({_volume(image, s.label, s.layer)})" for s in image.segments])
+        return _joined([f"{s.name!r} ({volume_of(image, s.label, s.layer)})" for s in image.segments])
     values, counts = np.unique(image.voxels, return_counts=True)
     results = [
         f"{value:g} ({count * image.voxel_mm3 / 1e3:.3g} ml)"
@@ -263,11 +268,6 @@ def listed(image: Image) -> str:
 def _joined(results: list[str]) -> str:
     more = f" and {len(results) - SHOWN} more" if len(results) > SHOWN else ""
     return (", ".join(results[:SHOWN]) or "nothing but 0") + more
-
-
-def _volume(image: Image, label: int, layer: int) -> str:
-    voxels = image.voxels if image.voxels.ndim == 3 else image.voxels[..., layer]
-    return f"{np.count_nonzero(voxels == label) * image.voxel_mm3 / 1e3:.3g} ml"
 
 
 MOST_KEPT_BYTES = 600_000_000  # of voxels that are kept; what was read last stays

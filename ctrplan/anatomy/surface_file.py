@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import importlib
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from ctrplan.anatomy.mesh_file import axes_notes, is_gltf, read_triangles, stated_frame, stated_unit
+from ctrplan.anatomy.mesh_file import Unit, Up, axes_notes, is_gltf, read_triangles, stated_frame, stated_unit
 from ctrplan.anatomy.mesh_repair import (
     Indices,
     MeshDefect,
@@ -23,6 +22,7 @@ from ctrplan.anatomy.mesh_repair import (
     turned_outward,
 )
 from ctrplan.anatomy.patient_frame import Frame, to_scenario
+from ctrplan.anatomy.shape import PartEntry
 from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.base.surface import Surface
 from ctrplan.storage.toml_document import TomlTable
@@ -31,7 +31,6 @@ HUGE, ENOUGH = 1_000_000, 200_000  # triangles: what is thinned, and to what
 MOST_ERROR_M = 0.05e-3
 TRIES = 3  # each with twice the triangles of the one before
 HALVINGS = 4
-SLABS = 6
 CHUNK = 1 << 17
 
 
@@ -79,7 +78,11 @@ def _simplify() -> Any:
 
 
 def _error_m(vertices: Array, faces: Indices, thin: Array, triangles: Indices) -> float:
-    """How far a surface lies from its thinned one, bounded, and points of the thinned one from it, the larger."""
+    """How far any point of a surface lies from its thinned one, bounded.
+
+    So far is what keeps away from the thinned one less away from the surface. Nothing more is asked of the thinned one:
+    a robot that comes to where it bulges crosses the surface before.
+    """
     import igl  # slow to import
 
     tree = igl.AABB()
@@ -89,7 +92,7 @@ def _error_m(vertices: Array, faces: Indices, thin: Array, triangles: Indices) -
         error = max(error, _bound_m(vertices[faces[first : first + CHUNK]], tree, thin, triangles, HALVINGS))
         if error > MOST_ERROR_M:
             return error
-    return max(error, _back_m(vertices, faces, np.concatenate([thin, thin[triangles].mean(axis=1)])))
+    return error
 
 
 def _bound_m(corners: Array, tree: Any, thin: Array, triangles: Indices, halvings: int) -> float:
@@ -136,29 +139,17 @@ def _to_sides_m(points: Array, starts: Array, sides: Array) -> Array:
     return np.asarray(np.linalg.norm(offset - along[..., None] * sides, axis=2).min(axis=1))
 
 
-def _back_m(vertices: Array, faces: Indices, points: Array) -> float:
-    """How far points (K, 3) of the thinned surface lie from the surface; slab by slab, since its tree is large."""
-    import igl  # slow to import
+class OfMeshFile(PartEntry):
+    """What is read of a mesh file, and how: None is what its format says."""
 
-    axis = int(np.ptp(vertices, axis=0).argmax())
-    middle = vertices[faces[:, 0], axis]
-    bounds = np.quantile(middle, np.linspace(0, 1, SLABS + 1))
-    reach, least = 2e-3, np.full(len(points), np.inf)
-    for low, high in zip(bounds[:-1], bounds[1:], strict=True):
-        rows = np.ascontiguousarray(faces[(middle >= low) & (middle <= high)])
-        near = np.flatnonzero((points[:, axis] >= low - reach) & (points[:, axis] <= high + reach))
-        if not len(rows) or not len(near):
-            continue
-        used, index = np.unique(rows, return_inverse=True)
-        part, tree = np.ascontiguousarray(vertices[used]), igl.AABB()
-        tree.init(part, np.ascontiguousarray(index.reshape(-1, 3)))
-        squared = tree.squared_distance(part, index.reshape(-1, 3), np.ascontiguousarray(points[near]))[0]
-        least[near] = np.minimum(least[near], np.sqrt(np.asarray(squared)))
-    return float(least.max())
+    file: str
+    unit: Unit | None = None  # of glTF m, of other files to be said
+    up: Up | None = None  # the axis that is turned up to z: y of glTF, else z
+    frame: Frame | None = None
+    group: str | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class SurfaceFile:
+class SurfaceFile(NamedTuple):
     """Vertices (V, 3) [m] in the scenario's frame and triangles (F, 3); notes of what was repaired.
 
     error_m: what thinning may have moved the surface by.
@@ -166,21 +157,12 @@ class SurfaceFile:
 
     vertices_m: Array
     faces: Indices
-    notes: tuple[str, ...] = ()
-    error_m: float = 0.0
+    file: str
+    notes: tuple[str, ...]
+    error_m: float
 
 
-@dataclass(frozen=True)
-class MeshChoice:
-    """What is read of a mesh file, and how: None is what its format says."""
-
-    unit: str | None
-    up: str | None
-    frame: Frame | None
-    group: str | None
-
-
-def read_body(table: TomlTable, path: Path, choice: MeshChoice, repair: Repair) -> SurfaceFile:
+def read_body(table: TomlTable, path: Path, choice: OfMeshFile, repair: Repair) -> SurfaceFile:
     """The closed surface of a body that `table` names, turned outward. Raises InputError."""
     _check_unit(table, path, choice)
     vertices, faces = np.zeros((0, 3)), np.zeros((0, 3), np.int64)
@@ -191,7 +173,7 @@ def read_body(table: TomlTable, path: Path, choice: MeshChoice, repair: Repair) 
         vertices, faces, error = thinned(vertices, faces)
         faces = turned_outward(vertices, faces)
         notes = (*axes_notes(path, choice.unit, choice.up), *notes, *thinning_note(faces, error))
-        return SurfaceFile(_placed(table, path, choice.frame, vertices), faces, notes, error)
+        return SurfaceFile(_placed(table, path, choice.frame, vertices), faces, str(path), notes, error)
     except MeshRefusal as refusal:
         fault = table.fault(str(refusal), "file")
         if refusal.place_m is None:
@@ -199,17 +181,18 @@ def read_body(table: TomlTable, path: Path, choice: MeshChoice, repair: Repair) 
         raise MeshDefectError(fault, MeshDefect(path, Surface(vertices, faces), refusal.place_m)) from None
 
 
-def read_sheet(table: TomlTable, path: Path, choice: MeshChoice) -> SurfaceFile:
+def read_sheet(table: TomlTable, path: Path, choice: OfMeshFile) -> SurfaceFile:
     """A surface of any kind that `table` names, open ones as well. Raises InputError."""
     _check_unit(table, path, choice)
     try:
         vertices, faces = merged(*read_triangles(path, choice.unit, choice.group, choice.up))
     except MeshRefusal as refusal:
         raise table.fault(str(refusal), "file") from refusal.__cause__
-    return SurfaceFile(_placed(table, path, choice.frame, vertices), faces, axes_notes(path, choice.unit, choice.up))
+    notes = axes_notes(path, choice.unit, choice.up)
+    return SurfaceFile(_placed(table, path, choice.frame, vertices), faces, str(path), notes, 0.0)
 
 
-def _check_unit(table: TomlTable, path: Path, choice: MeshChoice) -> None:
+def _check_unit(table: TomlTable, path: Path, choice: OfMeshFile) -> None:
     """Raises InputError where neither the table nor the file or its format says a unit."""
     if choice.unit is None and not is_gltf(path) and stated_unit(path) is None:
         raise table.fault("is missing: the file does not say whether its numbers are in mm, cm, m or in", "unit")

@@ -290,20 +290,18 @@ class AuditedPlan:
             (float(there[k]), int(body.tube[k]), moved[k], move) if there[k] < room else (room, tube, point, STANDING)
         )
 
-    def solved(
-        self, place: float, phi: tuple[float, ...], axes: Array | None = None, accuracy: Accuracy | None = None
-    ) -> list[WorstFigure]:
+    def solved(self, place: float, phi: tuple[float, ...], axes: Array | None = None) -> list[WorstFigure]:
         """Findings of one state in the cube of friction, and of the frictionless one; empty where unsolved.
 
         On axes (A,) of the allowed robots besides play, clearance alone: no other claim covers them.
         """
-        mesh, at = accuracy or self.accuracy, self.middle if axes is None else axes
-        self.work += 2 * COST[mesh]
+        at = self.middle if axes is None else axes
+        self.work += 2 * COST[self.accuracy]
         try:
             collars, robot = self.collars(place, at), self.robot_at(at)
             states = np.array([np.zeros(self.pairs), phi])
-            free, shape = (robot.solve(*collars, state, accuracy=mesh) for state in states)
-            bodies = robot.mechanics.friction_bodies(*collars, states, spacing_m=5e-3, accuracy=mesh)
+            free, shape = (robot.solve(*collars, state, accuracy=self.accuracy) for state in states)
+            bodies = robot.mechanics.friction_bodies(*collars, states, spacing_m=5e-3, accuracy=self.accuracy)
         except CtrplanError:
             return []
         if max(free.status, shape.status) >= Status.FAILED:
@@ -311,7 +309,7 @@ class AuditedPlan:
         result = self.of_shape(shape, None if np.any(at) else free.tip_m, place, phi, axes=at)
         for state, solved, stability in zip(states, (free, shape), bodies.stability, strict=True):
             result.append(self.finding("stability", float(stability), place, tuple(state), solved, axes=at))
-        return [replace(f, accuracy=mesh) for f in result]
+        return [replace(f, accuracy=self.accuracy) for f in result]
 
     def of_shape(
         self,

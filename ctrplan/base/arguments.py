@@ -35,6 +35,7 @@ T = TypeVar("T")
 
 # What people may write, in files and on the command line: beyond it a value is in another unit.
 LONGEST_MM = 1e5
+MOST_STARTS = 100_000  # of a search for configurations
 MOST_TURNS_DEG = 360e3  # a thousand turns
 
 
@@ -227,6 +228,10 @@ class Interval(Kind):
 
 SEED = Whole(0, 2**31 - 10**5 - 1)  # searches add to it
 SEARCH_TIME = Number(0, 3600, "s", above=True)
+
+# What holds where nothing is said.
+CANDIDATES, CONFIRMED = 256, 8  # base poses of a placement that are looked at, and that are bounded in all corners
+DIRECTION_TOLERANCE_DEG = 5.0
 PROGRESS = Having("__call__", "be a function")
 EVENT = Having("is_set", "be an event, as threading.Event")
 EXECUTOR = Having("submit", "have the interface of concurrent.futures.Executor")

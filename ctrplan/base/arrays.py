@@ -71,6 +71,7 @@ def _kind_of(given: NDArray[Any]) -> str:
 
 MILLIMETRE = 1e-3  # m
 MM_PER_M = 1 / MILLIMETRE
+UNITS_M = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "in": 25.4e-3, "um": 1e-6}  # the likeliest mistake first
 UNIT_WORDS = {"m": "metres", "mm": "millimetres", "in": "inches", "cm": "centimetres", "um": "micrometres"}
 DEGREE = math.pi / 180  # rad
 HOUR_S = 3600.0
@@ -91,6 +92,14 @@ def unit(vector: ArrayLike) -> Array:
         return given
     scaled = given / np.abs(given).max()
     return np.asarray(scaled / np.linalg.norm(scaled))
+
+
+def spread_directions(count: int) -> Array:
+    """(count, 3) unit vectors spread evenly over the sphere, along a spiral of the golden ratio."""
+    k = np.arange(count) + 0.5
+    height, turn = 1 - 2 * k / count, np.pi * (1 + np.sqrt(5)) * k
+    around = np.sqrt(1 - height**2)
+    return np.column_stack([around * np.cos(turn), around * np.sin(turn), height])
 
 
 def shortest_rotation(direction: ArrayLike) -> Array:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import html
 import importlib
+import re
 import sys
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass
 from enum import Enum
 from importlib.util import find_spec
+from pathlib import Path
 from typing import Any, TypeVar
 
 from ctrplan.errors import FEW, InputError
@@ -35,6 +37,18 @@ def lazy_names(package: str, homes: Mapping[str, str]) -> Callable[[str], Any]:
         return value
 
     return get
+
+
+def homes_in(file: str) -> dict[str, str]:
+    """Homes for `lazy_names`: of every name that a package's file imports from modules `if TYPE_CHECKING`.
+
+    Type checkers and whoever asks for a name at run time read one list, an import a line.
+    """
+    homes, source = {}, Path(file).read_text(encoding="utf-8")
+    for home, names in re.findall(r"^    from ctrplan\.(\S+) import (.+)$", source, re.M):
+        for own, _, name in (each.partition(" as ") for each in names.split(", ")):
+            homes[name or own] = f"{home}:{own}"
+    return homes
 
 
 T = TypeVar("T", bound=type)
@@ -146,6 +160,12 @@ def _sequence(values: Any) -> str:
 def _cut(text: str, most: int = WIDEST) -> str:
     line = " ".join(text.splitlines())
     return line if len(line) <= most else line[: most - 3] + "..."
+
+
+def counted(count: int, thing: str) -> str:
+    """So many of a thing, "1 leg" or "2 entries"."""
+    several = f"{thing.removesuffix('y')}ies" if thing.endswith("y") else f"{thing}s"
+    return f"{count} {thing if count == 1 else several}"
 
 
 def warn_caller(text: str) -> None:

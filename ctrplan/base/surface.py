@@ -9,10 +9,8 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrplan.base.arrays import Array
+from ctrplan.base.arrays import Array, Z
 from ctrplan.base.package import shown
-
-Z_AXIS = np.array([0.0, 0.0, 1.0])
 
 
 @shown
@@ -79,7 +77,7 @@ def capsule(start_m: Array, end_m: Array, radius_m: float, sides: int = 32) -> S
     """All points within radius_m of the line from start_m to end_m (3,); a sphere where the two are one."""
     axis = end_m - start_m
     length = float(np.linalg.norm(axis))
-    direction = axis / length if length > 0 else Z_AXIS
+    direction = axis / length if length > 0 else Z
     latitude = np.linspace(-np.pi / 2, np.pi / 2, sides // 2 + 1)
     along = radius_m * np.sin(latitude)
     middle = start_m + np.where(latitude > 0, length, 0.0)[:, None] * direction

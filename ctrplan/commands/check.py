@@ -35,6 +35,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Runs the command; returns 1 where something is in doubt. Raises CtrplanError for what is no such file."""
     from ctrplan.reports.check import check
+    from ctrplan.reports.looks import png
 
     folder = output_folder(arguments.output, OUTPUTS) if arguments.output is not None else None
     result = check(arguments.file, robot=arguments.robot)
@@ -43,7 +44,7 @@ def run(arguments: argparse.Namespace) -> int:
     if not arguments.json:
         tell_next(_following(arguments, result.kind) if not result.flags else "mend what is marked, and check again")
     if folder is not None:
-        write_results(folder, {f"{name}.png": _png(figure) for name, figure in result.figures().items()})
+        write_results(folder, {f"{name}.png": png(figure) for name, figure in result.figures().items()})
         print(f"ctrplan: written to {folder}", file=sys.stderr)
     return 1 if result.flags else 0
 
@@ -57,11 +58,3 @@ def _following(arguments: argparse.Namespace, kind: str) -> str:
         "measurements": f"ctrplan calibrate {robot} {file} -o calibrated; ctrplan diagnose {robot} {file} -o found",
         "plan": f"ctrplan verify {file}",
     }[kind]
-
-
-def _png(figure: object) -> bytes:
-    import io
-
-    stream = io.BytesIO()
-    figure.savefig(stream, format="png", dpi=120)  # type: ignore[attr-defined]
-    return stream.getvalue()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import io
 import json
 import math
 import sys
@@ -18,6 +17,7 @@ if TYPE_CHECKING:
 
     from ctrplan.base.arrays import Array
     from ctrplan.files.plan_file import WrittenPlan
+    from ctrplan.reports.curves import Panel, Timeline
     from ctrplan.reports.robot_surface import RobotPose
 
 DESCRIPTION = (
@@ -30,7 +30,6 @@ EXAMPLES = """examples:
 """
 OUTPUTS = ("compare.html", "compare.png")
 SHOWN = {"m": (1e3, "mm"), "rad": (180 / math.pi, "deg"), "mm": (1.0, "mm"), "number": (1.0, ""), "count": (1.0, "")}
-COLUMNS = (("bound_m", "bound (mm)"), ("clearance_m", "clearance (mm)"))  # of the certificate's samples
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -45,6 +44,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Runs the command; returns its exit code. Raises InputError for what is no plan."""
     from ctrplan.files.plan_file import load_plan
+    from ctrplan.reports.looks import png
 
     folder = output_folder(arguments.output, OUTPUTS) if arguments.output is not None else None
     names = arguments.first, arguments.second
@@ -56,10 +56,8 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         print("\n".join([*_heads(first, second, names), *aligned(_table(rows))]))
     if folder is not None:
-        stream = io.BytesIO()
-        compared_figure(first, second, names).savefig(stream, format="png", dpi=110)
-        page = compared_html(first, second, names)
-        write_results(folder, {OUTPUTS[0]: page, OUTPUTS[1]: stream.getvalue()})
+        contents = compared_html(first, second, names), png(compared_figure(first, second, names))
+        write_results(folder, dict(zip(OUTPUTS, contents, strict=True)))
         print(f"ctrplan: written to {folder}/{', '.join(OUTPUTS)}", file=sys.stderr)
         tell_next(f"open {folder / OUTPUTS[0]}, both plans in one scene")
     elif not arguments.json:
@@ -111,28 +109,25 @@ def _table(rows: list[tuple[str, float | None, float | None, str]]) -> list[list
 
 
 def compared_figure(first: WrittenPlan, second: WrittenPlan, names: tuple[str, str]) -> Figure:
-    """Bound and clearance along both plans, and the ways of their tips in space."""
+    """Bound and clearance over the time of both plans, and the ways of their tips in space."""
     import numpy as np
     from matplotlib.figure import Figure
 
     from ctrplan.reports.looks import SERIES
+    from ctrplan.reports.plan_picture import draw_panel
 
     figure = Figure(figsize=(12, 4.2), layout="constrained")
-    axes: list[Any] = [figure.add_subplot(1, 3, k + 1) for k in range(2)]
+    figure.suptitle("\n".join(_heads(first, second, names)[:2]), x=0.01, ha="left", fontsize=9, parse_math=False)
+    panels, time = _panels((first, second))
+    for k, panel in enumerate(panels):
+        ax = figure.add_subplot(1, 3, k + 1)
+        draw_panel(ax, panel, time, heading=f"{panel.title}: A blue, B orange")
+        ax.set_xlabel("time (s)")
     space: Any = figure.add_subplot(1, 3, 3, projection="3d")
-    for plan, name, colour in zip((first, second), names, SERIES, strict=False):
-        share = plan.certified_places / max(float(plan.certified_places[-1]), 1e-12)
-        for ax, (column, label) in zip(axes, COLUMNS, strict=True):
-            values = _column(plan, column)
-            if np.isfinite(values).any():
-                ax.plot(100 * share, values * 1e3, color=colour, label=name)
-            ax.set_ylabel(label)
-            ax.set_xlabel("along the plan (% of its legs)")
-            ax.spines[["top", "right"]].set_visible(False)
+    for plan, colour in zip((first, second), SERIES, strict=False):
         tips = np.array(plan.content["certificate"]["samples"]["tip_m"], dtype=float) * 1e3
         space.plot(*tips.T, color=colour)
         space.plot(*tips[-1:].T, "o", color=colour)
-    axes[0].legend(frameon=False, fontsize=8)
     space.set_title("way of the tip without friction (mm)", fontsize=9)
     return figure
 
@@ -156,7 +151,8 @@ def compared_html(first: WrittenPlan, second: WrittenPlan, names: tuple[str, str
     """
     import numpy as np
 
-    from ctrplan.reports.html_page import plot, rendered, script
+    from ctrplan.reports.curves import stacked_figure
+    from ctrplan.reports.html_page import plot, rendered, scene_script
     from ctrplan.reports.looks import SERIES
     from ctrplan.reports.plan_scene import poses_along
     from ctrplan.reports.words import millimetres
@@ -182,9 +178,7 @@ def compared_html(first: WrittenPlan, second: WrittenPlan, names: tuple[str, str
         "cursor": 0,
         "step_ms": 100,
     }
-    code = "".join(map(script, ("fit_camera.js", "scene_key.js", "player.js"))) + START.replace(
-        "MOTION", json.dumps(motion)
-    )
+    code = scene_script("scene", "key", f"addPlayer(plot, {json.dumps(motion)})", files=("player.js",))
     scene, frames = _scene(plans, paths, steps)
     return rendered(
         "compare.html",
@@ -195,36 +189,16 @@ def compared_html(first: WrittenPlan, second: WrittenPlan, names: tuple[str, str
         now=[(letter, SERIES[k], figures[f"now_{letter}"][0]) for k, letter in enumerate(LETTERS)],
         heads=_heads(first, second, names),
         rows=[row for row in _table(compared(first, second))[1:]],
-        curves=plot(_curves(plans), "curves"),
+        curves=plot(stacked_figure(*_panels(plans)), "curves"),
     )
-
-
-START = """
-const begin = () => {
-  const plot = document.getElementById('scene');
-  addKey(plot, document.getElementById('key'));
-  addPlayer(plot, MOTION);
-  keepFitted(plot);
-};
-if (document.readyState === 'loading') document.addEventListener('DOMContentLoaded', begin); else begin();
-"""
 
 
 def _scene(plans: tuple[WrittenPlan, WrittenPlan], paths: list[list[RobotPose]], steps: list[str]) -> tuple[Any, Any]:
     """Both robots, each in its colour, with their envelopes, goals and anatomies; and a frame for each of `steps`."""
     import numpy as np
 
-    from ctrplan.reports.looks import GOAL, PLATE, SERIES, view_box
-    from ctrplan.reports.plan_scene import (
-        anatomy_traces,
-        laid_out,
-        line_trace,
-        mesh_trace,
-        moved_traces,
-        robot_traces,
-        xyz,
-    )
-    from ctrplan.reports.robot_surface import anatomy_surface, stand
+    from ctrplan.reports.looks import GOAL, SERIES
+    from ctrplan.reports.plan_scene import in_anatomy, line_trace, moved_traces, plate_trace, robot_traces, xyz
 
     moving, still, counts = list[Any](), list[Any](), list[int]()
     scenarios = [plan.scenario for plan in plans]
@@ -235,7 +209,7 @@ def _scene(plans: tuple[WrittenPlan, WrittenPlan], paths: list[list[RobotPose]],
             trace.update(color=colour, name=name, showlegend=k in (0, len(tubes)))
         moving += [*tubes, envelope]
         counts.append(len(tubes) + 1)
-        still.append(mesh_trace(stand(scenario), PLATE, 1.0, "front plate", shown=False))
+        still.append(plate_trace(scenario))
     goals = [scenario.goal.tip_m for scenario in scenarios]
     alike = all(goal is not None for goal in goals) and np.allclose(np.array(goals[0]), np.array(goals[1]))
     named = (
@@ -247,12 +221,8 @@ def _scene(plans: tuple[WrittenPlan, WrittenPlan], paths: list[list[RobotPose]],
         if goal is not None:
             marker = {"symbol": "diamond", "size": 6, "color": colour}
             still.append(line_trace(xyz(goal[None]), mode="markers", marker=marker, name=name))
-    surfaces = [anatomy_surface(part) for part in scenarios[0].anatomy]
-    still += anatomy_traces(scenarios[0], surfaces)
     points = np.concatenate([pose.envelope.surface(4).vertices_m for path in paths for pose in path])
-    solid = np.concatenate([np.empty((0, 3)), *(surface.vertices_m for surface in surfaces)])
-    base_m = scenarios[0].base_position_m
-    figure = laid_out([*moving, *still], *view_box(points, solid), points, scenarios[0].frame, base_m=base_m)
+    figure = in_anatomy([*moving, *still], scenarios[0], points)
     frames = [
         {
             "data": [t for path, count in zip(paths, counts, strict=True) for t in moved_traces(path[k])[:count]],
@@ -264,11 +234,11 @@ def _scene(plans: tuple[WrittenPlan, WrittenPlan], paths: list[list[RobotPose]],
     return figure, frames
 
 
-def _curves(plans: tuple[WrittenPlan, WrittenPlan]) -> Any:
+def _panels(plans: tuple[WrittenPlan, WrittenPlan]) -> tuple[list[Panel], Timeline]:
     """Bound and clearance of both over their times."""
     import numpy as np
 
-    from ctrplan.reports.curves import Panel, Series, Timeline, stacked_figure
+    from ctrplan.reports.curves import Panel, Series, Timeline
     from ctrplan.reports.looks import SERIES
 
     panels = []
@@ -281,4 +251,4 @@ def _curves(plans: tuple[WrittenPlan, WrittenPlan]) -> Any:
                 series.append(Series(f"plan {letter}", time_s, values, colour))
         if series:
             panels.append(Panel(title, "length", "mm", tuple(series)))
-    return stacked_figure(panels, Timeline(max(float(plan.time_s[-1]) for plan in plans), ()))
+    return panels, Timeline(max(float(plan.time_s[-1]) for plan in plans), ())

@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ctrplan.base.arguments import LONGEST_MM, SEED, Number, Whole
+from ctrplan.base.arguments import DIRECTION_TOLERANCE_DEG, LONGEST_MM, SEED, Number, Whole
 from ctrplan.commands.options import add_allow_outside_option, add_number, add_set_option
 from ctrplan.commands.terminal import aligned, finite, tell_next, warn
 from ctrplan.errors import InputError, NoAnswerError
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from ctrplan.planning.reach import Configuration, Reach
     from ctrplan.scenario.scenario import Scenario
 
-DIRECTION_TOLERANCE_DEG = 5.0
 MOST_SHOWN = 10  # configurations in the table
 OUTPUTS = ("report.html",)
 DESCRIPTION = (

@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ctrplan.base.arguments import LONGEST_MM, SEED, Number, Whole
+from ctrplan.base.arguments import CANDIDATES, CONFIRMED, LONGEST_MM, SEED, Number, Whole
 from ctrplan.base.long_work import INTERRUPTED, interrupt_event
 from ctrplan.commands.options import add_allow_outside_option, add_number, add_set_option
 from ctrplan.commands.terminal import PATIENCE_S, ProgressBar, aligned, finite, tell_next, warn
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from ctrplan.planning.place import Placement
     from ctrplan.scenario.scenario import Scenario
 
-CANDIDATES, CONFIRM, PLANS = 256, 8, 3
+PLANS = 3
 HEADER = ("", "position (mm)", "looks along", "tilt (deg)", "reached", "at worst (mm)", "tolerances", "clearance (mm)")
 DESCRIPTION = (
     "Try base poses on a patch of skin or along an opening, cheaply first, the best ones by inverse "
@@ -57,7 +57,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     tried = "poses with a valid start that are looked at (default: %(default)s)"
     add_number(parser, "--candidates", Whole(1, 100_000), default=CANDIDATES, metavar="N", help=tried)
     confirm = "of them by bounds in all corners (default: %(default)s)"
-    add_number(parser, "--confirm", Whole(1, 1000), default=CONFIRM, metavar="N", help=confirm)
+    add_number(parser, "--confirm", Whole(1, 1000), default=CONFIRMED, metavar="N", help=confirm)
     plans = f"also plan from the best N (default where given: {PLANS})"
     add_number(parser, "--plan", Whole(1, 1000), nargs="?", const=PLANS, default=0, metavar="N", help=plans)
     add_number(parser, "--seed", SEED, default=0, help="of poses and solves (default: %(default)s)")

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from ctrplan.base.arguments import SEARCH_TIME, SEED
 from ctrplan.base.long_work import INTERRUPTED, interrupt_event
+from ctrplan.base.package import counted
 from ctrplan.commands.options import (
     add_allow_outside_option,
     add_number,
@@ -343,17 +344,13 @@ def _better_known(command: Command, motion: tuple[Any, Any, float, float], rest_
 
 def _summary(folder: Path, plan: Plan, outputs: Sequence[str]) -> str:
     name, duration_s, stops = plan.scenario.name, plan.trajectory.duration_s, plan.certificate.stops
-    legs, halts = _counted(len(plan.legs), "leg"), _counted(stops, "stop")
+    legs, halts = counted(len(plan.legs), "leg"), counted(stops, "stop")
     lines = [f"{name}: {legs}, {plan.style}, the motion takes {duration_s:.1f} s with {halts}"]
     if plan.style == "simultaneous":
         lines.append("  note: no path of rotations before translations was found in time; joints move simultaneously")
     lines += [f"  {label:27} {text}" for label, text in (_targets(plan) | _figures(plan)).items()]
     lines.append(f"  {'written to':27} {folder}/{', '.join(outputs)}")
     return "\n".join(lines)
-
-
-def _counted(count: int, thing: str) -> str:
-    return f"{count} {thing}" if count == 1 else f"{count} {thing}s"
 
 
 def _targets(plan: Plan) -> dict[str, str]:

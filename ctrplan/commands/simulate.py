@@ -71,10 +71,12 @@ def _slow(text: str) -> SlowParameter:
 
 
 def _write_followed(folder: Path, result: Following) -> None:
-    from ctrplan.reports.path_pictures import following_png
+    from ctrplan.reports.looks import png
+    from ctrplan.reports.path_pictures import following_figure
     from ctrplan.studies.follow import followed_csv
 
-    write_results(folder, dict(zip(FOLLOWED_OUTPUTS, (followed_csv(result), following_png(result)), strict=True)))
+    contents = followed_csv(result), png(following_figure(result))
+    write_results(folder, dict(zip(FOLLOWED_OUTPUTS, contents, strict=True)))
 
 
 def _followed_summary(folder: Path, result: Following) -> str:
@@ -209,10 +211,11 @@ def start_state(text: str, pairs: int) -> Start:
 
 
 def _write(folder: Path, result: Simulation) -> None:
-    from ctrplan.reports.path_pictures import simulation_png
+    from ctrplan.reports.looks import png
+    from ctrplan.reports.path_pictures import simulation_figure
     from ctrplan.studies.simulate import poses_csv
 
-    write_results(folder, dict(zip(OUTPUTS, (poses_csv(result), simulation_png(result)), strict=True)))
+    write_results(folder, dict(zip(OUTPUTS, (poses_csv(result), png(simulation_figure(result))), strict=True)))
 
 
 def _play(result: Simulation, port: int, interrupted: threading.Event) -> None:

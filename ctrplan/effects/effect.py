@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, TypeVar, get_args
 
@@ -268,6 +268,15 @@ def turning(data: Measurements) -> list[int]:
 def sliding(data: Measurements) -> list[int]:
     """Tubes (from 1) whose base is ever moved along."""
     return [i + 1 for i in range(data.n) if np.ptp(data.l_commanded[:, i]) > 0.5e-3]
+
+
+def shifted(collars: Collars, values: Values, by: Callable[[float, Array], Array | float]) -> Collars:
+    """Collars with what `by` makes of each value, called theta_I or l_I, and of its column (K,) added to that."""
+    tables = {"theta": collars.theta, "l": collars.l}
+    for name, value in values.items():
+        kind, number = name.split("_")[:2]
+        tables[kind] = with_column(tables[kind], int(number), by(value, tables[kind][:, int(number) - 1]))
+    return Collars(tables["theta"], tables["l"])
 
 
 def with_column(matrix: Array, tube: int, change: Array | float) -> Array:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
 from msgspec import Meta, Struct, field
@@ -17,7 +15,6 @@ from ctrplan.storage.toml_document import (
     Length,
     Name,
     Tolerance,
-    read_document,
 )
 
 Objective = Literal["error_mm", "robust_mm", "reach", "stability", "clearance_mm"]
@@ -94,15 +91,6 @@ class DesignEntry(Struct, forbid_unknown_fields=True):
     prune: bool = True  # give a design up when one of the front is better whatever its other targets give
     local: LocalEntry = LocalEntry()
     plans: Annotated[int, Meta(ge=0, le=1000)] = 0  # designs from which all targets are planned to, and certified
-
-
-def read_design(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> tuple[DesignEntry, Document]:
-    """The entries of a design file after `overrides`, and its content.
-
-    Raises InputError, one sentence with file, key, value and rule, for anything malformed or contradictory.
-    """
-    document = read_document(path, overrides)
-    return checked_design(document), document
 
 
 def checked_design(document: Document) -> DesignEntry:

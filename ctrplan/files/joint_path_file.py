@@ -52,13 +52,12 @@ def joint_path(source: Source, robot: Robot, needed: Sequence[str] = (), known: 
     rotations, translations = joint_columns(robot.n)
     played = played_columns(robot.drive)
     if rotations[0] not in table.header and all(name in table.header for name in played):  # trajectory.csv of a plan
-        theta, l = robot.drive.commanded(np.column_stack([table.numbers(name) for name in played]))  # noqa: E741
+        theta, l = robot.drive.commanded(table.columns(played))  # noqa: E741
         _check_columns(table, robot.n, needed)
         known = (*known, *table.header)
     else:
         _check_columns(table, robot.n, (*rotations, *translations, *needed))
-        theta = np.column_stack([table.numbers(name) for name in rotations])
-        l = np.column_stack([table.numbers(name) for name in translations])  # noqa: E741 (as in the equations)
+        theta, l = table.columns(rotations), table.columns(translations)  # noqa: E741 (as in the equations)
     sequence = table.numbers("sequence") if "sequence" in table.header else np.zeros(len(theta))
     time_s = table.numbers("time_s") if "time_s" in table.header else None
     _check_order(table, sequence, time_s)

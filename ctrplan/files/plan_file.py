@@ -151,7 +151,7 @@ def played_samples(path: str | os.PathLike[str], drive: Drive) -> tuple[Array, A
     time_s = table.numbers("time_s")
     for row in (np.flatnonzero(np.diff(time_s) <= 0) + 1).tolist():
         raise table.fault(f"must be later than the row before, {time_s[row - 1]:.9g} s", row, "time_s", time_s[row])
-    return time_s, np.column_stack([table.numbers(name) for name in columns])
+    return time_s, table.columns(columns)
 
 
 def places_on_legs(rows: Array, waypoints: Array, file: str | None, what: str) -> Array:

@@ -18,7 +18,7 @@ import numpy as np
 
 from ctrplan.anatomy.patient_frame import FRAMES, Frame, signs
 from ctrplan.base.arguments import in_plain_digits
-from ctrplan.base.arrays import LONGEST_MM, MM_PER_M, Array
+from ctrplan.base.arrays import LONGEST_MM, MM_PER_M, UNITS_M, Array
 from ctrplan.errors import InputError
 from ctrplan.storage.csv_table import file_bytes
 
@@ -31,19 +31,19 @@ SPACE: Frame = "LPS"  # of all files
 SCENE = "scene.mrml"  # of a case folder: what 3D Slicer is to open
 
 
-def patient_frame(scenario: Scenario, given: str | None, key: str = "--frame") -> Frame:
+def patient_frame(scenario: Scenario, given: str | None) -> Frame:
     """The frame of a scenario's anatomy: the one that its file says, or else the one given.
 
     Raises InputError where nobody says one, since a guess could turn the patient around, and where two are said.
     """
     own = scenario.frame
     if own is not None and given is not None and own != given:
-        raise InputError(f"contradicts the scenario, which says {own}", key=key, value=given)
+        raise InputError(f"contradicts the scenario, which says {own}", key="--frame", value=given)
     for frame in FRAMES:
         if (own or given) == frame:
             return frame
     rule = "must be RAS or LPS: which axes the anatomy's frame has in the patient can't be guessed"
-    raise InputError(rule, key=key, value=... if given is None else given)
+    raise InputError(rule, key="--frame", value=... if given is None else given)
 
 
 def to_lps(frame: Frame) -> Array:
@@ -62,7 +62,7 @@ LARGEST_FILE_BYTES = 20_000_000
 LINES, POINTS = ("Line", "Curve"), ("Fiducial",)
 PLACED = "defined"  # positionStatus of a point that has a place
 FCSV_STATUS = {"0": "undefined", "1": "preview", "3": "missing"}  # behind the columns that are named; 2 is placed
-MM_PER_UNIT = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "um": 1e-3}
+UNITS = ("mm", "cm", "m", "um")
 FCSV_FRAMES: dict[str, Frame] = {"0": "RAS", "1": "LPS", "RAS": "RAS", "LPS": "LPS"}  # 4.10 and before wrote numbers
 FCSV_COLUMNS = "id,x,y,z,ow,ox,oy,oz,vis,sel,lock,label,desc,associatedNodeID"
 
@@ -181,10 +181,10 @@ def _frame(file: str, markup: dict[str, Any], key: str) -> Frame | None:
 
 def _mm_per_unit(file: str, stated: Any, key: str) -> float:
     unit = stated[0] if isinstance(stated, list) and stated else stated  # with its coding scheme beside it
-    if not isinstance(unit, str) or unit not in MM_PER_UNIT:
-        rule = f"must be one of {', '.join(MM_PER_UNIT)}"
+    if not isinstance(unit, str) or unit not in UNITS:
+        rule = f"must be one of {', '.join(UNITS)}"
         raise InputError(rule, file=file, key=f"{key}.coordinateUnits", value=stated)
-    return MM_PER_UNIT[unit]
+    return MM_PER_M * UNITS_M[unit]
 
 
 def _position(file: str, position: Any, key: str, scale: float) -> list[float]:

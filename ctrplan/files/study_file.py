@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
 import msgspec
@@ -18,7 +16,6 @@ from ctrplan.storage.toml_document import (
     Point,
     Tolerance,
     Vector,
-    read_document,
 )
 
 MOST_COUNT = 10**12
@@ -122,15 +119,6 @@ class StudyEntry(Struct, forbid_unknown_fields=True):
     targets: TargetsEntry | None = None
     bases: BasesEntry | None = None
     keep: KeepEntry = KeepEntry()
-
-
-def read_study(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> tuple[StudyEntry, Document]:
-    """The entries of a study file after `overrides`, and its content.
-
-    Raises InputError, one sentence with file, key, value and rule, for anything malformed or contradictory.
-    """
-    document = read_document(path, overrides)
-    return checked_study(document), document
 
 
 def checked_study(document: Document) -> StudyEntry:

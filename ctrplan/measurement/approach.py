@@ -26,26 +26,26 @@ _DIRECTIONS: WeakKeyDictionary[Measurements, Array] = WeakKeyDictionary()  # fit
 _PLAIN_STATES: WeakKeyDictionary[Measurements, Array] = WeakKeyDictionary()
 
 
-def friction_state(data: Measurements, release_m: float = np.inf, breakaway_rad: float = BREAKAWAY_RAD) -> Array:
+def friction_state(data: Measurements, release_m: float = np.inf) -> Array:
     """(K, n - 1) circumferential share of the Coulomb limit at every pose, each run starting released.
 
     A relative translation by `release_m` turns the friction axial and leaves 1/e of the circumferential share.
     """
-    if np.isfinite(release_m) or breakaway_rad != BREAKAWAY_RAD:
-        return _followed(data, release_m, breakaway_rad)
+    if np.isfinite(release_m):
+        return _followed(data, release_m)
     if data not in _PLAIN_STATES:
-        _PLAIN_STATES[data] = read_only(_followed(data, release_m, breakaway_rad))
+        _PLAIN_STATES[data] = read_only(_followed(data, release_m))
     return _PLAIN_STATES[data]
 
 
-def _followed(data: Measurements, release_m: float, breakaway_rad: float) -> Array:
+def _followed(data: Measurements, release_m: float) -> Array:
     turns = np.diff(data.theta_commanded, axis=1)
     slides = np.diff(data.l_commanded, axis=1)
     state = np.zeros_like(turns)
     for row in range(1, len(turns)):
         if data.sequence[row] == data.sequence[row - 1]:
             turn, slide = turns[row] - turns[row - 1], np.abs(slides[row] - slides[row - 1])
-            state[row] = _advanced(state[row - 1], turn / breakaway_rad, slide / release_m)
+            state[row] = _advanced(state[row - 1], turn / BREAKAWAY_RAD, slide / release_m)
     return state[data.rows]
 
 

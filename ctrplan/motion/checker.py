@@ -217,9 +217,9 @@ class MotionChecker:
         """Whether the zero-clearance shape at q (m,) collides by so much that the state is not worth a solve."""
         return self.space.allowed(q) and self.rooms([q[None]])[0] < DEFINITE_COLLISION_M
 
-    def with_reserve(self, reserve_m: float) -> MotionChecker:
-        """A checker that keeps another reserve; it has checked nothing yet."""
-        return MotionChecker(self.scenario, self.style, self.meter, reserve_m)
+    def without_reserve(self) -> MotionChecker:
+        """A checker that keeps no reserve; it has checked nothing yet."""
+        return MotionChecker(self.scenario, self.style, self.meter, reserve_m=0.0)
 
     def state(self, q: Array) -> Motion:
         """A single state as a motion of no length."""

@@ -19,7 +19,7 @@ from ctrplan.anatomy.mesh_repair import MeshDefectError
 from ctrplan.anatomy.parts import AnatomyPart, combined_clearance, exact_clearance, surface_distance
 from ctrplan.anatomy.patient_frame import TURNED, Frame
 from ctrplan.anatomy.shape import PartShape, Role
-from ctrplan.base.arrays import MM_DIGITS, MM_PER_M, Array, unit
+from ctrplan.base.arrays import MM_DIGITS, MM_PER_M, Array, spread_directions, unit
 from ctrplan.drive.drive import Drive
 from ctrplan.errors import InputError
 from ctrplan.files.scenario_anatomy import MOTION, anatomy_notes, anatomy_part
@@ -127,12 +127,8 @@ def _refusal(scenario: Scenario, place: str, point_m: Array, needed_m: float, wh
 
 def nearest_room(scenario: Scenario, point_m: Array, needed_m: float) -> Array | None:
     """(3,) [m] near a point (3,) where a ball of that radius keeps all margins; None where there is none near."""
-    k = np.arange(DIRECTIONS) + 0.5
-    height, turn = 1 - 2 * k / DIRECTIONS, np.pi * (1 + 5**0.5) * k
-    ring = np.sqrt(1 - height**2)
-    directions = np.column_stack([ring * np.cos(turn), ring * np.sin(turn), height])
     away = np.linspace(0, FARTHEST_M, SHELLS)
-    tried = (point_m + away[:, None, None] * directions).reshape(-1, 3)
+    tried = (point_m + away[:, None, None] * spread_directions(DIRECTIONS)).reshape(-1, 3)
     fits = exact_clearance(scenario.anatomy, tried) >= needed_m + SLACK_M
     if not fits.any():
         return None

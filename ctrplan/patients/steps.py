@@ -18,6 +18,7 @@ from ctrplan.anatomy.patient_frame import Frame
 from ctrplan.anatomy.shape import Role
 from ctrplan.anatomy.structure import images_kept
 from ctrplan.base.arrays import MM_PER_M, Array, shortest_rotation
+from ctrplan.base.package import counted
 from ctrplan.errors import InputError, NoAnswerError
 from ctrplan.files.file_content import content_at
 from ctrplan.files.plan_file import load_plan
@@ -132,7 +133,7 @@ class _CaseTask:
         roles = [
             f"{structure.name} ({'inside' if role == 'inside' else 'avoid'})" for structure, role in self.structures
         ]
-        counts = f"{_counted(len(self.targets), 'target')}, {_counted(len(self.entries), 'entry')}"
+        counts = f"{counted(len(self.targets), 'target')}, {counted(len(self.entries), 'entry')}"
         return f"{', '.join(roles)}; {counts}, in {self.frame}"
 
 
@@ -211,12 +212,6 @@ def _with_head(content: dict[str, Any]) -> str:
     return f"{head}\n{toml_text(content)}"
 
 
-def _counted(count: int, thing: str) -> str:
-    return (
-        f"1 {thing}" if count == 1 else f"{count} {thing.removesuffix('y') + 'ie' if thing.endswith('y') else thing}s"
-    )
-
-
 class BasesStep(CaseStep):
     """`ctrplan.place` from each entry."""
 
@@ -272,10 +267,7 @@ class BasesStep(CaseStep):
         if len(lines) < 2:
             return [own]
         table = CsvTable(str(file), "table of entries")
-        for name in ENTRY_COLUMNS.split(","):
-            if name not in table.header:
-                raise table.fault("is missing in the header", column=name)
-        rows = np.column_stack([table.numbers(name) for name in ENTRY_COLUMNS.split(",")]) / MM_PER_M
+        rows = table.columns(ENTRY_COLUMNS.split(",")) / MM_PER_M
         return [own, *(_standing(own, row, table, k) for k, row in enumerate(rows))]
 
 
@@ -307,7 +299,7 @@ class PlacedStep(CaseStep):
         rows = read_bases(work.file(BASES))
         if number > len(rows):
             raise InputError(f"has {len(rows)} poses", file=work.file(BASES), key="row", value=number)
-        pose = rows[number - 1].pose
+        pose = rows[number - 1]
         content = content_at(read_document(work.file(SCENARIO)).content, pose)
         head = f"# Row {number} of {BASES}, by `ctrplan case`. Edit it, and the next run plans from here."
         write_atomically(work.file(PLACED), f"{head}\n{toml_text(content)}")

@@ -19,7 +19,7 @@ from ctrplan.anatomy.mesh_file import SUFFIXES as MESHES
 from ctrplan.anatomy.mesh_file import usual_unit
 from ctrplan.anatomy.parts import AnatomyPart, Phases
 from ctrplan.anatomy.shape import Role
-from ctrplan.anatomy.structure import image_of
+from ctrplan.anatomy.structure import image_of, volume_of
 from ctrplan.base.arrays import MM_PER_M
 from ctrplan.errors import InputError
 from ctrplan.files.slicer_markups import is_markups, read_markups
@@ -61,23 +61,15 @@ def of_image(path: Path) -> list[Structure]:
     """Labels or segments; none of an image of grey values. Raises ImageRefusal."""
     image = image_of(path, image_file.read_image)
     if image.segments:
-        return [_segment(path, image, segment.name, segment.label, segment.layer) for segment in image.segments]
+        sizes = [(s.name, volume_of(image, s.label, s.layer)) for s in image.segments]
+        return [Structure(path, name, size, {"kind": "volume", "segment": name}) for name, size in sizes]
     counts = _labels(image)
     name = stem(path)
     size = {label: f"{count * image.voxel_mm3 / 1e3:.3g} ml" for label, count in counts.items()}
-    if len(counts) == 1:
-        return [Structure(path, name, text, _label(label)) for label, text in size.items()]
-    return [Structure(path, str(label), text, _label(label)) for label, text in size.items()]
-
-
-def _label(label: int) -> dict[str, Any]:
-    return {"kind": "volume", "label": label}
-
-
-def _segment(path: Path, image: Image, name: str, label: int, layer: int) -> Structure:
-    voxels = image.voxels if image.voxels.ndim == 3 else image.voxels[..., layer]
-    size = np.count_nonzero(voxels == label) * image.voxel_mm3 / 1e3
-    return Structure(path, name, f"{size:.3g} ml", {"kind": "volume", "segment": name})
+    return [
+        Structure(path, name if len(counts) == 1 else str(label), text, {"kind": "volume", "label": label})
+        for label, text in size.items()
+    ]
 
 
 def _labels(image: Image) -> dict[int, int]:
@@ -127,8 +119,7 @@ def between_phases_mm(part: AnatomyPart) -> float | None:
 
 def with_margin(part: AnatomyPart, motion_margin_mm: float) -> AnatomyPart:
     """The part with that margin for places between its phases."""
-    if not isinstance(part.shape, Phases):
-        return part
+    assert isinstance(part.shape, Phases), "between_phases_mm has a number of such parts alone"
     shape = replace(part.shape, motion_margin_m=motion_margin_mm / MM_PER_M)
     more_m = shape.surface_error_m - part.shape.surface_error_m
     return AnatomyPart(shape, part.role, part.margin_m + more_m)
@@ -308,10 +299,12 @@ def matching(content: CaseContent, option: str, text: str) -> Structure | None:
     matches = matches or [structure for structure in content.structures if text.lower() == structure.name.lower()]
     file, colon, name = text.partition(":")
     if not matches and colon:
-        if (image := _grey_file(content, file)) is not None:
+        grey = (path for path in content.grey if file in (path.name, str(path), stem(path)))
+        if (image := next(grey, None)) is not None:
             return _range(content, image, option, text, name)
         within = [structure for structure in content.structures if file in (structure.file.name, str(structure.file))]
-        matches = [structure for structure in within if name in (structure.name, _group_of(structure, name))]
+        # A label map of one label is called by its file, its label is still a name.
+        matches = [s for s in within if name in (s.name, str(s.entry.get("label")))]
         if not matches and within and within[0].entry["kind"] == "mesh":
             return Structure(within[0].file, name, "group", {**within[0].entry, "group": name})
     if len({structure.file for structure in matches}) > 1:
@@ -322,15 +315,6 @@ def matching(content: CaseContent, option: str, text: str) -> Structure | None:
         rule = f"names several structures: the files hold {content.listed}{_grey(content)}"
         raise InputError(rule, key=option, value=text)
     return matches[0] if matches else None
-
-
-def _group_of(structure: Structure, name: str) -> str | None:
-    """A label map of one label is called by its file, its label is still a name."""
-    return name if str(structure.entry.get("label")) == name else None
-
-
-def _grey_file(content: CaseContent, name: str) -> Path | None:
-    return next((path for path in content.grey if name in (path.name, str(path), stem(path))), None)
 
 
 def _range(content: CaseContent, image: Path, option: str, text: str, ranges: str) -> Structure:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import csv
 import hashlib
-import io
 import json
 import math
 import threading
@@ -25,7 +23,7 @@ from ctrplan.patients.request import RADIUS_MM, Request, request_of
 from ctrplan.planning.base_pose import DIGITS, BaseFrame, BasePose, as_written
 from ctrplan.plans.plan import Plan
 from ctrplan.scenario.scenario import Scenario
-from ctrplan.storage.csv_table import CsvTable, file_bytes
+from ctrplan.storage.csv_table import CsvTable, csv_text, file_bytes
 from ctrplan.storage.output_folder import write_atomically
 
 
@@ -183,46 +181,27 @@ POSITION, TURN = ("x_mm", "y_mm", "z_mm"), ("qw", "qx", "qy", "qz")
 TOLD = ("targets_reached", "worst_error_mm", "clearance_mm", "note")
 
 
-@dataclass(frozen=True, eq=False)
-class BaseRow:
-    """A base pose of the table."""
-
-    number: int  # from 1
-    pose: BaseFrame
-
-
 def bases_text(poses: Sequence[BasePose]) -> str:
     """The file's content. Position and quaternion are read again, the rest is for whoever looks at it."""
-    stream = io.StringIO()
-    table = csv.writer(stream, lineterminator="\n")
-    table.writerow([*POSITION, *TURN, *TOLD])
+    rows = []
     for pose in poses:
-        written = BaseFrame(pose.position_m, pose.R)
         position = np.round(pose.position_m * MM_PER_M, MM_DIGITS) + 0.0
-        turn = np.round(written.quaternion_wxyz, DIGITS) + 0.0
-        table.writerow([*map(repr, position.tolist()), *map(repr, turn.tolist()), *_told(pose)])
-    return stream.getvalue()
+        turn = np.round(BaseFrame(pose.position_m, pose.R).quaternion_wxyz, DIGITS) + 0.0
+        rows.append([*position.tolist(), *turn.tolist(), *_told(pose)])
+    return csv_text([*POSITION, *TURN, *TOLD], rows)
 
 
-def read_bases(file: Path) -> list[BaseRow]:
+def read_bases(file: Path) -> list[BaseFrame]:
     """The poses in their order. Raises InputError for a table without the columns, and for what turns nothing."""
     table = CsvTable(str(file), "table of base poses")
-    for name in (*POSITION, *TURN):
-        if name not in table.header:
-            raise table.fault("is missing in the header", column=name)
-    position = np.column_stack([table.numbers(name) for name in POSITION])
-    turn = np.column_stack([table.numbers(name) for name in TURN])
+    position, turn = np.split(table.columns([*POSITION, *TURN]), [len(POSITION)], axis=1)
     for k in range(len(position)):
         if np.abs(position[k]).max() > LONGEST_MM:
             raise table.fault(f"must lie from {-LONGEST_MM:g} to {LONGEST_MM:g} mm", k, "x_mm, y_mm, z_mm")
         if not abs(np.linalg.norm(turn[k]) - 1) <= NORM_TOLERANCE:
             raise table.fault(f"must have norm 1 within {NORM_TOLERANCE}", k, "qw, qx, qy, qz")
-    return [
-        BaseRow(
-            k + 1, as_written(BaseFrame(position[k] / MM_PER_M, Rotation.from_quat(np.roll(turn[k], -1)).as_matrix()))
-        )
-        for k in range(len(position))
-    ]
+    rotations = Rotation.from_quat(np.roll(turn, -1, axis=1)).as_matrix()
+    return [as_written(BaseFrame(*row)) for row in zip(position / MM_PER_M, rotations, strict=True)]
 
 
 def _told(pose: BasePose) -> list[str]:

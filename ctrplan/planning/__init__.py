@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from ctrplan.base.package import lazy_names
+from ctrplan.base.package import homes_in, lazy_names
 
 if TYPE_CHECKING:
     from ctrplan.certificate.certificate import Certificate as Certificate
@@ -27,23 +27,6 @@ if TYPE_CHECKING:
     from ctrplan.scenario.joint_space import JointSpace as JointSpace
     from ctrplan.scenario.joint_space import l_shaped as l_shaped
 
-_HOMES = {
-    "BoundObjective": "planning.search.ompl_set_up",
-    "Certificate": "certificate.certificate",
-    "CertificateSamples": "certificate.certificate",
-    "JointSpace": "scenario.joint_space",
-    "Leg": "plans.planned_motion",
-    "MotionChecker": "motion.checker",
-    "MotionValidity": "planning.search.ompl_set_up",
-    "Plan": "plans.plan",
-    "ReorderReport": "plans.planned_motion",
-    "StateReader": "planning.search.ompl_set_up",
-    "Validity": "planning.search.ompl_set_up",
-    "l_shaped": "scenario.joint_space",
-    "plan": "planning.planner",
-    "reorder": "planning.given_path",
-    "state_space": "planning.search.ompl_set_up",
-}
 __all__ = [
     "BoundObjective",
     "Certificate",
@@ -61,4 +44,4 @@ __all__ = [
     "reorder",
     "state_space",
 ]
-__getattr__ = lazy_names(__name__, _HOMES)
+__getattr__ = lazy_names(__name__, homes_in(__file__))

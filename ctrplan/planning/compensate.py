@@ -24,6 +24,7 @@ from ctrplan.motion.checker import MotionChecker
 from ctrplan.planning.endings import settled_again
 from ctrplan.planning.reach import tips_by_joints
 from ctrplan.plans.planned_motion import Compensation
+from ctrplan.robot.robot import Robot
 from ctrplan.scenario.prediction import (
     TIP_TOLERANCE_M,
     FrictionStart,
@@ -35,7 +36,7 @@ from ctrplan.scenario.prediction import (
     start_states,
 )
 from ctrplan.scenario.scenario import Scenario
-from ctrplan.scenario.tip_solver import angle_to, target_in_robot_frame
+from ctrplan.scenario.tip_solver import DAMPING, angle_to, target_in_robot_frame
 from ctrplan.uncertainty.target import TargetPose
 
 ITERATIONS = 8
@@ -43,7 +44,6 @@ ROUNDS = 2  # of corrections: of what the first could not certify, and of a line
 LOOKED_AT = 4  # places between corners of a line, a budget
 CLOSE_M = 0.02e-3  # of the predicted tip to the target; better than histories are simulated
 REFINED = 2  # times that the middle over all coefficients of friction is looked at again, a budget
-DAMPING = 1e-4  # of the least-squares step, in units of (mm per mm) squared
 LONGEST_STEP_MM = 10.0  # of joint length
 AT_LIMIT = 1e-9  # rad or m from a joint's limit; rounding
 SHARES = (0.5, 0.25)  # of a correction, tried where no whole one is certified
@@ -155,8 +155,7 @@ def aimed(checker: MotionChecker, corners: Array) -> tuple[MotionChecker, Array]
     goal, robot = scenario.goal, scenario.robot
     if goal.tip_m is None or goal.joints is not None or goal.line_m is not None or len(corners) < 2:
         return checker, corners
-    frictionless = robot.mechanics.tips_with_friction(*robot.drive.collars(corners[-1:]), np.zeros((1, robot.n - 1)))
-    offset = ball_centre(end_tips(robot, corners, start_states(scenario))) - frictionless.position_m[0]
+    offset = ball_centre(end_tips(robot, corners, start_states(scenario))) - _frictionless(robot, corners[-1:])[0][0]
     if not np.isfinite(offset).all():
         return checker, corners
     there = replace(goal, tip_m=goal.tip_m - scenario.base_R @ offset)
@@ -173,12 +172,18 @@ def brought_to_goal(checker: MotionChecker, corners: Array) -> Array | None:
         path = corrected(corners, len(corners) - 1, is_rotation, delta)
         if not checker.space.allowed(path):
             return None
-        tip = robot.mechanics.tips_with_friction(*robot.drive.collars(path[-1:]), np.zeros((1, robot.n - 1)))
-        miss = target_in_robot_frame(checker.scenario) - tip.position_m[0]
+        tip_m, tangent = _frictionless(robot, path[-1:])
+        miss = target_in_robot_frame(checker.scenario) - tip_m[0]
         if not np.linalg.norm(miss) > CLOSE_M:
             return path
-        delta = delta + _newton_step(checker, path[-1], miss, tip.tangent[0], np.ones(len(delta), bool))
+        delta = delta + _newton_step(checker, path[-1], miss, tangent[0], np.ones(len(delta), bool))
     return None
+
+
+def _frictionless(robot: Robot, joints: Array) -> tuple[Array, Array]:
+    """Frictionless tips and tangents (K, 3), (K, 3) at joints (K, m), robot's frame."""
+    tips = robot.mechanics.tips_with_friction(*robot.drive.collars(joints), np.zeros((len(joints), robot.n - 1)))
+    return tips.position_m, tips.tangent
 
 
 def arrival_error(certificate: Certificate) -> float:
@@ -375,9 +380,8 @@ def _corrected_line(
 
 def _line(checker: MotionChecker, corners: Array) -> TargetPose:
     """The goal's line, where a path (K, m) follows it."""
-    scenario, robot = checker.scenario, checker.scenario.robot
-    tip = robot.mechanics.tips_with_friction(*robot.drive.collars(corners[-1:]), np.zeros((1, robot.n - 1)))
-    return TargetPose.of(scenario, scenario.goal, tip.position_m[0])
+    scenario = checker.scenario
+    return TargetPose.of(scenario, scenario.goal, _frictionless(scenario.robot, corners[-1:])[0][0])
 
 
 def _off_between(
@@ -400,8 +404,7 @@ def _on_line(
 ) -> Array:
     """The corners (K, m) of a path along a line, all but the first moved until predicted tips there are on the line."""
     robot, line = checker.scenario.robot, _line(checker, corners)
-    tips = robot.mechanics.tips_with_friction(*robot.drive.collars(corners), np.zeros((len(corners), robot.n - 1)))
-    targets = np.array([line.nearest_m(tip, is_end=False) for tip in tips.position_m])
+    targets = np.array([line.nearest_m(tip_m, is_end=False) for tip_m in _frictionless(robot, corners)[0]])
     targets[-1] = _aim(checker.scenario, certificate)
     best, moved = (np.inf, corners), np.array(corners)
     every = np.ones(corners.shape[1], bool)

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ctrplan.base.arguments import SEED, Number, Whole, checked, require
-from ctrplan.base.arrays import LONGEST_MM, MM_PER_M, Array, numbers
+from ctrplan.base.arguments import DIRECTION_TOLERANCE_DEG, MOST_STARTS, SEED, Number, Whole, checked, require
+from ctrplan.base.arrays import LONGEST_MM, MM_PER_M, UNITS_M, Array, numbers
 from ctrplan.base.package import of_this_process, shown, warn_caller
 from ctrplan.errors import InputError
 from ctrplan.motion.checker import MotionChecker, breach, path_limits
@@ -26,7 +26,6 @@ from ctrplan.planning.reach import (
     rooms_on_stretches,
     tips_by_joints,
 )
-from ctrplan.robot.magnitudes import UNITS_M
 from ctrplan.robot.observer import ObserverState
 from ctrplan.robot.robot import Robot
 from ctrplan.scenario.joint_space import bare_scenario
@@ -41,8 +40,6 @@ if TYPE_CHECKING:
     from ctrplan.scenario.prediction import FrictionStart
 
 TOLERANCE_M = 1e-4
-DIRECTION_TOLERANCE_RAD = math.radians(5.0)
-MOST_STARTS = 100_000
 STARTS = 400
 FARTHEST_M = LONGEST_MM * 1e-3
 
@@ -168,7 +165,8 @@ def _target(
         raise InputError("must not be zero", key="direction", value=given.tolist())
     scaled = given / largest  # so that squares do not vanish
     along = scenario.base_R.T @ (scaled / np.linalg.norm(scaled))
-    return TipTarget(tip, along, DIRECTION_TOLERANCE_RAD if tolerance_rad is None else float(tolerance_rad))
+    allowed = math.radians(DIRECTION_TOLERANCE_DEG) if tolerance_rad is None else float(tolerance_rad)
+    return TipTarget(tip, along, allowed)
 
 
 def _vector(key: str, value: ArrayLike, largest: float, unit: str | None = None) -> Array:

@@ -22,7 +22,7 @@ from scipy.spatial import cKDTree
 
 from ctrplan.anatomy.clearance_grid import SignedDistanceField, anatomy_field, field_bounds, shared_spacing_m
 from ctrplan.anatomy.parts import exact_clearance
-from ctrplan.base.arguments import EVENT, PROGRESS, SEED, Made, Number, Whole, checked, require
+from ctrplan.base.arguments import CANDIDATES, CONFIRMED, EVENT, PROGRESS, SEED, Made, Number, Whole, checked, require
 from ctrplan.base.arrays import LONGEST_MM, Array, numbers
 from ctrplan.base.long_work import StageProgress, interrupt_event
 from ctrplan.base.package import shown
@@ -236,7 +236,6 @@ def _each(poses: Sequence[BaseFrame], tried: _Attempts) -> list[tuple[BaseFrame,
 
 
 RADIUS_M, CONE_RAD = 10e-3, math.radians(30.0)
-CANDIDATES, CONFIRMED = 256, 8
 DRAWN = 40  # poses for each candidate, after which a patch counts as blocked
 AT_ONCE = 16  # poses that are looked at together
 RADIUS, CONE = Number(0.0, 1.0, "m"), Number(0.0, math.pi / 2, "rad")

@@ -257,7 +257,7 @@ def _with_goals(checker: MotionChecker, seed: int) -> tuple[MotionChecker, list[
     with suppress(NoAnswerError):
         if start >= checker.reserve_m:
             return checker, goal_states(checker, np.random.default_rng(seed))
-    bare = checker.with_reserve(0.0)
+    bare = checker.without_reserve()
     goals = goal_states(bare, np.random.default_rng(seed))
     return bare, goals
 

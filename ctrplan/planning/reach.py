@@ -22,14 +22,7 @@ from ctrplan.mechanics.shapes import Status, Tips
 from ctrplan.mechanics.walk import PathSamples
 from ctrplan.motion.checker import MotionChecker
 from ctrplan.scenario.scenario import anatomy_grid
-from ctrplan.scenario.tip_solver import (
-    DAMPING,
-    LONGEST_STEP_M,
-    TipSolver,
-    TipTarget,
-    angle_to,
-    miss_of,
-)
+from ctrplan.scenario.tip_solver import TipSolver, TipTarget, angle_to, damped_steps, miss_of
 
 if TYPE_CHECKING:
     from ctrplan.anatomy.clearance_grid import SignedDistanceField
@@ -345,9 +338,7 @@ def _stepped(
         miss, weight = miss_of(target, here)
         scaled = slope / weights
         scaled[:, 3:] *= weight[:, None, None]
-        gram = scaled @ np.swapaxes(scaled, 1, 2) + DAMPING * np.eye(6)
-        step = np.einsum("kij,ki->kj", scaled, np.linalg.solve(gram, np.nan_to_num(miss)[:, :, None])[:, :, 0])
-        step *= np.minimum(1.0, LONGEST_STEP_M / np.maximum(np.linalg.norm(step, axis=1, keepdims=True), 1e-12))
+        step = damped_steps(scaled, np.nan_to_num(miss))
         joints = space.projected(joints + step / weights, fallback=joints)
         moved = joints - q
         bend = np.hstack(solver.tips(joints)) - np.hstack([tip, tangent]) - _times(straight, moved)

@@ -162,6 +162,20 @@ def _library() -> str:
     return f'{script("packed.js")}\nconst plotly = library("{packed(library)}");\n'
 
 
+def scene_script(plot: str, key: str, *calls: str, files: Sequence[str] = ()) -> str:
+    """What gives a scene its key and keeps it fitted, once all of the page stands.
+
+    plot, key: elements of the scene and of its key. calls: what else is called, of `files` of this package, with the
+    scene as `plot`.
+    """
+    begin = [f"addKey(plot, document.getElementById('{key}'))", "keepFitted(plot)", *calls]
+    body = f"const plot = document.getElementById('{plot}'); {'; '.join(begin)};"
+    return "".join(map(script, ("fit_camera.js", "scene_key.js", *files))) + (
+        f"\nfunction start() {{ {body} }}\n"
+        "if (document.readyState === 'loading') document.addEventListener('DOMContentLoaded', start); else start();\n"
+    )
+
+
 @cache
 def _templates() -> Environment:
     from jinja2 import Environment, PackageLoader, StrictUndefined  # when a page is made and not before

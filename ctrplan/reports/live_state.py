@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from ctrplan.anatomy.parts import lumens_box
 from ctrplan.base.arrays import LONGEST_MM, MM_PER_M, MOST_DEGREES, Array
-from ctrplan.base.surface import Surface
 from ctrplan.certificate.anatomy_distance import AnatomyDistance
 from ctrplan.certificate.friction_states import POINT_SPACING_M, UNEVEN_FRICTION_M, mesh_allowance_m
 from ctrplan.drive.drive import Kind
@@ -29,18 +29,16 @@ from ctrplan.motion.play import play_reach, play_shift
 from ctrplan.planning.reach import reach
 from ctrplan.plans.planned_motion import Played, joints_at
 from ctrplan.reports import looks as looks
-from ctrplan.reports.looks import view_box
 from ctrplan.reports.plan_scene import (
     Trace,
-    anatomy_traces,
-    laid_out,
+    in_anatomy,
     line_trace,
-    mesh_trace,
     moved_traces,
+    plate_trace,
     robot_traces,
     xyz,
 )
-from ctrplan.reports.robot_surface import RobotPose, anatomy_surface, pose, stand
+from ctrplan.reports.robot_surface import RobotPose, pose, stand
 from ctrplan.scenario.tip_solver import TipTarget
 
 if TYPE_CHECKING:
@@ -116,14 +114,9 @@ class LiveState:
     def figure(self) -> dict[str, Any]:
         """The figure at the start, as a plain object: the traces that move first, then plate and anatomy."""
         scenario = self.scenario
-        surfaces = [anatomy_surface(part) for part in scenario.anatomy]
-        still = [mesh_trace(stand(scenario), looks.PLATE_LOOK.colour, 1.0, looks.PLATE_LOOK.name, shown=False)]
-        anatomy = anatomy_traces(scenario, surfaces)
-        traces = [*robot_traces(pose(scenario, scenario.start)), *still, *self._target(), *anatomy]
-        points_m = self._reach(surfaces)
-        solid = np.concatenate([np.empty((0, 3)), *(surface.vertices_m for surface in surfaces)])
-        shown_m, base_m = np.concatenate([points_m, stand(scenario).vertices_m]), scenario.base_position_m
-        return laid_out(traces, *view_box(points_m, solid), shown_m, scenario.frame, base_m=base_m)
+        traces = [*robot_traces(pose(scenario, scenario.start)), plate_trace(scenario), *self._target()]
+        points_m = self._reach()
+        return in_anatomy(traces, scenario, points_m, np.concatenate([points_m, stand(scenario).vertices_m]))
 
     def _target(self) -> list[Trace]:
         """The points that the scenario asks for, to be clicked on."""
@@ -247,17 +240,13 @@ class LiveState:
         """Without the number of the only row there is."""
         return reason.split(": ", 1)[1] if reason.startswith("row ") else reason
 
-    def _reach(self, surfaces: list[Surface]) -> Array:
+    def _reach(self) -> Array:
         """(K, 3) what to look at, anatomy's frame: the plate and random tips, near the lumens where there are any."""
         q = self.checker.space.sample(np.random.default_rng(0), REACH_SAMPLES)
         tips, _, status = self.checker.mechanics.tips(*self.checker.space.drive.collars(q), loads=False)
         points = self.scenario.located(np.concatenate([tips[status == Status.CONVERGED], np.zeros((1, 3))]))
-        parts = zip(self.scenario.anatomy, surfaces, strict=True)
-        lumens = [surface.vertices_m for part, surface in parts if part.role == "inside"]
-        if lumens:
-            room = np.concatenate(lumens)
-            points = np.clip(points, room.min(axis=0) - AROUND_M, room.max(axis=0) + AROUND_M)
-        return points
+        room = lumens_box(self.scenario.anatomy)
+        return points if room is None else np.clip(points, room[0] - AROUND_M, room[1] + AROUND_M)
 
 
 def clearances_mm(scenario: Scenario, joints: Array) -> dict[str, float | None]:

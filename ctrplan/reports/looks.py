@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -9,9 +10,10 @@ import numpy as np
 
 from ctrplan.base.arrays import Array
 from ctrplan.drive.drive import Drive
-from ctrplan.reports import looks
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from ctrplan.scenario.scenario import Scenario
 
 SERIES = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00")
@@ -37,6 +39,16 @@ GRID = "#E3E7EB"
 ANATOMY = {"avoid": "#D98880", "inside": "#CFA08F"}
 ANATOMY_OPACITY = {"avoid": 0.6, "inside": 0.3}
 LEG_KINDS = {"rotation": "#E4EDF7", "translation": "#FBF0DC", "simultaneous": "#EDE6F6"}
+
+
+DPI = 120  # of pictures
+
+
+def png(figure: Figure, dpi: int = DPI) -> bytes:
+    """The figure of matplotlib as the content of a PNG file."""
+    content = io.BytesIO()
+    figure.savefig(content, format="png", dpi=dpi)
+    return content.getvalue()
 
 
 def tube_colour(tube: int) -> str:
@@ -67,24 +79,24 @@ class Look:
     colour: str
 
 
-ENVELOPE_LOOK = Look("envelope of friction", looks.ENVELOPE)
-CORNERS = Look("corner shapes", looks.CORNER)
-START_LOOK = Look("robot at the start", looks.START)
-AT_GOAL = Look("robot at the goal", looks.START)
-PLATE_LOOK = Look("front plate", looks.PLATE)
-TIP_PATH = Look("path of the tip", looks.BOUND)
-GOAL_LOOK = Look("goal", looks.GOAL)
-NARROWEST = Look("closest to the anatomy", looks.LIMIT)
-NARROW_BODY = Look("closest pose by clearance", looks.CLEARANCE)
+ENVELOPE_LOOK = Look("envelope of friction", ENVELOPE)
+CORNERS = Look("corner shapes", CORNER)
+START_LOOK = Look("robot at the start", START)
+AT_GOAL = Look("robot at the goal", START)
+PLATE_LOOK = Look("front plate", PLATE)
+TIP_PATH = Look("path of the tip", BOUND)
+GOAL_LOOK = Look("goal", GOAL)
+NARROWEST = Look("closest to the anatomy", LIMIT)
+NARROW_BODY = Look("closest pose by clearance", CLEARANCE)
 ANATOMY_LOOK = {
-    "avoid": Look("anatomy to avoid", looks.ANATOMY["avoid"]),
-    "inside": Look("lumen to stay inside", looks.ANATOMY["inside"]),
+    "avoid": Look("anatomy to avoid", ANATOMY["avoid"]),
+    "inside": Look("lumen to stay inside", ANATOMY["inside"]),
 }
 
 
 def tube_look(tube: int) -> Look:
     """The look of a tube, 0 the outermost."""
-    return Look(f"tube {tube + 1}", looks.tube_colour(tube))
+    return Look(f"tube {tube + 1}", tube_colour(tube))
 
 
 def anatomy_looks(scenario: Scenario) -> list[Look]:

@@ -143,20 +143,16 @@ def _draw_tubes(ax: Axes, robot: Robot) -> None:
     """Each tube below the one around it, on its own plane of bending, with its true diameter."""
     from matplotlib.patches import Polygon
 
-    bases = [tube.length_m for tube in robot.tubes]
-    lowest = 0.0
+    longest, lowest = max(tube.length_m for tube in robot.tubes), 0.0
     for i, tube in enumerate(robot.tubes):
         line, normal = _bent_line(tube)
         half = tube.outer_diameter_m / 2
         outline = np.concatenate([line + half * normal, (line - half * normal)[::-1]]) * MM_PER_M
-        top = outline[:, 1].max()
-        offset = lowest - top if i else 0.0
-        shift = np.array([0.0, offset])
-        ax.add_patch(Polygon(outline + shift, facecolor=looks.tube_colour(i), edgecolor=looks.INK, linewidth=0.4))
-        moved = outline + shift
-        ax.annotate(_caption(tube, i), (moved[0, 0], moved[:, 1].max()), xytext=(0, 3), textcoords="offset points",
+        outline[:, 1] += lowest - outline[:, 1].max() if i else 0.0
+        ax.add_patch(Polygon(outline, facecolor=looks.tube_colour(i), edgecolor=looks.INK, linewidth=0.4))
+        ax.annotate(_caption(tube, i), (outline[0, 0], outline[:, 1].max()), xytext=(0, 3), textcoords="offset points",
                     fontsize=8.5, color=looks.INK)  # fmt: skip
-        lowest = float(moved[:, 1].min()) - 0.1 * max(bases) * MM_PER_M - 4
+        lowest = float(outline[:, 1].min()) - 0.1 * longest * MM_PER_M - 4
     ax.set_aspect("equal")
     ax.autoscale_view()
     ax.set_xlabel("along the straight base (mm)")
@@ -246,27 +242,19 @@ def draw_shape(ax: Any, shape: Shape, others: Sequence[Shape] = ()) -> None:
     points = [tube.centreline_m[tube.s_m >= -1e-9] for tube in shape.tubes]
     for i, line in reversed(list(enumerate(points))):
         if len(line):
-            ax.plot(*(line * MM_PER_M).T, color=looks.tube_colour(i), linewidth=2.0 + 1.6 * (shape_count(shape) - i))
+            ax.plot(*(line * MM_PER_M).T, color=looks.tube_colour(i), linewidth=2.0 + 1.6 * (len(points) - i))
     points += [other.centreline_m[other.s_m >= -1e-9] for other in others]
     every = np.concatenate([line for line in points if len(line)]) if any(map(len, points)) else np.zeros((1, 3))
-    lower, upper = every.min(axis=0) * MM_PER_M, every.max(axis=0) * MM_PER_M
-    half = max(float((upper - lower).max()) / 2, 1.0)
-    middle = (lower + upper) / 2
-    for name, centre, size in zip("xyz", middle, np.maximum(upper - lower, 0.35 * 2 * half) / 2, strict=True):
-        getattr(ax, f"set_{name}lim")(centre - size * 1.08, centre + size * 1.08)
-        getattr(ax, f"{name}axis").set_major_locator(MaxNLocator(3 if size < half else 6))
-    ax.set_xlabel("x (mm)", fontsize=8)
-    ax.set_ylabel("y (mm)", fontsize=8)
-    ax.set_zlabel("z (mm)", fontsize=8)
+    lower, upper = (corner * MM_PER_M for corner in looks.view_box(every, np.empty((0, 3))))
+    sides = upper - lower
+    for name, low, high in zip("xyz", lower, upper, strict=True):
+        getattr(ax, f"set_{name}lim")(low, high)
+        getattr(ax, f"set_{name}label")(f"{name} (mm)", fontsize=8)
+        getattr(ax, f"{name}axis").set_major_locator(MaxNLocator(3 if high - low < sides.max() else 6))
     ax.tick_params(labelsize=8, pad=0)
-    ax.set_box_aspect(np.maximum(upper - lower, 0.35 * 2 * half))
+    ax.set_box_aspect(sides)
     azimuth = looks.side_azimuth_rad(every) if len(every) > 3 else 0.6
     ax.view_init(elev=15, azim=float(np.degrees(azimuth)))
-
-
-def shape_count(shape: Shape) -> int:
-    """Number of tubes."""
-    return len(shape.tubes)
 
 
 def _draw_line(ax: Any, shape: Shape, colour: str, width: float) -> None:

@@ -41,11 +41,11 @@ def pose_messages(pose: RobotPose, frame: Frame) -> list[bytes]:
     return [tip, _points("tip_point", pose.tip_m[None], frame), *packed]
 
 
-def tip_messages(position_m: Array, tangent: Array, frame: Frame = ROBOT_FRAME) -> list[bytes]:
+def tip_messages(position_m: Array, tangent: Array) -> list[bytes]:
     """TRANSFORM tip and POINT tip_point of a place (3,) [m] and a direction (3,); its turn about that says nothing."""
     across = ACROSS[int(np.argmin(np.abs(tangent)))]
     R = frames_along(tangent[None], across[None])[0]
-    return [_transform("tip", position_m, R, frame), _points("tip_point", position_m[None], frame)]
+    return [_transform("tip", position_m, R, ROBOT_FRAME), _points("tip_point", position_m[None], ROBOT_FRAME)]
 
 
 def to_ras(frame: Frame) -> Array:

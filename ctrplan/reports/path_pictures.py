@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import textwrap
 from collections.abc import Sequence
 from typing import Any
@@ -22,12 +21,12 @@ from ctrplan.studies.follow import Following
 from ctrplan.studies.simulate import Simulation
 from ctrplan.studies.sweep import Sweep, SweepAxis
 
-SIZE_IN, DPI = (11.0, 7.5), 120
+SIZE_IN = (11.0, 7.5)
 
 
 def stacked(title: str, pairs: int, xlabel: str, heights: Sequence[float]) -> tuple[Figure, Axes, Axes | None]:
     """A figure with axes for errors, and for friction states where there are pairs; of relative heights."""
-    figure = Figure(figsize=SIZE_IN, dpi=DPI, facecolor="white", layout="constrained")
+    figure = Figure(figsize=SIZE_IN, dpi=looks.DPI, facecolor="white", layout="constrained")
     count = 2 if pairs else 1
     axes = figure.subplots(count, 1, sharex=True, squeeze=False, height_ratios=heights[:count])[:, 0]
     axes[0].set_title(title, loc="left", fontsize=14, fontweight="bold", color=looks.INK, parse_math=False)
@@ -44,13 +43,6 @@ def _open_axes(ax: Axes) -> None:
     ax.spines[["top", "right"]].set_visible(False)
 
 
-def png(figure: Figure) -> bytes:
-    """The figure as a PNG file's content."""
-    content = io.BytesIO()
-    figure.savefig(content, format="png", dpi=DPI)
-    return content.getvalue()
-
-
 def label_errors(ax: Axes, label: str) -> None:
     """What errors over rows have in common, once they are drawn."""
     ax.margins(x=0.01)
@@ -59,8 +51,12 @@ def label_errors(ax: Axes, label: str) -> None:
     ax.legend(frameon=False)
 
 
-def label_friction(ax: Axes) -> None:
-    """What friction states over rows have in common, once they are drawn."""
+def draw_friction(ax: Axes, rows: Sequence[Array], states: Sequence[Array]) -> None:
+    """Friction states (K, pairs) over rows (K,), one after the other where a path has several runs."""
+    for run, (row, phi) in enumerate(zip(rows, states, strict=True)):
+        for pair in range(phi.shape[1]):
+            label = f"tubes {pair + 1} and {pair + 2}" if run == 0 else None
+            ax.plot(row, phi[:, pair], color=looks.tube_colour(pair), label=label)
     ax.margins(x=0.01)
     ax.set_ylim(-1.05, 1.05)
     ax.set_ylabel("friction state")
@@ -73,13 +69,8 @@ def following_figure(result: Following) -> Figure:
     row = np.asarray(result.data.rows + 1, dtype=np.float64)
     _draw_errors(errors, row, result)
     if friction:
-        _draw_followed_friction(friction, row, result)
+        draw_friction(friction, [row], [result.friction])
     return figure
-
-
-def following_png(result: Following) -> bytes:
-    """The figure as a PNG file's content."""
-    return png(following_figure(result))
 
 
 def _draw_errors(ax: Axes, row: Array, result: Following) -> None:
@@ -90,13 +81,6 @@ def _draw_errors(ax: Axes, row: Array, result: Following) -> None:
     label_errors(ax, "measured tip from the expected one (mm)")
 
 
-def _draw_followed_friction(ax: Axes, row: Array, result: Following) -> None:
-    for pair in range(result.robot.n - 1):
-        label = f"tubes {pair + 1} and {pair + 2}"
-        ax.plot(row, result.friction[:, pair], color=looks.tube_colour(pair), label=label)
-    label_friction(ax)
-
-
 MOST_MARKERS = 60  # more points of a curve are not marked
 
 
@@ -105,20 +89,16 @@ def simulation_figure(result: Simulation) -> Figure:
     figure, deviation, friction = stacked(result.robot.name, result.robot.n - 1, "row of the path", (2, 1))
     _draw_deviation(deviation, result)
     if friction:
-        _draw_friction(friction, result)
+        runs = [_samples_of(result, run) for run in result.path.runs]
+        draw_friction(friction, [result.place[rows] + 1 for rows in runs], [result.phi[rows] for rows in runs])
     return figure
-
-
-def simulation_png(result: Simulation) -> bytes:
-    """The figure as a PNG file's content."""
-    return png(simulation_figure(result))
 
 
 def _draw_deviation(ax: Axes, result: Simulation) -> None:
     row, deviation_mm, bound_mm = result.place + 1, result.deviation_m * 1e3, result.bounds.position_m * 1e3
     unstable = result.bounds.status == Status.UNSTABLE
     for run in result.path.runs:
-        rows = (result.place >= run.start) & (result.place <= run.stop - 1)
+        rows = _samples_of(result, run)
         names = ("worst-case bound", "predicted tip deviation") if run.start == 0 else (None, None)
         bound = np.where(unstable, np.nan, bound_mm)[rows]
         ax.fill_between(row[rows], bound, color=looks.BOUND, alpha=0.15, linewidth=0, label=names[0])
@@ -132,15 +112,9 @@ def _draw_deviation(ax: Axes, result: Simulation) -> None:
     label_errors(ax, "tip from the frictionless solution (mm)")
 
 
-def _draw_friction(ax: Axes, result: Simulation) -> None:
-    for pair in range(result.robot.n - 1):
-        colour, label = looks.tube_colour(pair), f"tubes {pair + 1} and {pair + 2}"
-        for run in result.path.runs:
-            rows = (result.place >= run.start) & (result.place <= run.stop - 1)
-            ax.plot(
-                result.place[rows] + 1, result.phi[rows, pair], color=colour, label=label if run.start == 0 else None
-            )
-    label_friction(ax)
+def _samples_of(result: Simulation, run: slice) -> NDArray[np.bool_]:
+    """(S,) which samples are of a run."""
+    return np.asarray((result.place >= run.start) & (result.place <= run.stop - 1))
 
 
 SWEEP_SIZE_IN = (10.0, 7.0)
@@ -158,7 +132,7 @@ UNUSABLE = {  # status -> colour, hatch, words
 
 def sweep_figure(result: Sweep) -> Figure:
     """The bound over the axes; where there is none, grey says why. Made without pyplot, no global state."""
-    figure = Figure(figsize=SWEEP_SIZE_IN, dpi=DPI, facecolor="white", layout="constrained")
+    figure = Figure(figsize=SWEEP_SIZE_IN, dpi=looks.DPI, facecolor="white", layout="constrained")
     ax = figure.add_subplot()
     caption = textwrap.wrap(_caption(result), WIDEST_CAPTION)
     name, pad = textwrap.shorten(result.robot.name, WIDEST_NAME, placeholder=" ..."), 12 + 14 * max(1, len(caption))
@@ -176,7 +150,7 @@ def sweep_figure(result: Sweep) -> Figure:
 def sweep_png(result: Sweep) -> bytes:
     """The figure as a PNG file's content."""
     with rc_context({"hatch.linewidth": 0.6, "hatch.color": looks.MUTED}):
-        return png(sweep_figure(result))
+        return looks.png(sweep_figure(result))
 
 
 def _draw_curve(ax: Axes, result: Sweep) -> None:

@@ -14,25 +14,24 @@ from ctrplan.base.surface import capsule
 from ctrplan.plans.planned_motion import place_time_s, sample_time_s
 from ctrplan.reports import looks
 from ctrplan.reports.curves import CURSOR
-from ctrplan.reports.html_page import plot, rendered, script
-from ctrplan.reports.looks import view_box
+from ctrplan.reports.html_page import plot, rendered, scene_script
 from ctrplan.reports.plan_scene import (
     SIDES,
     PlanScene,
     Trace,
-    anatomy_traces,
     goal_tip,
-    laid_out,
+    in_anatomy,
     line_trace,
     mesh_trace,
     moved_traces,
+    plate_trace,
     robot_traces,
     seen_from,
     tip_path,
     xyz,
 )
 from ctrplan.reports.plan_words import START_FRICTION, Kind, clearance_rows, point_words
-from ctrplan.reports.robot_surface import anatomy_surface, stand, swept_surface, thinned
+from ctrplan.reports.robot_surface import stand, swept_surface, thinned
 from ctrplan.reports.words import Markup, millimetres
 
 if TYPE_CHECKING:
@@ -180,22 +179,19 @@ def start_figure(scene: PlanScene) -> dict[str, Any]:
     """The scene before the motion, without frames, as a plain object."""
     plan, path = scene.plan, scene.path
     moving = [*robot_traces(scene.start), _tip_path(plan, scene.start.time_s)]
-    anatomy = [anatomy_surface(part) for part in plan.scenario.anatomy]
     swept = mesh_trace(
         thinned(swept_surface(path, SWEPT_NODES), SWEPT_TRIANGLES),
         looks.ENVELOPE_LOOK.colour,
         SWEPT_OPACITY,
         "space the envelope sweeps",
     )
-    later = [
-        trace | {"visible": False, "meta": {"later": True}} for trace in (*_at_goal(scene), *_narrowest(scene), swept)
-    ]
-    traces = [*moving, *_still(scene), *later, *anatomy_traces(plan.scenario, anatomy)]
+    narrowest = narrowest_traces(scene.narrowest) if scene.narrowest else []
+    hidden = {"visible": False, "meta": {"later": True}}
+    later = [trace | hidden for trace in (*_at_goal(scene), *narrowest, swept)]
+    traces = [*moving, plate_trace(plan.scenario), *_goal(plan), *later]
     robots, foot = [step.envelope.surface(4).vertices_m for step in path], stand(plan.scenario).vertices_m
     points = np.concatenate([*robots, foot, goal_tip(plan)[None]])
-    solid = np.concatenate([np.empty((0, 3)), *(s.vertices_m for s in anatomy)])
-    base_m = plan.scenario.base_position_m
-    return laid_out(traces, *view_box(points, solid), points, plan.scenario.frame, base_m=base_m)
+    return in_anatomy(traces, plan.scenario, points)
 
 
 def _at_goal(scene: PlanScene) -> list[Trace]:
@@ -204,15 +200,6 @@ def _at_goal(scene: PlanScene) -> list[Trace]:
         mesh_trace(rod.surface(SIDES), looks.AT_GOAL.colour, 1.0, looks.AT_GOAL.name, shown=i == 0)
         for i, rod in enumerate(slim)
     ]
-
-
-def _narrowest(scene: PlanScene) -> list[Trace]:
-    return narrowest_traces(scene.narrowest) if scene.narrowest else []
-
-
-def _still(scene: PlanScene) -> list[Trace]:
-    plate = mesh_trace(stand(scene.plan.scenario), looks.PLATE_LOOK.colour, 1.0, looks.PLATE_LOOK.name, shown=False)
-    return [plate, *_goal(scene.plan)]
 
 
 def _tip_path(plan: Plan, time_s: float) -> Trace:
@@ -264,14 +251,15 @@ def _goal(plan: Plan) -> list[Trace]:
     return traces
 
 
-SCRIPTS = ("fit_camera.js", "scene_key.js", "player.js", "looking.js")
 CURVES = ("margins", "joints")  # where the time is marked
 SHORTEST_FRAME_MS, LONGEST_FRAME_MS = 60, 200  # a motion plays in real time where that is neither jerky nor dull
 
 
 def shown_motion(scene: PlanScene) -> dict[str, Any]:
     """Scene and player, figures of the first moment, which the player changes, and other ways, this plan first."""
-    code = "".join(map(script, SCRIPTS)) + _starting(scene)
+    calls = [f"addLooking(plot, {json.dumps(camera_places(scene))})"]
+    calls += [f"addPlayer(plot, {json.dumps(_motion(scene))})"] if len(scene.path) > 1 else []
+    code = scene_script("scene", "key", *calls, files=("player.js", "looking.js"))
     figure = start_figure(scene)
     return {
         "scene": plot(figure, "scene", frames=motion_frames(scene), with_library=True, script=code, kind="plot scene"),
@@ -306,19 +294,6 @@ def _thinned(scene: PlanScene, figure: dict[str, Any]) -> str:
     if drawn == whole:
         return ""
     return f" The anatomy is drawn in {drawn:,} of its {whole:,} triangles; distances are to all of them."
-
-
-def _starting(scene: PlanScene) -> str:
-    """What runs once the scene and all of the page stand."""
-    calls = ["addKey(plot, document.getElementById('key'))", "keepFitted(plot)"]
-    calls.append(f"addLooking(plot, {json.dumps(camera_places(scene))})")
-    if len(scene.path) > 1:
-        calls.append(f"addPlayer(plot, {json.dumps(_motion(scene))})")
-    body = f"const plot = document.getElementById('scene'); {'; '.join(calls)};"
-    return (
-        f"\nfunction start() {{ {body} }}\n"
-        "if (document.readyState === 'loading') document.addEventListener('DOMContentLoaded', start); else start();\n"
-    )
 
 
 def _motion(scene: PlanScene) -> dict[str, Any]:

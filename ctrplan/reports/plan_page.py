@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ctrplan.base.package import counted
 from ctrplan.certificate.certificate import FIGURES
 from ctrplan.files.plan_inputs import INPUTS, SUFFIX, inputs_of, write_as_one
 from ctrplan.files.trajectory_file import TrajectoryFormat, trajectory_formats, write_trajectory
@@ -83,7 +84,7 @@ def plan_report_html(scene: PlanScene) -> str:
         leg_remarks=partial(_leg_remarks, plan),
         reordered=_reordered(plan.reorder),
         ways=sorted(plan.reorder.alternatives, key=lambda way: way.name != "as driven"),
-        counted=_counted,
+        counted=counted,
         MEANING=MEANING,
         SHADES=SHADES,
         WAY_NAMES=WAY_NAMES,
@@ -166,12 +167,8 @@ def _figure_tiles(plan: Plan) -> Iterator[tuple[str, str]]:
             yield "free space", "no anatomy to stay clear of"
         else:
             yield VALUES[figure.unit](value), term(*figure.tile)
-    stops = _counted(plan.trajectory.stops, "stop")
+    stops = counted(plan.trajectory.stops, "stop")
     yield f"{digits(plan.trajectory.duration_s)} s", f"duration, {stops} on the way"
-
-
-def _counted(count: int, thing: str) -> str:
-    return f"{count} {thing}{'' if count == 1 else 's'}"
 
 
 FORMATS = ("csv", "ros2")  # of the trajectory, where nothing else is asked for

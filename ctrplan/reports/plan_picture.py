@@ -290,9 +290,7 @@ def plan_figure(scene: PlanScene) -> Figure:
 
 def write_plan_png(path: str | os.PathLike[str], scene: PlanScene) -> None:
     """Write plan.png, whole or not at all; as `write_atomically`."""
-    content = io.BytesIO()
-    plan_figure(scene).savefig(content, format="png", dpi=DPI)
-    write_atomically(path, content.getvalue())
+    write_atomically(path, looks.png(plan_figure(scene), DPI))
 
 
 def _draw_column(figure: Figure, plan: Plan, time: Timeline) -> None:

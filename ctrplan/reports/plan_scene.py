@@ -10,7 +10,7 @@ import numpy as np
 
 from ctrplan.anatomy.parts import exact_clearance
 from ctrplan.anatomy.patient_frame import ENDS, Frame, axis_label
-from ctrplan.base.arrays import Array
+from ctrplan.base.arrays import Array, spread_directions
 from ctrplan.base.long_work import Progress
 from ctrplan.base.surface import Rod, Surface
 from ctrplan.errors import SolverError
@@ -19,7 +19,8 @@ from ctrplan.mechanics.shapes import Status
 from ctrplan.plans.planned_motion import Played, joints_at
 from ctrplan.reports import looks
 from ctrplan.reports.html_page import FIGURE_TEXT
-from ctrplan.reports.robot_surface import RobotPose, pose, tube_surface
+from ctrplan.reports.looks import view_box
+from ctrplan.reports.robot_surface import RobotPose, anatomy_surface, pose, stand, tube_surface
 from ctrplan.scenario.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -101,6 +102,11 @@ def mesh_trace(surface: Surface, colour: str, opacity: float, name: str, shown: 
     }
 
 
+def plate_trace(scenario: Scenario) -> Trace:
+    """The front plate and the fixtures at it."""
+    return mesh_trace(stand(scenario), looks.PLATE_LOOK.colour, 1.0, looks.PLATE_LOOK.name, shown=False)
+
+
 def xyz(points_m: Array) -> dict[str, Any]:
     """Coordinates in mm to 1/128, in single precision: more than a screen can show, and pages are half as large."""
     x, y, z = (np.round(points_m * 1e3 * FINENESS) / FINENESS).astype(np.float32).T
@@ -155,6 +161,18 @@ def laid_out(
     return {"data": traces, "layout": layout}
 
 
+def in_anatomy(traces: list[Trace], scenario: Scenario, points_m: Array, seen_m: Array | None = None) -> dict[str, Any]:
+    """The figure of traces about points (K, 3) [m] in a scenario's anatomy, seen from beside its base.
+
+    seen_m: (K, 3) what a view of all has to hold, where that is not the same.
+    """
+    surfaces = [anatomy_surface(part) for part in scenario.anatomy]
+    solid = np.concatenate([np.empty((0, 3)), *(surface.vertices_m for surface in surfaces)])
+    shown = [*traces, *anatomy_traces(scenario, surfaces)]
+    seen = points_m if seen_m is None else seen_m
+    return laid_out(shown, *view_box(points_m, solid), seen, scenario.frame, base_m=scenario.base_position_m)
+
+
 def seen_from(points_m: Array, base_m: Array | None = None) -> tuple[Array, Array]:
     """Unit vectors (3,), (3,): along the widest spread of points (K, 3), away from a base, and towards the eye.
 
@@ -173,11 +191,7 @@ DIRECTIONS = 96  # in which outermost points are sought, a few degrees apart
 
 def _outermost_mm(points_m: Array) -> list[list[float]]:
     """Points among (K, 3) that lie farthest in some direction, which a view of all has to hold."""
-    k = np.arange(DIRECTIONS) + 0.5
-    height, turn = 1 - 2 * k / DIRECTIONS, np.pi * (1 + np.sqrt(5)) * k
-    around = np.sqrt(1 - height**2)
-    directions = np.column_stack([around * np.cos(turn), around * np.sin(turn), height])
-    rows = np.unique(np.argmax(points_m @ directions.T, axis=0))
+    rows = np.unique(np.argmax(points_m @ spread_directions(DIRECTIONS).T, axis=0))
     outermost: list[list[float]] = np.round(points_m[rows] * 1e3, 2).tolist()
     return outermost
 

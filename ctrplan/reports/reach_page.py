@@ -15,10 +15,9 @@ from ctrplan.base.arrays import Array
 from ctrplan.errors import SolverError
 from ctrplan.planning.reach import Configuration, Reach
 from ctrplan.reports import looks
-from ctrplan.reports.html_page import plot, rendered, script
-from ctrplan.reports.looks import view_box
-from ctrplan.reports.plan_scene import SIDES, anatomy_traces, laid_out, line_trace, mesh_trace, xyz
-from ctrplan.reports.robot_surface import RobotPose, anatomy_surface, pose, stand
+from ctrplan.reports.html_page import plot, rendered, scene_script
+from ctrplan.reports.plan_scene import SIDES, in_anatomy, line_trace, mesh_trace, plate_trace, xyz
+from ctrplan.reports.robot_surface import RobotPose, pose, stand
 from ctrplan.reports.words import digits, millimetres, term
 from ctrplan.scenario.scenario import Scenario
 
@@ -48,38 +47,26 @@ def reach_scene(scenario: Scenario, reach: Reach, branches: list[int]) -> ReachS
 
 def reach_figure(scene: ReachScene) -> dict[str, Any]:
     """All these robots at once, each in its branch's colour with its envelope."""
-    surfaces = [anatomy_surface(part) for part in scene.scenario.anatomy]
-    traces = [mesh_trace(stand(scene.scenario), looks.PLATE_LOOK.colour, 1.0, looks.PLATE_LOOK.name, shown=False)]
+    traces = [plate_trace(scene.scenario)]
     for branch, shown in scene.poses:
         colour, name = looks.SERIES[branch], f"branch {branch + 1}"
         for tube, rod in enumerate(shown.tubes):
             traces.append(mesh_trace(rod.surface(SIDES), colour, 1.0, name, shown=tube == 0))
         traces.append(mesh_trace(shown.envelope.surface(SIDES), colour, 0.15, name, shown=False))
     marker = {"symbol": "diamond", "size": 6, "color": looks.GOAL_LOOK.colour}
-    point = line_trace(xyz(scene.target_m[None]), mode="markers", marker=marker, name="the point asked for")
-    traces += [point, *anatomy_traces(scene.scenario, surfaces)]
+    traces.append(line_trace(xyz(scene.target_m[None]), mode="markers", marker=marker, name="the point asked for"))
     robots = [shown.envelope.surface(4).vertices_m for _, shown in scene.poses]
     points = np.concatenate([*robots, scene.target_m[None], stand(scene.scenario).vertices_m])
-    solid = np.concatenate([np.empty((0, 3)), *(surface.vertices_m for surface in surfaces)])
-    base_m = scene.scenario.base_position_m
-    return laid_out(traces, *view_box(points, solid), points, scene.scenario.frame, base_m=base_m)
+    return in_anatomy(traces, scene.scenario, points)
 
 
 WORDS = ("branch", "worst-case friction error", "clearance", "stability", "envelope of friction")
-START = """
-const begin = () => {
-  const plot = document.getElementById('scene');
-  addKey(plot, document.getElementById('key'));
-  keepFitted(plot);
-};
-if (document.readyState === 'loading') document.addEventListener('DOMContentLoaded', begin); else begin();
-"""
 
 
 def reach_report_html(scene: ReachScene) -> str:
     """The content of report.html; there must be a configuration."""
     scenario, best = scene.scenario, _best(scene)
-    joints, code = scenario.robot.drive.joints, script("fit_camera.js") + script("scene_key.js") + START
+    joints = scenario.robot.drive.joints
     return rendered(
         "reach.html",
         title=f"Ways to a point - {scenario.name}",
@@ -94,7 +81,9 @@ def reach_report_html(scene: ReachScene) -> str:
             (_clearance(best), term("clearance", "clearance beyond margins, there")),
             (digits(best.stability), term("stability", "stability, there")),
         ],
-        figure=plot(reach_figure(scene), "scene", with_library=True, script=code, kind="plot scene"),
+        figure=plot(
+            reach_figure(scene), "scene", with_library=True, script=scene_script("scene", "key"), kind="plot scene"
+        ),
         all_drawn=len(set(scene.branches)) <= MOST_DRAWN,
         rows=list(zip(scene.configurations, scene.branches, strict=True)),
         names=[f"{joint.name} ({joint.unit})" for joint in joints],

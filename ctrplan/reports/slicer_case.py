@@ -118,11 +118,9 @@ def scene_text(nodes: Iterable[Node]) -> str:
     return '<MRML version="Slicer5.0.0" userTags="">\n' + "".join(map(_element, nodes)) + "</MRML>\n"
 
 
-def model_nodes(
-    number: int, name: str, file: str, colour: str, *, opacity: float = 1.0, visible: bool = True
-) -> tuple[Node, Node, Node]:
+def model_nodes(number: int, name: str, file: str, colour: str, *, opacity: float = 1.0) -> tuple[Node, Node, Node]:
     """A model with its file and its looks; the first one is the model."""
-    look = {"color": _numbers(colour), "opacity": f"{opacity:g}", "visibility": _flag(visible)}
+    look = {"color": _numbers(colour), "opacity": f"{opacity:g}", "visibility": "true"}
     storage = storage_node("ModelStorage", number, file)
     display = Node("ModelDisplay", number, f"{name} display", look)
     return Node("Model", number, name, {}, {"display": [display], "storage": [storage]}), display, storage
@@ -132,7 +130,7 @@ def markup_nodes(kind: str, number: int, name: str, file: str, visible: bool = T
     """A markup ("Curve", "Line", "Fiducial") with its file; colours come with the file. The first one is the markup."""
     display_kind = "MarkupsFiducialDisplay" if kind == "Fiducial" else "MarkupsDisplay"
     storage = storage_node("MarkupsJsonStorage", number, file)
-    display = Node(display_kind, number, f"{name} display", {"visibility": _flag(visible)})
+    display = Node(display_kind, number, f"{name} display", {"visibility": "true" if visible else "false"})
     references = {"display": [display], "storage": [storage]}
     return Node(f"Markups{kind}", number, name, {}, references), display, storage
 
@@ -146,10 +144,6 @@ def _element(node: Node) -> str:
     references = "".join(f"{role}:{' '.join(to.id for to in nodes)};" for role, nodes in node.references.items())
     own = {"id": node.id, "name": node.name, **node.attributes} | ({"references": references} if references else {})
     return f" <{node.kind} {' '.join(f'{key}={quoteattr(value)}' for key, value in own.items())}></{node.kind}>\n"
-
-
-def _flag(value: bool) -> str:
-    return "true" if value else "false"
 
 
 def _numbers(colour: str) -> str:
@@ -241,7 +235,6 @@ def _bare(model: Node, storage: Node) -> Iterator[Node]:
 PERCENTS = tuple(range(0, 101, 10))  # of the motion's time, at which centrelines are written
 MOST_POINTS = 300  # of a curve: Slicer draws each of them
 SIDES, ENVELOPE_SIDES = 16, 14
-OPACITY = {"avoid": 0.6, "inside": 0.3}
 
 
 def case_files(motion: WrittenMotion, frame: Frame) -> dict[str, str | bytes]:
@@ -301,10 +294,9 @@ class _Case:
 
 def _anatomy(case: _Case, motion: WrittenMotion) -> None:
     for k, part in enumerate(motion.scenario.anatomy, start=1):
-        name = f"anatomy {k}: {part.shape.name}, {looks.ANATOMY_LOOK[part.role].name}"
-        case.model(
-            f"anatomy_{k}.ply", name, part.shape.surface(), looks.ANATOMY_LOOK[part.role].colour, OPACITY[part.role]
-        )
+        look, opacity = looks.ANATOMY_LOOK[part.role], looks.ANATOMY_OPACITY[part.role]
+        name = f"anatomy {k}: {part.shape.name}, {look.name}"
+        case.model(f"anatomy_{k}.ply", name, part.shape.surface(), look.colour, opacity)
     case.model("plate.ply", looks.PLATE_LOOK.name, stand(motion.scenario), looks.PLATE_LOOK.colour)
 
 

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from ctrplan.base.arrays import Array
 from ctrplan.base.package import __version__
-from ctrplan.reports.html_page import plot, rendered, script
+from ctrplan.reports.html_page import plot, rendered, scene_script
 from ctrplan.reports.study_figures import (
     BASES,
     TARGETS,
@@ -108,14 +108,6 @@ def _vector(numbers: Array, places: int) -> str:
     return " ".join(f"{x + 0.0:.{places}f}" for x in numbers.round(places).tolist())
 
 
-MAP_SCRIPT = """
-const begin = () => {
-  const plot = document.getElementById('NAME');
-  addKey(plot, document.getElementById('key-NAME'));
-  keepFitted(plot);
-};
-if (document.readyState === 'loading') document.addEventListener('DOMContentLoaded', begin); else begin();
-"""
 MAPS = (
     (TARGETS, "Where: targets", "targets"),
     (BASES, "Where: base poses", "bases"),
@@ -204,7 +196,7 @@ def _maps(
     results = []
     for where, title, name in MAPS:
         if places := Places.of(table, where):
-            code = script("fit_camera.js") + script("scene_key.js") + MAP_SCRIPT.replace("NAME", name)
+            code = scene_script(name, f"key-{name}")
             figure = map_figure(study.scenario, table, places, shown)
             drawn = _plot(figure, name, library, script=code, kind="plot scene")
             results.append({"title": title, "name": name, "figure": drawn, "points": len(places.points_mm)})

@@ -157,20 +157,20 @@ def _by_friction(phrase: Callable[[Chance], str], by_history: Chance | None, any
 
 def met(chance: Chance) -> str:
     """The chance that something does not happen, or the bound on it where it happened to every draw or to none."""
-    share = 1 - chance.stated
     if chance.stated == 0:
         return f"above {digits(100 * (1 - chance.high))} %"
-    if share == 0:
+    if chance.stated == 1:
         return f"below {digits(100 * (1 - chance.low))} %"
-    return f"{digits(100 * share)} %" if chance.is_confirmed else f"{digits(100 * share)} % (by solves)"
+    return _stated(chance, 1 - chance.stated)
 
 
 def percent(chance: Chance) -> str:
     """A chance, or the bound on one that no draw had; that of the solves where they are worse."""
-    share = chance.stated
-    if share == 0:
-        return f"below {digits(100 * chance.high)} %"
-    return f"{digits(100 * share)} %" if chance.is_confirmed else f"{digits(100 * share)} % (by solves)"
+    return _stated(chance, chance.stated) if chance.stated else f"below {digits(100 * chance.high)} %"
+
+
+def _stated(chance: Chance, share: float) -> str:
+    return f"{digits(100 * share)} %{'' if chance.is_confirmed else ' (by solves)'}"
 
 
 def stated_in_words(uncertainty: Uncertainty) -> list[str]:

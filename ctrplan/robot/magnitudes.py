@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from ctrplan.base.arrays import UNIT_WORDS, are_degrees, are_radians, in_radians
+from ctrplan.base.arrays import UNIT_WORDS, UNITS_M, are_degrees, are_radians, in_radians
 from ctrplan.drive.drive import UNITS
 from ctrplan.robot.robot import diametral_gap_m
 
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from ctrplan.mechanics.tube import Tube, TubeSection
     from ctrplan.robot.robot import Robot
 
-UNITS_M = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "in": 25.4e-3, "um": 1e-6}  # the likeliest mistake first
 YOUNG_PA = 5e7, 1.2e12  # a soft polymer, and diamond, the stiffest that there is
 WALL = 10.0  # times by which rounded diameters of thin walls may make an implied modulus greater
 USUAL_YOUNG_PA = 1e9, 3e11  # of a reading that explains a number

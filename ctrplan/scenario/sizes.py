@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 
 from ctrplan.anatomy.parts import AnatomyPart
-from ctrplan.base.arrays import Array, are_degrees, are_radians, in_radians
+from ctrplan.base.arrays import UNITS_M, Array, are_degrees, are_radians, in_radians
 from ctrplan.mechanics.tube import Loads
-from ctrplan.robot.magnitudes import UNITS_M, in_words, reach_m
+from ctrplan.robot.magnitudes import in_words, reach_m
 from ctrplan.robot.robot import Robot
 
 NEAR = 0.01  # share of the robot's length: a tip that is nearer to the base lies in the plate

@@ -208,12 +208,9 @@ class _Batch:
         """(K, m) a damped step further; along the limits and nesting that it runs into."""
         space, q = self.solver.space, self.q[rows]
         weights, count = space.weights_mm / MM_PER_M, 3 if self.target.direction is None else 6
-        slope, miss = self._weighted(rows)[:, :count] / weights, self.miss[rows, :count, None]
+        slope = self._weighted(rows)[:, :count] / weights
         for _ in range(PASSES):
-            gram = slope @ np.swapaxes(slope, 1, 2) + self.damping[rows, None, None] * np.eye(count)
-            step = np.einsum("kij,ki->kj", slope, np.linalg.solve(gram, miss)[:, :, 0])
-            step *= np.minimum(1.0, LONGEST_STEP_M / np.maximum(_length(step), 1e-12))[:, None]
-            moved = q + step / weights
+            moved = q + damped_steps(slope, self.miss[rows, :count], self.damping[rows]) / weights
             self._hold(slope, moved)
         return space.projected(moved, fallback=q)
 
@@ -231,20 +228,12 @@ class _Batch:
     def _weighted(self, rows: Rows) -> Array:
         """(K, 6, m) derivatives of what `_miss` measures."""
         slope: Array = self.jacobian[rows]
-        slope[:, 3:] *= self._direction_weight(self.tangent[rows])[:, None, None]
+        slope[:, 3:] *= direction_weight(self.target, self.tangent[rows])[:, None, None]
         return slope
 
     def _miss(self, rows: Rows, tip: Array, tangent: Array) -> Array:
         """(K, 6) [m] of position, and of direction beyond its tolerance."""
-        aim = np.zeros(3) if self.target.direction is None else self.target.direction
-        return np.hstack([self.goal[rows] - tip, (aim - tangent) * self._direction_weight(tangent)[:, None]])
-
-    def _direction_weight(self, tangent: Array) -> Array:
-        if self.target.direction is None:
-            return np.zeros(len(tangent))
-        allowed = TOLERANCE_SHARE * self.target.direction_tolerance_rad
-        turned = np.maximum(angle_to(tangent, self.target.direction), 1e-12)
-        return np.asarray(M_PER_RAD * np.maximum(0.0, 1 - allowed / turned))
+        return miss_of(self.target, np.hstack([tip, tangent]), self.goal[rows])[0]
 
     def _learn(self, rows: Rows, step_m: Array, change: Array) -> None:
         """Broyden: the derivatives that are nearest to the old ones and explain the last step, position only."""
@@ -264,16 +253,34 @@ class _Batch:
             self.fresh[rows] = True
 
 
-def miss_of(target: TipTarget, pose: Array) -> tuple[Array, Array]:
-    """(K, 6) [m] of tips and of their directions beyond the tolerance, and what a direction weighs (K,) [m per rad]."""
-    miss = np.zeros_like(pose)
-    miss[:, :3] = target.tip_m - pose[:, :3]
+def direction_weight(target: TipTarget, tangent: Array) -> Array:
+    """(K,) [m per rad] what the directions of tips with tangents (K, 3) weigh; nothing within the tolerance."""
     if target.direction is None:
-        return miss, np.zeros(len(pose))
-    turned = np.maximum(angle_to(pose[:, 3:], target.direction), 1e-12)
-    weight = M_PER_RAD * np.maximum(0.0, 1 - TOLERANCE_SHARE * target.direction_tolerance_rad / turned)
-    miss[:, 3:] = weight[:, None] * (target.direction - pose[:, 3:])
+        return np.zeros(len(tangent))
+    turned = np.maximum(angle_to(tangent, target.direction), 1e-12)
+    return np.asarray(M_PER_RAD * np.maximum(0.0, 1 - TOLERANCE_SHARE * target.direction_tolerance_rad / turned))
+
+
+def miss_of(target: TipTarget, pose: Array, goal_m: Array | None = None) -> tuple[Array, Array]:
+    """(K, 6) [m] of tips and of their directions beyond the tolerance, and what a direction weighs (K,) [m per rad].
+
+    goal_m: (K, 3) where each tip shall be, if that is not the same for all.
+    """
+    miss, weight = np.zeros_like(pose), direction_weight(target, pose[:, 3:])
+    miss[:, :3] = (target.tip_m if goal_m is None else goal_m) - pose[:, :3]
+    if target.direction is not None:
+        miss[:, 3:] = weight[:, None] * (target.direction - pose[:, 3:])
     return miss, weight
+
+
+def damped_steps(slope: Array, miss: Array, damping: Array | float = DAMPING) -> Array:
+    """(K, m) least-squares steps that take off what misses (K, r), by derivatives (K, r, m) in m per m.
+
+    None is longer than LONGEST_STEP_M. damping: beside the squared singular values, one or (K,).
+    """
+    gram = slope @ np.swapaxes(slope, 1, 2) + np.multiply.outer(damping, np.eye(slope.shape[1]))
+    step = np.einsum("kij,ki->kj", slope, np.linalg.solve(gram, miss[:, :, None])[:, :, 0])
+    return np.asarray(step * np.minimum(1.0, LONGEST_STEP_M / np.maximum(_length(step), 1e-12))[:, None])
 
 
 @dataclass(eq=False)

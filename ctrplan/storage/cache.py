@@ -86,16 +86,11 @@ def load(key: str, shape: tuple[int, ...], otherwise: str = "will be rebuilt") -
     return values
 
 
-def store(key: str, values: NDArray[np.float32]) -> str:
-    """Keep `values` under `key`, written to a temporary name and renamed.
+def store_all(grids: Mapping[str, NDArray[np.float32]]) -> str:
+    """Keeps grids by their keys, each written to a temporary name and renamed.
 
     Not being able to is no error: returns why, empty where they are kept.
     """
-    return store_all({key: values})
-
-
-def store_all(grids: Mapping[str, NDArray[np.float32]]) -> str:
-    """Stores several grids, by their keys."""
     made = set()
     for key, values in grids.items():
         if (path := _path(key)) is None:

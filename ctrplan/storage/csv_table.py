@@ -5,11 +5,13 @@ from __future__ import annotations
 import codecs
 import csv
 import hashlib
+import io
 import os
 import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
+from typing import Any
 
 import numpy as np
 
@@ -81,6 +83,15 @@ def file_bytes(file: str, largest_bytes: int, kind: str, what: str) -> bytes:
     return data
 
 
+def csv_text(header: Iterable[str], rows: Iterable[Iterable[Any]]) -> str:
+    """The content of a CSV file: names of the columns and rows of numbers, with every digit, and texts."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(header)
+    writer.writerows(rows)
+    return text.getvalue()
+
+
 LARGEST_FILE_BYTES = 200_000_000
 WHOLE = re.compile(r"\s*-?\d*(?:e-?\d+)?\s*")  # as the halves of numbers are that a comma divides
 LARGEST_NUMBER = 1e20  # stamps in nanoseconds are smaller
@@ -149,6 +160,13 @@ class CsvTable:
             if (np.abs(result[given]) <= LARGEST_NUMBER).all():  # not so with None, which is NaN here
                 return result
         return np.array([self._number(row, name, text, blanks) for row, text in enumerate(texts)])
+
+    def columns(self, names: Sequence[str]) -> Array:
+        """(K, N) finite numbers of several columns. Raises InputError for one that there is not."""
+        for name in names:
+            if name not in self.header:
+                raise self.fault("is missing in the header", column=name)
+        return np.column_stack([self.numbers(name) for name in names])
 
     def others(self, known: set[str]) -> dict[str, Array]:
         """Numeric columns besides the known ones; notes and names are none."""

@@ -272,11 +272,11 @@ def _numbers(value: Any, path: tuple[Step, ...] = ()) -> Iterator[tuple[tuple[St
 def toml_text(content: Mapping[str, Any]) -> str:
     """The content; read back it is the same."""
     tables = {key: value for key, value in content.items() if isinstance(value, Mapping) or _is_tables(value)}
-    lines = [f"{_key(key)} = {_value(value)}\n" for key, value in content.items() if key not in tables]
+    lines = [f"{_key(key)} = {toml_value(value)}\n" for key, value in content.items() if key not in tables]
     for key, value in tables.items():
         single, many = f"\n[{_key(key)}]\n", f"\n[[{_key(key)}]]\n"
         blocks = [(single, value)] if isinstance(value, Mapping) else [(many, table) for table in value]
-        lines += [head + "".join(f"{_key(k)} = {_value(v)}\n" for k, v in table.items()) for head, table in blocks]
+        lines += [head + "".join(f"{_key(k)} = {toml_value(v)}\n" for k, v in table.items()) for head, table in blocks]
     return "".join(lines)
 
 
@@ -288,11 +288,12 @@ def _key(name: str) -> str:
     return tomli_w.dumps({name: 0}).partition(" = 0")[0]
 
 
-def _value(value: Any) -> str:
+def toml_value(value: Any) -> str:
+    """A value as a file spells it on one line."""
     if isinstance(value, (list, tuple)):
-        return f"[{', '.join(map(_value, value))}]"
+        return f"[{', '.join(map(toml_value, value))}]"
     if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{_key(k)} = {_value(v)}" for k, v in value.items()) + "}"
+        return "{" + ", ".join(f"{_key(k)} = {toml_value(v)}" for k, v in value.items()) + "}"
     return tomli_w.dumps({"x": value}).removeprefix("x = ").rstrip("\n")
 
 

@@ -6,8 +6,6 @@ to a tip is taken off measured tips, as it is at the tip of the history that nob
 
 from __future__ import annotations
 
-import csv
-import io
 import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -28,6 +26,7 @@ from ctrplan.pipeline.chain import Chain
 from ctrplan.robot.observer import Observed
 from ctrplan.robot.robot import Robot
 from ctrplan.robot.slow_states import SlowOffset, SlowParameter
+from ctrplan.storage.csv_table import csv_text
 from ctrplan.studies.simulate import across_tips
 
 AXES = ("x", "y", "z")
@@ -135,11 +134,7 @@ def followed_csv(result: Following) -> str:
     columns["unexplained_mm"] = (result.unexplained_m * 1e3).tolist()
     for name, values in result.parameters.items():
         columns |= {name: values[:, 0].tolist(), f"{name}_sigma": values[:, 1].tolist()}
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(columns)
-    writer.writerows(zip(*columns.values(), strict=True))
-    return text.getvalue()
+    return csv_text(columns, zip(*columns.values(), strict=True))
 
 
 def _collars(chain: Chain, data: Measurements) -> Collars:

@@ -6,8 +6,6 @@ is of the instant that the tracker saw, and the history has that instant too.
 
 from __future__ import annotations
 
-import csv
-import io
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -29,6 +27,7 @@ from ctrplan.mechanics.shapes import Accuracy, Bounds, Status
 from ctrplan.pipeline.chain import Chain, at_instants, range_notes
 from ctrplan.pipeline.followed_runs import walked
 from ctrplan.robot.robot import Robot, nesting_violation
+from ctrplan.storage.csv_table import csv_text
 
 SAMPLE_RAD, SAMPLE_M = np.radians(10.0), 3e-3  # between two looks at the tip on a leg
 
@@ -152,11 +151,8 @@ def poses_csv(result: Simulation) -> str:
     columns |= {f"phi_{i + 1}": result.phi[chosen, i] for i in range(result.robot.n - 1)}
     columns["snaps"] = snaps
     columns["status"] = [Status(status).name for status in result.status[chosen].tolist()]
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(columns)
-    writer.writerows(zip(*(c.tolist() if isinstance(c, np.ndarray) else c for c in columns.values()), strict=True))
-    return text.getvalue()
+    lists = (values.tolist() if isinstance(values, np.ndarray) else values for values in columns.values())
+    return csv_text(columns, zip(*lists, strict=True))
 
 
 def _legs(path: JointPath, run: slice) -> Iterator[tuple[Array, Array, Array]]:

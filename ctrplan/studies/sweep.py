@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
-import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import ExitStack
@@ -40,9 +37,11 @@ from ctrplan.pipeline.chain import range_notes
 from ctrplan.planning.planner import plan
 from ctrplan.plans.plan import Plan
 from ctrplan.robot.robot import Robot, nesting_violation
+from ctrplan.storage.csv_table import csv_text
 from ctrplan.storage.toml_document import LARGEST_NUMBER, override_names
 from ctrplan.storage.toml_faults import unit_of
 from ctrplan.studies.child_process import ChildExecutor
+from ctrplan.studies.study.axes import CONFIGURATION
 
 if TYPE_CHECKING:
     from ctrplan.base.long_work import Progress
@@ -51,7 +50,6 @@ if TYPE_CHECKING:
 
 MOST_POINTS = 1_000_000
 FORM = "has the form KEY=FROM:TO:COUNT, such as theta_3=0:180:91 or contact.1.friction_coefficient=0:0.5:26"
-_COLLAR = re.compile(r"(theta|l)_([0-9]+)")
 _KINDS: dict[str, Kind] = {"theta": "rotation", "l": "translation"}
 
 
@@ -93,7 +91,7 @@ def parse_axis(text: str, n: int) -> SweepAxis:
     if not equals or not key or len(parts) != 3:
         raise InputError(FORM, key="--sweep", value=text)
     values = _values(parts, text)
-    match = _COLLAR.fullmatch(key)
+    match = CONFIGURATION.fullmatch(key)
     if not match:
         return SweepAxis(key, values)
     tube = int(match[2])
@@ -248,13 +246,10 @@ def sweep_csv(result: Sweep) -> str:
     """A row per configuration: the axes, bound_mm, bound_deg, stability, max_strain, status; failed solves have nan."""
     bounds = result.bounds
     results = [bounds.position_m * 1e3, np.degrees(bounds.tangent_rad), bounds.stability, bounds.max_strain]
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
     names = [axis.column for axis in result.axes]
-    writer.writerow([*names, "bound_mm", "bound_deg", "stability", "max_strain", "status"])
-    numbers = np.column_stack([result.values, *results]).tolist()
-    writer.writerows([*row, Status(status).name] for row, status in zip(numbers, bounds.status.tolist(), strict=True))
-    return text.getvalue()
+    rows = zip(np.column_stack([result.values, *results]).tolist(), bounds.status.tolist(), strict=True)
+    header = [*names, "bound_mm", "bound_deg", "stability", "max_strain", "status"]
+    return csv_text(header, ([*numbers, Status(status).name] for numbers, status in rows))
 
 
 def _robot(content: Mapping[str, Any], file: str | None, axes: Sequence[SweepAxis], setting: Sequence[float]) -> Robot:

@@ -95,7 +95,7 @@ def test_a_rerun_keeps_all_and_an_edited_step_is_used(
     assert [found[name].is_made for name in ("scenario", "bases", "placed")] == [False, False, True]
     assert "edited" in found["bases"].sentence
     own = ctrplan.load_scenario(folder / PLACED, allow_outside=True)
-    pose = read_bases(planned.folder / BASES)[-1].pose
+    pose = read_bases(planned.folder / BASES)[-1]
     np.testing.assert_allclose(own.base_position_m, pose.position_m, atol=1e-12)
     np.testing.assert_allclose(own.base_R, pose.R, atol=1e-12)
 
@@ -151,7 +151,7 @@ def test_where_a_base_has_no_plan_the_next_rows_are_tried(folder: Path, monkeypa
     monkeypatch.setattr("ctrplan.patients.steps.plan", plan)
     with pytest.raises(NoAnswerError):
         case(folder, from_step="placed", bases=2)
-    np.testing.assert_allclose(asked, [row.pose.position_m for row in read_bases(folder / BASES)[:2]], atol=1e-12)
+    np.testing.assert_allclose(asked, [row.position_m for row in read_bases(folder / BASES)[:2]], atol=1e-12)
 
 
 def test_the_row_that_a_plan_was_found_from_is_said(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -394,3 +394,22 @@ def test_a_detour_counts_as_if_it_were_driven_to_the_end(monkeypatch: pytest.Mon
             patched.setattr(arrivals, "COMPARED_EVERY", 10_000)
             whole = arrival(pair(), path).by_cause.execution_m
         assert short == pytest.approx(whole, abs=0.1 * TIP_TOLERANCE_M)
+
+
+@pytest.mark.parametrize(("rest", "is_forgotten"), [([0.0, 0.0, 2e-4], False), ([1.5, 0.0, 0.0], True)])
+def test_a_detour_ends_where_its_own_history_does(rest: list[float], is_forgotten: bool) -> None:
+    """What is left of it after the rest of the motion; nothing where that slips far enough."""
+    robot = pair().robot
+    turn = np.linspace(GOAL - [0.0, 0.5, 0.0], GOAL, 6)
+    joints = np.vstack([turn, turn[-1] + np.linspace(0, 1, 3 * arrivals.COMPARED_EVERY)[1:, None] * rest])
+    row, beyond = len(turn) - 1, np.array([0.0, 0.4, 0.0])
+    prediction, _ = predict_end(robot, joints, ["released"], keep=[row])
+    (state,) = (state for kept, state in prediction.states if kept == row)
+    detour = np.array([GOAL + beyond, GOAL])
+    end_m = arrivals._end_of(robot, joints, prediction, state, detour, row)
+    history = robot.history(accuracy=prediction.accuracy)
+    history.restore(state)
+    whole = history.follow(*robot.drive.collars(np.vstack([detour, joints[row + 1 :]])))
+    np.testing.assert_allclose(end_m, whole.position_m[-1], atol=TIP_TOLERANCE_M)
+    away_m = float(np.linalg.norm(end_m - prediction.tip_m[0, -1]))
+    assert away_m < TIP_TOLERANCE_M if is_forgotten else away_m > 10 * TIP_TOLERANCE_M

@@ -8,9 +8,10 @@ from typing import get_args
 
 import numpy as np
 import pytest
+from whole_grid import whole_grid
 
 from ctrplan.anatomy import shapes
-from ctrplan.anatomy.clearance_grid import SignedDistanceField, build_field
+from ctrplan.anatomy.clearance_grid import SignedDistanceField
 from ctrplan.anatomy.parts import AnatomyPart
 from ctrplan.anatomy.shape import Role
 from ctrplan.anatomy.shapes.mesh import Mesh
@@ -25,9 +26,7 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def built(radius_m: float = 0.02, spacing_m: float = 2e-3) -> SignedDistanceField:
-    field = build_field([AnatomyPart(Sphere(np.zeros(3), radius_m))], [-0.03] * 3, [0.03] * 3, spacing_m)
-    assert field is not None
-    return field
+    return whole_grid([AnatomyPart(Sphere(np.zeros(3), radius_m))], [-0.03] * 3, [0.03] * 3, spacing_m)
 
 
 def forbid_building(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -53,16 +52,16 @@ def test_everything_that_determines_the_values_is_in_the_key(cache: Path) -> Non
     built(spacing_m=3e-3)
     parts = [AnatomyPart(Sphere(np.zeros(3), 0.02), role, 1e-3) for role in get_args(Role)]
     for part in parts:
-        build_field([part], [-0.03] * 3, [0.03] * 3, 2e-3)
-    build_field(parts, [-0.03] * 3, [0.03] * 3, 2e-3)
-    build_field(parts, [-0.031] * 3, [0.029] * 3, 2e-3)
+        whole_grid([part], [-0.03] * 3, [0.03] * 3, 2e-3)
+    whole_grid(parts, [-0.03] * 3, [0.03] * 3, 2e-3)
+    whole_grid(parts, [-0.031] * 3, [0.029] * 3, 2e-3)
     assert len(list(cache.iterdir())) == 7
 
 
 def test_where_a_mesh_came_from_makes_no_difference(cache: Path) -> None:
     corners, faces = np.vstack([np.zeros(3), 0.01 * np.eye(3)]), [[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]]
     for file in (None, "here.stl", "elsewhere.stl"):
-        build_field([AnatomyPart(Mesh(corners, faces, file))], [-0.03] * 3, [0.03] * 3, 8e-3)
+        whole_grid([AnatomyPart(Mesh(corners, faces, file))], [-0.03] * 3, [0.03] * 3, 8e-3)
     assert len(list(cache.iterdir())) == 1
 
 
@@ -120,12 +119,6 @@ def test_unwritable_cache_is_no_error(tmp_path: Path, monkeypatch: pytest.Monkey
     blocked.write_text("a file where a directory should be")
     monkeypatch.setenv("CTRPLAN_CACHE_DIR", str(blocked))
     built()
-
-
-def test_cache_can_be_left_out(cache: Path) -> None:
-    part = AnatomyPart(Sphere(np.zeros(3), 0.02))
-    build_field([part], [-0.03] * 3, [0.03] * 3, 2e-3, cache=False)
-    assert not cache.exists()
 
 
 def test_directory_follows_the_environment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

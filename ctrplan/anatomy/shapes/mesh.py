@@ -10,10 +10,9 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ctrplan.anatomy.mesh_file import Unit, Up
 from ctrplan.anatomy.parts import TriangleTree
-from ctrplan.anatomy.patient_frame import Frame
-from ctrplan.anatomy.shape import PartEntry, PartShape, register
+from ctrplan.anatomy.shape import PartShape, register
+from ctrplan.anatomy.surface_file import OfMeshFile, read_body
 from ctrplan.base.arrays import Array, lengths, numbers, read_only
 from ctrplan.base.package import shown
 from ctrplan.base.surface import Surface
@@ -66,22 +65,13 @@ class Mesh(PartShape):
 
 
 @register(Mesh)
-class MeshEntry(PartEntry):
+class MeshEntry(OfMeshFile):
     """kind = "mesh"."""
 
-    file: str
-    unit: Unit | None = None  # of glTF m, of other files to be said
-    up: Up | None = None  # the axis that is turned up to z: y of glTF, else z
-    frame: Frame | None = None
-    group: str | None = None
     repair: Literal["off", "holes", "caps"] = "holes"
 
     def shape(self, table: TomlTable) -> Mesh:
-        from ctrplan.anatomy.surface_file import MeshChoice, read_body  # slow to import; many scenarios need no meshes
-
-        file = table.file(self.file, "file")
-        body = read_body(table, file, MeshChoice(self.unit, self.up, self.frame, self.group), self.repair)
-        return Mesh(body.vertices_m, body.faces, str(file), body.notes, body.error_m)
+        return Mesh(*read_body(table, table.file(self.file, "file"), self, self.repair))
 
 
 class _MeshDistance:

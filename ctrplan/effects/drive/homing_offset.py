@@ -16,8 +16,8 @@ from ctrplan.effects.effect import (
     joined_clauses,
     numbered,
     register,
+    shifted,
     sliding,
-    with_column,
 )
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.robot.robot import Robot
@@ -52,11 +52,4 @@ class HomingOffset(Effect):
         return [turns, slides, turns + slides] if slides else [turns]
 
     def drive(self, values: Values, collars: Collars, directions: Array) -> Collars:
-        theta, l = collars.theta, collars.l  # noqa: E741
-        for name, offset in values.items():
-            kind, tube = name.split("_")[0], int(name.split("_")[1])
-            if kind == "theta":
-                theta = with_column(theta, tube, offset)
-            else:
-                l = with_column(l, tube, offset)  # noqa: E741
-        return Collars(theta, l)
+        return shifted(collars, values, lambda offset, _column: offset)

@@ -14,9 +14,9 @@ from ctrplan.effects.effect import (
     joined_clauses,
     numbered,
     register,
+    shifted,
     sliding,
     turning,
-    with_column,
 )
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.robot.robot import Robot
@@ -53,11 +53,4 @@ class JointScale(Effect):
         return [names for names in (turns, slides, turns + slides if turns and slides else []) if names]
 
     def drive(self, values: Values, collars: Collars, directions: Array) -> Collars:
-        theta, l = collars.theta, collars.l  # noqa: E741
-        for name, scale in values.items():
-            kind, tube = name.split("_")[0], int(name.split("_")[1])
-            if kind == "theta":
-                theta = with_column(theta, tube, scale * theta[:, tube - 1])
-            else:
-                l = with_column(l, tube, scale * l[:, tube - 1])  # noqa: E741
-        return Collars(theta, l)
+        return shifted(collars, values, lambda scale, column: scale * column)

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import csv
-import io
-
 import numpy as np
 
 from ctrplan.drive.trajectory import Trajectory
 from ctrplan.errors import InputError
 from ctrplan.files.trajectory_file import register
+from ctrplan.storage.csv_table import csv_text
 
 
 @register("csv", suffix=".csv")
@@ -22,11 +20,8 @@ def trajectory_as_csv(trajectory: Trajectory) -> str:
     by_joint = np.stack(columns, axis=2).reshape(len(trajectory.time_s), -1)
     table = np.column_stack([trajectory.time_s, by_joint]).tolist()
     marks = np.array(list(trajectory.marks.values())).T.tolist() or [[]] * len(table)
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow([*trajectory_columns(trajectory), *trajectory.marks])
-    writer.writerows([*row, *marked] for row, marked in zip(table, marks, strict=True))
-    return text.getvalue()
+    rows = ([*row, *marked] for row, marked in zip(table, marks, strict=True))
+    return csv_text([*trajectory_columns(trajectory), *trajectory.marks], rows)
 
 
 def trajectory_columns(trajectory: Trajectory) -> list[str]:

@@ -165,7 +165,7 @@ class StageSearch:
     def _without_reserve(self) -> None:
         """No path keeps more clearance than the certificate asks for: what keeps no more is looked for."""
         if self.checker.reserve_m > 0:
-            self.checker = self.checker.with_reserve(0.0)
+            self.checker = self.checker.without_reserve()
 
     def _answer(self) -> tuple[Candidate, Candidate]:
         """The first and the best that their own simulation does not contradict.

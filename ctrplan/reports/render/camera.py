@@ -10,16 +10,14 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from ctrplan.base.arrays import Array
+from ctrplan.base.arrays import Array, Z
 from ctrplan.reports.looks import side_azimuth_rad
-from ctrplan.reports.plan_scene import WrittenMotion
+from ctrplan.reports.plan_scene import TILT, WrittenMotion
 from ctrplan.reports.render.rasteriser import Camera
 from ctrplan.reports.robot_surface import RobotPose
 
 View = Literal["side", "plate", "target", "inside"]
 VIEWS: tuple[str, ...] = get_args(View)
-UP = np.array([0.0, 0.0, 1.0])  # the anatomy's z axis
-TILT = np.radians(16)
 HALF_VIEW = float(np.tan(np.radians(14)))
 WIDE = float(np.tan(np.radians(48)))  # of an endoscope
 LAMP_M, NEAR_M = 45e-3, 0.4e-3
@@ -69,7 +67,7 @@ def robot_points(motion: WrittenMotion) -> Array:
 
 def _from_side(motion: WrittenMotion, aspect: float) -> Camera:
     points = robot_points(motion)
-    return looking_along(-_sideways(points), UP, _roomy(points), HALF_VIEW, aspect)
+    return looking_along(-_sideways(points), Z, _roomy(points), HALF_VIEW, aspect)
 
 
 def _from_plate(motion: WrittenMotion, aspect: float) -> Camera:
@@ -86,13 +84,13 @@ def _at_target(motion: WrittenMotion, aspect: float) -> Camera:
     length = float(np.linalg.norm(goal - motion.scenario.base_position_m))
     seen_m = max(TARGET_SHARE * length, TARGET_M)
     eye = goal - toward * seen_m / HALF_VIEW
-    return look_at(eye, goal, UP, HALF_VIEW, near_m=0.3 * seen_m / HALF_VIEW)
+    return look_at(eye, goal, Z, HALF_VIEW, near_m=0.3 * seen_m / HALF_VIEW)
 
 
 def _endoscope(motion: WrittenMotion) -> Callable[[RobotPose], Camera]:
     """At the tip, looking where it points; up is carried along without twist."""
     ups: dict[float, Array] = {}
-    up = UP
+    up = Z
     for pose in motion.path:
         axes = view_axes(pose.tubes[-1].tangent[-1], up)
         up = ups[pose.time_s] = axes[1]

@@ -324,7 +324,8 @@ class SearchState:
             task.key: (task, design) for task, design in zip(tasks, designs, strict=True) if self._is_missing(task)
         }
         self._do(missing.values())
-        results = [EvaluatedDesign(design, self._row(task)) for design, task in zip(designs, tasks, strict=True)]
+        rows = [self.store.row(bytes.fromhex(task.key)) | {"index": task.index} for task in tasks]
+        results = [EvaluatedDesign(*looked) for looked in zip(designs, rows, strict=True)]
         for looked in results:
             self.archive.add(looked)
         self.write_keys()
@@ -368,9 +369,3 @@ class SearchState:
     def _is_missing(self, task: Task) -> bool:
         key = bytes.fromhex(task.key)
         return key not in self.store.offsets or self.store.failed.get(key) == "lost"
-
-    def _row(self, task: Task) -> dict[str, Any]:
-        with open(self.store.folder / "rows.jsonl", "rb") as file:
-            file.seek(self.store.offsets[bytes.fromhex(task.key)])
-            row: dict[str, Any] = json.loads(file.readline())
-            return {**row, "index": task.index}

@@ -16,10 +16,11 @@ from typing import Any
 from ctrplan.base.arrays import Array
 from ctrplan.base.package import __version__
 from ctrplan.errors import InputError
-from ctrplan.files.design_file import DesignEntry, MadeEntry, ParameterEntry, StockEntry
+from ctrplan.files.design_file import DesignEntry, MadeEntry, ParameterEntry, StockEntry, checked_design
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.scenario.scenario import Scenario
-from ctrplan.storage.toml_document import Document
+from ctrplan.storage.toml_document import Document, toml_value
+from ctrplan.storage.toml_faults import unit_of
 from ctrplan.studies.study.kinds.target_set import TARGET_S
 from ctrplan.studies.study.points import target_points
 from ctrplan.studies.study.sources import Sources
@@ -142,14 +143,14 @@ class DesignDefinition:
         return sorted(results, key=lambda row: -row[3])
 
 
-def defined(entry: DesignEntry, document: Document, allow_outside: bool) -> DesignDefinition:
-    """The search of a file's entries. Raises InputError."""
+def defined(document: Document, allow_outside: bool) -> DesignDefinition:
+    """The search of a file. Raises InputError, one sentence, for anything malformed or contradictory."""
+    entry = checked_design(document)
     folder = Path(document.file or ".").parent
     main = folder / entry.scenario
     if not main.is_file():
         raise document.fault("is not a file that exists", "scenario")
-    overrides = [f"{key}={toml(value)}" for key, value in entry.set.items()]
-    scenario = load_scenario(main, overrides, allow_outside=allow_outside)
+    scenario = load_scenario(main, _assignments(entry.set), allow_outside=allow_outside)
     named = [main.parent / value for value in entry.set.values() if isinstance(value, str)]
     sources = Sources.of([main, *(file for file in named if file.is_file())], folder)
     points = target_points(entry.targets, scenario, document, folder)
@@ -304,8 +305,7 @@ class DesignSpace:
 
     def overrides(self, design: Design) -> list[str]:
         """Everything that --set is told."""
-        fixed = {key: value for key, value in self.entry.set.items()}
-        return [*(f"{key}={toml(value)}" for key, value in fixed.items()), *_assignments(self._keys(design, {}))]
+        return [*_assignments(self.entry.set), *_assignments(self._keys(design, {}))]
 
     def sides(self, design: Design) -> Iterator[tuple[Side, list[str], list[str]]]:
         """Every number that may be off or be moved, and what --set is told of both ends, after all else."""
@@ -336,7 +336,7 @@ class DesignSpace:
         for parameter, value in zip(self.parameters, design.values, strict=True):
             width = parameter.tolerance or abs(value) * parameter.tolerance_percent / 100
             step = STEP_SHARE * (parameter.high - parameter.low)
-            yield Side(name_of(parameter), width or step, unit_of(parameter.key), width > 0)
+            yield Side(name_of(parameter), width or step, unit_of(parameter.key) or "", width > 0)
 
     def _keys(self, design: Design, off: Off) -> dict[str, float]:
         """Values of all keys that depend on the design."""
@@ -356,17 +356,9 @@ def name_of(parameter: ParameterEntry) -> str:
     return parameter.name or parameter.key.removeprefix("robot.")
 
 
-def toml(value: Any) -> str:
-    """A value of a file as TOML spells it on one line."""
-    if isinstance(value, dict):
-        return "{" + ", ".join(f"{json.dumps(str(key))} = {toml(item)}" for key, item in value.items()) + "}"
-    if isinstance(value, (list, tuple)):
-        return "[" + ", ".join(map(toml, value)) + "]"
-    return json.dumps(value)
-
-
-def _assignments(keys: Mapping[str, float]) -> list[str]:
-    return [f"{key}={toml(value)}" for key, value in keys.items()]
+def _assignments(keys: Mapping[str, Any]) -> list[str]:
+    """What --set is told for keys to have values."""
+    return [f"{key}={toml_value(value)}" for key, value in keys.items()]
 
 
 def _value(parameter: ParameterEntry, share: float) -> float:
@@ -375,10 +367,3 @@ def _value(parameter: ParameterEntry, share: float) -> float:
         most = int((parameter.high - parameter.low) / parameter.step + 1e-9)
         value = parameter.low + parameter.step * min(round((value - parameter.low) / parameter.step), most)
     return float(f"{value:.{DIGITS}g}")
-
-
-def unit_of(key: str) -> str:
-    """The unit of a key's value, as its name says; empty for a pure number."""
-    last = key.rsplit(".", 1)[-1]
-    units = {"mm": "mm", "deg": "deg", "m": "1/m", "Nm2": "N m^2"}
-    return units.get(last.rsplit("_", 1)[-1], "")

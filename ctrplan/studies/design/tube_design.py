@@ -5,14 +5,12 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from ctrplan.base.package import shown
-from ctrplan.files.design_file import DesignEntry, checked_design, read_design
 from ctrplan.files.robot_file import load_robot, write_robot
 from ctrplan.storage.output_folder import write_atomically
 from ctrplan.storage.toml_document import Document
@@ -21,32 +19,21 @@ from ctrplan.studies.design.space import Archive, DesignDefinition, EvaluatedDes
 from ctrplan.studies.study.axes import goal_overrides
 from ctrplan.studies.study.sources import ROBOT_PREFIX
 from ctrplan.studies.study.study import Report, Where, refuse_longer_than_a_week
+from ctrplan.studies.study.study_definition import FromFile
 from ctrplan.studies.study.table import StudyTable, load_study
 
 FRONT, ROBOTS = "front.json", "robots"
 
 
-class TubeDesign(DesignDefinition):
+class TubeDesign(FromFile, DesignDefinition):
     """A search over what can be made, for a set of targets in an anatomy; made by `TubeDesign.read` or `.of`."""
 
-    @classmethod
-    def read(
-        cls, path: str | os.PathLike[str], overrides: Sequence[str] = (), *, allow_outside: bool = False
-    ) -> TubeDesign:
-        """The search of a TOML file after `overrides` such as "trials=1000"; docs/tube_design.md has the keys.
-
-        Raises InputError, one sentence, for anything malformed, keys that robot or scenario do not have, stock that
-        does not nest, and files that do not exist.
-        """
-        return cls._of(*read_design(path, overrides), allow_outside)
+    file_kind = "design"
 
     @classmethod
-    def of(
-        cls, content: Mapping[str, Any], folder: str | os.PathLike[str] = ".", *, allow_outside: bool = False
-    ) -> TubeDesign:
-        """A search of a design file's content; files are named relative to `folder`."""
-        document = Document.of(content, "design", str(Path(folder) / "design.toml"))
-        return cls._of(checked_design(document), document, allow_outside)
+    def made_from(cls, document: Document, allow_outside: bool) -> DesignDefinition:
+        """The search's definition."""
+        return defined(document, allow_outside)
 
     def run(
         self,
@@ -70,11 +57,6 @@ class TubeDesign(DesignDefinition):
         made = TubeDesigns(self, Path(folder), result.archive, result.did, result.interrupted)
         made.write()
         return made
-
-    @classmethod
-    def _of(cls, entry: DesignEntry, document: Document, allow_outside: bool) -> TubeDesign:
-        made = defined(entry, document, allow_outside)
-        return cls(*(getattr(made, field.name) for field in fields(made)))
 
 
 @shown

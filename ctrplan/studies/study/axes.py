@@ -17,7 +17,7 @@ import numpy as np
 from ctrplan.base.arrays import Array
 from ctrplan.errors import InputError
 from ctrplan.files.study_file import DrawsEntry, StudyEntry, VaryEntry
-from ctrplan.storage.toml_document import Document, read_document
+from ctrplan.storage.toml_document import Document, read_document, toml_value
 from ctrplan.studies.study.points import base_poses, target_points
 from ctrplan.studies.study.sources import Sources, matching_files
 
@@ -39,26 +39,33 @@ class AxisChoice:
     digest: str = ""  # of the content of files that it names
 
 
+@dataclass(frozen=True, eq=False)
 class Axis(ABC):
-    """Choices that exclude each other."""
+    """Choices that exclude each other, one for each of `values`."""
 
-    keys: tuple[str, ...] = ()  # of robot or scenario that every choice sets
+    values: Sequence[Any] | Array
 
-    @abstractmethod
     def __len__(self) -> int:
         """Number of choices."""
+        return len(self.values)
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """Keys of robot or scenario that every choice sets."""
+        return ()
 
     @abstractmethod
     def at(self, k: int) -> AxisChoice:
         """Choice k."""
 
 
+@dataclass(frozen=True)
 class AxisRange(Sequence[float]):
-    """Evenly spaced numbers, both ends included."""
+    """Evenly spaced numbers, both ends included; one alone is `low`."""
 
-    def __init__(self, low: float, high: float, count: int) -> None:
-        """count: at least 1, which is `low` alone."""
-        self.low, self.high, self.size = low, high, count
+    low: float
+    high: float
+    size: int
 
     def __len__(self) -> int:
         """Number of values."""
@@ -70,102 +77,100 @@ class AxisRange(Sequence[float]):
         return self.low * (1 - share) + self.high * share
 
 
+@dataclass(frozen=True, eq=False)
 class KeyAxis(Axis):
-    """A key and the values that it takes."""
+    """The values that a key takes."""
 
-    def __init__(self, key: str, values: Sequence[Any]) -> None:
-        """key: as in --set, or one of the task's."""
-        self.key, self.values = key, values
-        self.keys = () if is_of_task(key) else (key,)
+    key: str  # as in --set, or one of the task's
 
-    def __len__(self) -> int:
-        """Number of values."""
-        return len(self.values)
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """None where it is one of the task's."""
+        return () if is_of_task(self.key) else (self.key,)
 
     def at(self, k: int) -> AxisChoice:
         """Value k."""
         return keyed({self.key: self.values[k]})
 
 
+@dataclass(frozen=True, eq=False)
 class DrawAxis(Axis):
-    """Rows of numbers drawn for several keys together."""
+    """Numbers drawn for several keys together, (K, keys)."""
 
-    def __init__(self, keys: Sequence[str], rows: Array) -> None:
-        """rows: (K, keys)."""
-        self.names, self.rows = tuple(keys), rows
-        self.keys = tuple(key for key in keys if not is_of_task(key))
+    values: Array
+    names: tuple[str, ...]
 
-    def __len__(self) -> int:
-        """Number of rows."""
-        return len(self.rows)
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """Those that are not of the task."""
+        return tuple(key for key in self.names if not is_of_task(key))
 
     def at(self, k: int) -> AxisChoice:
         """Row k."""
-        return keyed(dict(zip(self.names, self.rows[k].tolist(), strict=True)))
+        return keyed(dict(zip(self.names, self.values[k].tolist(), strict=True)))
 
 
-class FileAxis(Axis):
-    """A key and the files that it names, one after the other."""
+@dataclass(frozen=True, eq=False)
+class FileAxis(KeyAxis):
+    """The files that a key names, one after the other: shown name, value of the key, digest."""
 
-    def __init__(self, key: str, files: Sequence[tuple[str, str, str]], *, is_main: bool) -> None:
-        """files: shown name, value of the key, digest. is_main: the key is the robot or scenario itself."""
-        self.key, self.files, self.is_main = key, files, is_main
-        self.keys = () if is_main or is_of_task(key) else (key,)
+    is_main: bool  # the key is the robot or scenario itself
 
-    def __len__(self) -> int:
-        """Number of files."""
-        return len(self.files)
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """None where it is the file that all is about."""
+        return () if self.is_main else super().keys
 
     def at(self, k: int) -> AxisChoice:
         """File k."""
-        shown, value, digest = self.files[k]
+        shown, value, digest = self.values[k]
         if self.is_main:
             return AxisChoice({self.key: shown}, (), {"file": value}, digest)
         chosen = keyed({self.key: value})
         return AxisChoice({self.key: shown}, chosen.overrides, chosen.settings, digest)
 
 
+@dataclass(frozen=True, eq=False)
 class TargetAxis(Axis):
     """Points for the tip, (K, 3) [mm] in the anatomy's frame, and what holds for all of them."""
 
-    def __init__(self, points_mm: Array, common: Mapping[str, Any], *, of_scenario: bool) -> None:
-        """common: tolerance_mm, direction, direction_tolerance_deg, where they are given."""
-        self.points_mm, self.common, self.of_scenario = points_mm, common, of_scenario
-        self.keys = ("goal", "target") if of_scenario else ()
+    common: Mapping[str, Any]  # tolerance_mm, direction, direction_tolerance_deg, where they are given
+    of_scenario: bool
 
-    def __len__(self) -> int:
-        """Number of points."""
-        return len(self.points_mm)
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """What a scenario's goal is said by."""
+        return ("goal", "target") if self.of_scenario else ()
 
     def at(self, k: int) -> AxisChoice:
         """Point k."""
-        point = self.points_mm[k].tolist()
+        point = self.values[k].tolist()
         inputs = {f"target_{axis}_mm": value for axis, value in zip("xyz", point, strict=True)}
         goal = {"tip_mm": point, **self.common}
         return AxisChoice(inputs, goal_overrides(goal) if self.of_scenario else (), {"target": goal})
 
 
+@dataclass(frozen=True, eq=False)
 class BaseAxis(Axis):
-    """Poses of the plate: positions (K, 3) [mm] and quaternions (K, 4), w first."""
+    """Poses of the plate, (K, 7): position [mm] and quaternion of norm 1, w first."""
 
-    def __init__(self, position_mm: Array, quaternion: Array, beside: Mapping[str, Any] | None = None) -> None:
-        """quaternion: of norm 1. beside: what else [base] says, where all of it has to be said again."""
-        self.position_mm, self.quaternion, self.beside = position_mm, quaternion, beside
-        self.keys = ("base.position_mm", "base.quaternion_wxyz") if beside is None else ("base",)
+    beside: Mapping[str, Any] | None  # what else [base] says, where all of it has to be said again
 
-    def __len__(self) -> int:
-        """Number of poses."""
-        return len(self.position_mm)
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """The whole table, or the pose alone."""
+        return ("base.position_mm", "base.quaternion_wxyz") if self.beside is None else ("base",)
 
     def at(self, k: int) -> AxisChoice:
         """Pose k."""
-        position, quaternion = self.position_mm[k].tolist(), self.quaternion[k].tolist()
+        position, quaternion = np.split(self.values[k], [3])
+        position, quaternion = position.tolist(), quaternion.tolist()
         inputs = {f"base_{axis}_mm": value for axis, value in zip("xyz", position, strict=True)}
         inputs |= {f"base_q{axis}": value for axis, value in zip("wxyz", quaternion, strict=True)}
         pose = {"position_mm": position, "quaternion_wxyz": quaternion}
         if self.beside is not None:
-            return AxisChoice(inputs, (f"base={_inline({**pose, **self.beside})}",))
-        return AxisChoice(inputs, tuple(f"base.{key}={json.dumps(value)}" for key, value in pose.items()))
+            return AxisChoice(inputs, (f"base={toml_value({**pose, **self.beside})}",))
+        return AxisChoice(inputs, tuple(f"base.{key}={toml_value(value)}" for key, value in pose.items()))
 
 
 def is_of_task(key: str) -> bool:
@@ -175,7 +180,7 @@ def is_of_task(key: str) -> bool:
 
 def keyed(values: Mapping[str, Any]) -> AxisChoice:
     """The choice of values for keys."""
-    of_files = tuple(f"{key}={_toml(value)}" for key, value in values.items() if not is_of_task(key))
+    of_files = tuple(f"{key}={toml_value(value)}" for key, value in values.items() if not is_of_task(key))
     of_task = {key.removeprefix(TASK_PREFIX): value for key, value in values.items() if is_of_task(key)}
     inputs = {key: json.dumps(value) if isinstance(value, list) else value for key, value in values.items()}
     return AxisChoice(inputs, of_files, of_task)
@@ -183,19 +188,7 @@ def keyed(values: Mapping[str, Any]) -> AxisChoice:
 
 def goal_overrides(goal: Mapping[str, Any]) -> tuple[str, ...]:
     """What --set is told for a scenario to have this [goal] alone."""
-    return f"goal={_inline(goal)}", "target=[]"
-
-
-def _toml(value: Any) -> str:
-    """A number, text, truth value, list or table of them as TOML spells it, which is as JSON does but for tables."""
-    if isinstance(value, Mapping):
-        return _inline({json.dumps(key): inner for key, inner in value.items()})
-    return json.dumps(value.item() if isinstance(value, np.generic) else value)
-
-
-def _inline(table: Mapping[str, Any]) -> str:
-    """An inline table."""
-    return "{" + ", ".join(f"{key} = {_toml(value)}" for key, value in table.items()) + "}"
+    return f"goal={toml_value(goal)}", "target=[]"
 
 
 EXTRA = "pip install 'ctrplan[study]'"
@@ -293,13 +286,13 @@ def axes_of(
     folder = Path(document.file or ".").parent
     results: list[Axis] = [_files(vary, entry, sources, files[vary.key], folder) for vary in entry.vary if vary.files]
     if entry.bases is not None:
-        results.append(BaseAxis(*base_poses(entry.bases, document), _beside_pose(entry, document, files)))
-    results += [KeyAxis(vary.key, _values(vary)) for vary in entry.vary if vary.values or vary.count]
+        results.append(BaseAxis(np.hstack(base_poses(entry.bases, document)), _beside_pose(entry, document, files)))
+    results += [KeyAxis(_values(vary), vary.key) for vary in entry.vary if vary.values or vary.count]
     if random := distributed(entry):
-        results.append(DrawAxis([vary.key for vary in random], drawn(random, entry.draws)))
+        results.append(DrawAxis(drawn(random, entry.draws), tuple(vary.key for vary in random)))
     if entry.targets is not None:
         points = target_points(entry.targets, scenario, document, folder)
-        results.append(TargetAxis(points, _goal(entry), of_scenario=entry.scenario is not None))
+        results.append(TargetAxis(points, _goal(entry), entry.scenario is not None))
     return results
 
 
@@ -342,15 +335,10 @@ def _files(vary: VaryEntry, entry: StudyEntry, sources: Sources, files: list[Pat
         named = [os.path.relpath(file, (folder / entry.scenario).parent) for file in files]
     others = [other.key for other in entry.vary if other.files is None]
     inner = [key.removeprefix("robot.") for key in others] if vary.key == ROBOT and not is_main else others
-    digests = [sources.digest(sources.name(file), _of_file(inner)) for file in files]
+    of_file = [key for key in inner if not is_of_task(key)]
+    digests = [sources.digest(sources.name(file), of_file) for file in files]
     shown = _distinct_names(files)
-    return FileAxis(vary.key, list(zip(shown, named, digests, strict=True)), is_main=is_main)
-
-
-def _of_file(keys: Sequence[str]) -> list[str]:
-    from ctrplan.studies.study.axes import is_of_task
-
-    return [key for key in keys if not is_of_task(key)]
+    return FileAxis(list(zip(shown, named, digests, strict=True)), vary.key, is_main)
 
 
 def _distinct_names(files: Sequence[Path]) -> list[str]:

@@ -22,7 +22,7 @@ import numpy as np
 from ctrplan.base.long_work import one_core
 from ctrplan.base.package import __version__
 from ctrplan.errors import CtrplanError, InputError, NoAnswerError
-from ctrplan.storage.toml_document import Document, TomlTable
+from ctrplan.storage.toml_document import Document, TomlTable, chosen
 from ctrplan.studies.child_process import ChildEnded, ChildExecutor, in_child
 from ctrplan.studies.study.store import Lines
 from ctrplan.studies.study.task import CATALOGUE, Job, Status, Task, TaskKind, TaskNumbers, TaskRow
@@ -35,13 +35,11 @@ class VersionError(InputError):
     """A worker has another version of the package than whoever sent it tasks."""
 
 
-def check_version(theirs: str, worker: str = "") -> None:
+def check_version(theirs: str) -> None:
     """Raises VersionError, with both, unless this process has the version of whoever sends tasks."""
     if theirs != __version__:
-        where = worker or worker_name()
-        raise VersionError(
-            f"the worker {where} has ctrplan {__version__}, the study is run by {theirs}: install the same"
-        )
+        differ = f"has ctrplan {__version__}, the study is run by {theirs}: install the same"
+        raise VersionError(f"the worker {worker_name()} {differ}")
 
 
 def do_chunk(content: bytes, chunk: Chunk) -> Lines:
@@ -76,20 +74,12 @@ def do_tasks(content: bytes, tasks: Sequence[Task]) -> list[TaskRow]:
 
 def prepare(content: bytes) -> None:
     """Does what comes before a job's first task and is none of its time: slow imports, the files."""
-    job = _job(content)
-    if not (job.is_robot and job.task["kind"] == "bound"):  # which need nothing of planning
-        pass
-    _ = job.sources.here
+    _ = _job(content).sources.here
 
 
 def kind_of(job: Job) -> TaskKind:
     """What is done with every task. Raises InputError."""
-    return _read_kind(Document.of({"task": dict(job.task)}, "study"))
-
-
-def _read_kind(document: Document) -> TaskKind:
-    from ctrplan.storage.toml_document import chosen
-
+    document = Document.of({"task": dict(job.task)}, "study")
     return chosen(TomlTable(document, ("task",)), "kind", CATALOGUE, TaskKind)
 
 

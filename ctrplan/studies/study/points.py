@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from ctrplan.anatomy.parts import AnatomyPart, exact_clearance
+from ctrplan.anatomy.parts import AnatomyPart, exact_clearance, lumens_box
 from ctrplan.anatomy.shape import PartShape
 from ctrplan.base.arrays import Array, shortest_rotation
 from ctrplan.base.surface import Surface
@@ -47,8 +47,7 @@ def target_points(targets: TargetsEntry, scenario: Scenario | None, document: Do
 
 
 def _listed(file: Path) -> Array:
-    table = CsvTable(str(file), "points")
-    return np.column_stack([table.numbers(name) for name in ("x_mm", "y_mm", "z_mm")])
+    return CsvTable(str(file), "points").columns(("x_mm", "y_mm", "z_mm"))
 
 
 def _within(targets: TargetsEntry, scenario: Scenario | None, document: Document, folder: Path) -> Array:
@@ -85,13 +84,10 @@ def _volume(
         shape = _shape(targets.within, targets, scenario, document, folder, "within")
         return lambda points: -shape.distance(points), shape.box()
     parts = scenario.anatomy if scenario is not None else ()
-    boxes = [part.box for part in parts if part.role == "inside"]
-    if not boxes and targets.box_mm is None:
+    box = lumens_box(parts)
+    if box is None and targets.box_mm is None:
         raise document.fault("needs a part to stay inside, or box_mm: the room around obstacles has no end", "targets")
-    box = unbounded
-    if boxes:
-        box = np.min([low for low, _ in boxes], axis=0), np.max([high for _, high in boxes], axis=0)
-    return lambda points: exact_clearance(parts, points), box
+    return lambda points: exact_clearance(parts, points), box or unbounded
 
 
 def _drawn(depth: Inside, low: Array, high: Array, least_m: float, targets: TargetsEntry) -> Array:

@@ -134,6 +134,13 @@ class Store:
                     file.seek(offset)
                     yield {**json.loads(file.readline()), "index": index}
 
+    def row(self, key: bytes) -> dict[str, Any]:
+        """The row of a task that has one."""
+        with open(self.folder / ROWS, "rb") as file:
+            file.seek(self.offsets[key])
+            row: dict[str, Any] = json.loads(file.readline())
+            return row
+
     def add(self, lines: Lines) -> None:
         """Appends rows, and writes the files that belong to them. Raises CtrplanError where the system refuses."""
         for index, files in lines.files.items():

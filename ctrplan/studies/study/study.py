@@ -11,19 +11,18 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from itertools import repeat
 from pathlib import Path
 from typing import Any
 
 from ctrplan.base.long_work import cores
 from ctrplan.errors import InputError
-from ctrplan.files.study_file import StudyEntry, checked_study, read_study
 from ctrplan.storage.toml_document import Document
 from ctrplan.studies.study.engine import Engine, ExecutorEngine, PoolEngine
 from ctrplan.studies.study.engine_dask import DaskEngine, is_installed
 from ctrplan.studies.study.store import Store
-from ctrplan.studies.study.study_definition import StudyDefinition, defined
+from ctrplan.studies.study.study_definition import FromFile, StudyDefinition, defined
 from ctrplan.studies.study.table import StudyTable, extreme_tasks, load_study, write_table
 from ctrplan.studies.study.task import Task, TaskNumbers
 
@@ -175,7 +174,7 @@ def _again(part: Mapping[str, Any], folder: str, allow_outside: bool) -> StudyDe
     if not isinstance(content, dict):
         raise InputError("says nothing of a study", file=str(Path(folder) / "study.json"))
     document = Document.of(content, "study", str(place.resolve()))
-    return defined(checked_study(document), document, allow_outside)
+    return defined(document, allow_outside)
 
 
 def _tasks(studies: Sequence[StudyDefinition]) -> Iterator[tuple[StudyDefinition, int, Task]]:
@@ -296,28 +295,16 @@ def _keep_extremes(
         report(Doing("plans", done, len(wanted), None, engine.note))
 
 
-class Study(StudyDefinition):
+class Study(FromFile, StudyDefinition):
     """Independent tasks, one for every combination of what is varied; made by `Study.read` or `Study.of`."""
 
+    file_kind = "study"
     load = staticmethod(load_study)
 
     @classmethod
-    def read(cls, path: str | os.PathLike[str], overrides: Sequence[str] = (), *, allow_outside: bool = False) -> Study:
-        """The study of a TOML file after `overrides` such as "draws.count=1000"; docs/studies.md has the keys.
-
-        Files that its scenario names must lie in the scenario's folder unless `allow_outside`. Raises InputError, one
-        sentence, for anything malformed, keys that robot or scenario do not have, and files that do not exist.
-        """
-        entry, document = read_study(path, overrides)
-        return cls._of(entry, document, allow_outside)
-
-    @classmethod
-    def of(
-        cls, content: Mapping[str, Any], folder: str | os.PathLike[str] = ".", *, allow_outside: bool = False
-    ) -> Study:
-        """A study of a study file's content; files are named relative to `folder`."""
-        document = Document.of(content, "study", str(Path(folder) / "study.toml"))
-        return cls._of(checked_study(document), document, allow_outside)
+    def made_from(cls, document: Document, allow_outside: bool) -> StudyDefinition:
+        """The study's definition."""
+        return defined(document, allow_outside)
 
     def run(
         self,
@@ -340,8 +327,3 @@ class Study(StudyDefinition):
         import ctrplan  # pages are of a package above, and stand in the public names
 
         return ctrplan.show(self, table=table, height=height)
-
-    @classmethod
-    def _of(cls, entry: StudyEntry, document: Document, allow_outside: bool) -> Study:
-        made = defined(entry, document, allow_outside)
-        return cls(*(getattr(made, field.name) for field in fields(made)))

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import os
 import pickle
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from abc import abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 from ctrplan.base.package import __version__
 from ctrplan.errors import InputError
-from ctrplan.files.study_file import StudyEntry, VaryEntry
-from ctrplan.storage.toml_document import Document, TomlTable
+from ctrplan.files.study_file import StudyEntry, VaryEntry, checked_study
+from ctrplan.storage.toml_document import Document, TomlTable, chosen, read_document
 from ctrplan.studies.study.axes import CONFIGURATION, TASK_PREFIX, Axis, axes_of, files_varied
 from ctrplan.studies.study.sources import Sources
 from ctrplan.studies.study.task import CATALOGUE, Job, Loaded, TaskKind, TaskList, check_settings
@@ -73,10 +74,48 @@ class StudyDefinition:
         return pickle.dumps(replace(self.job, tasks=self.tasks))
 
 
-def defined(entry: StudyEntry, document: Document, allow_outside: bool) -> StudyDefinition:
-    """The study of a file's entries. Raises InputError."""
-    from ctrplan.storage.toml_document import chosen
+D = TypeVar("D", bound="FromFile")
 
+
+class FromFile:
+    """A dataclass that is made from a TOML file."""
+
+    file_kind: ClassVar[str]
+
+    @classmethod
+    @abstractmethod
+    def made_from(cls, document: Document, allow_outside: bool) -> Any:
+        """An object with the same fields. Raises InputError."""
+
+    @classmethod
+    def read(
+        cls: type[D], path: str | os.PathLike[str], overrides: Sequence[str] = (), *, allow_outside: bool = False
+    ) -> D:
+        """Reads a file after `overrides` such as "targets.step_mm=2"; docs/studies.md and docs/tube_design.md have the
+        keys.
+
+        Files that its scenario names must lie in the scenario's folder unless `allow_outside`. Raises InputError, one
+        sentence, for anything malformed, keys that robot or scenario do not have, and files that do not exist.
+        """
+        return cls._of(read_document(path, overrides), allow_outside)
+
+    @classmethod
+    def of(
+        cls: type[D], content: Mapping[str, Any], folder: str | os.PathLike[str] = ".", *, allow_outside: bool = False
+    ) -> D:
+        """The same of a file's content; files are named relative to `folder`."""
+        document = Document.of(content, cls.file_kind, str(Path(folder) / f"{cls.file_kind}.toml"))
+        return cls._of(document, allow_outside)
+
+    @classmethod
+    def _of(cls: type[D], document: Document, allow_outside: bool) -> D:
+        made = cls.made_from(document, allow_outside)
+        return cls(*(getattr(made, field.name) for field in fields(made)))
+
+
+def defined(document: Document, allow_outside: bool) -> StudyDefinition:
+    """The study of a file. Raises InputError, one sentence, for anything malformed or contradictory."""
+    entry = checked_study(document)
     folder = Path(document.file or ".").parent
     kind = chosen(TomlTable(document, ("task",)), "kind", CATALOGUE, TaskKind)
     start = "robot" if entry.robot is not None else "scenario"
@@ -90,12 +129,11 @@ def defined(entry: StudyEntry, document: Document, allow_outside: bool) -> Study
         raise document.fault("is not a file that exists", start)
     others = [folder / name for name in kind.files() if (folder / name).is_file()]
     sources = Sources.of([main, *others, *(file for some in files.values() for file in some)], folder)
-    task = {key: value for key, value in document.content["task"].items()}
     job = Job(
         sources=sources,
         main=sources.name(main),
         is_robot=start == "robot",
-        task=task,
+        task=dict(document.content["task"]),
         study_folder=sources.name(folder),
         allow_outside=allow_outside,
         numbers=tuple(entry.keep.numbers),

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ctrplan.base.arrays import Array
 from ctrplan.base.package import shown
 from ctrplan.errors import InputError
-from ctrplan.studies.study.axes import LEVELS, DrawAxis, check_salib, distributed, problem
+from ctrplan.studies.study.axes import EXTRA, LEVELS, DrawAxis, check_salib, distributed, problem
 from ctrplan.studies.study.store import ROWS, Store
 from ctrplan.studies.study.study_definition import StudyDefinition
 
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from ctrplan.studies.study.store import Store
     from ctrplan.studies.study.task import Task
 
-EXTRA = "pip install 'ctrplan[study]'"
 PARQUET, CSV = "results.parquet", "results.csv"
 BATCH = 10_000  # rows at a time
 FIRST, LAST = ("index", "status", "reason"), ("set", "version", "key")
@@ -83,7 +82,8 @@ class StudyTable:
 
     def to_arrow(self) -> Any:
         """A pyarrow.Table. Raises InputError without pyarrow."""
-        import_pyarrow()
+        if find_spec("pyarrow") is None:
+            raise InputError(f"is not installed: {EXTRA}", key="pyarrow")
         import pyarrow
 
         return pyarrow.table(dict(self.columns))
@@ -187,12 +187,6 @@ def _write_csv(path: Path, names: Columns, rows: Iterator[dict[str, Any]]) -> No
             writer.writerow(["" if (value := flat.get(name)) is None else value for name in names])
 
 
-def import_pyarrow() -> None:
-    """Raises InputError without pyarrow."""
-    if find_spec("pyarrow") is None:
-        raise InputError(f"is not installed: {EXTRA}", key="pyarrow")
-
-
 def judged_by(study: StudyDefinition) -> str:
     """The column by which rows are better or worse; less is better."""
     return study.entry.keep.by or study.kind.best
@@ -212,7 +206,7 @@ def extreme_tasks(study: StudyDefinition, tasks: Sequence[Task], store: Store, f
     """Tasks of the best and the worst row whose plans are missing. Raises InputError for an unknown column."""
     column = judged_by(study)
     done = [task for task in tasks if (key := bytes.fromhex(task.key)) in store.offsets and key not in store.failed]
-    rows = [_numbers(store, task) for task in done]
+    rows = [store.row(bytes.fromhex(task.key))["numbers"] for task in done]
     if rows and not any(column in row for row in rows):
         rule = f"is no number of this study, there are {', '.join(rows[0])}"
         raise InputError(rule, file=study.document.file, key="keep.by", value=column)
@@ -221,13 +215,6 @@ def extreme_tasks(study: StudyDefinition, tasks: Sequence[Task], store: Store, f
         for k in extremes(rows, column)
         if not all((store.plan_folder(done[k].index) / name).is_file() for name in files)
     ]
-
-
-def _numbers(store: Store, task: Task) -> dict[str, Any]:
-    with open(store.folder / "rows.jsonl", "rb") as file:
-        file.seek(store.offsets[bytes.fromhex(task.key)])
-        numbers: dict[str, Any] = json.loads(file.readline())["numbers"]
-        return numbers
 
 
 FEWEST = 4  # base samples or trajectories
@@ -273,7 +260,7 @@ def sensitivity(study: StudyDefinition, table: StudyTable, column: str) -> Sensi
     if blocks.sum() < FEWEST or np.ptp(mean[rows]) == 0:
         nothing = np.full(len(keys), np.nan)
         return Sensitivity(method, keys, nothing, nothing, nothing, int(blocks.sum()), len(blocks))
-    first, total, interval = _analysed(study, method, axis.rows[rows], mean[rows])
+    first, total, interval = _analysed(study, method, axis.values[rows], mean[rows])
     return Sensitivity(method, keys, first, total, interval, int(blocks.sum()), len(blocks))
 
 

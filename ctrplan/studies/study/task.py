@@ -280,8 +280,6 @@ class TaskKind(Struct, metaclass=AbstractStruct, forbid_unknown_fields=True, kw_
 
     def rows(self, tasks: Sequence[Task], job: Job) -> Iterator[tuple[Task, Mapping[str, Any] | Exception]]:
         """Rows of several tasks, each with its numbers or its error."""
-        from ctrplan.studies.study.task import Loaded
-
         for task in tasks:
             try:
                 loaded = Loaded(job, task)

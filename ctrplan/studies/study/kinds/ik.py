@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 import numpy as np
 from msgspec import Meta
 
+from ctrplan.base.arguments import MOST_STARTS
 from ctrplan.errors import InputError, NoAnswerError
 from ctrplan.storage.toml_document import Point, Tolerance, Vector
 from ctrplan.studies.study.task import Loaded, TaskKind, register
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
     from ctrplan.scenario.scenario import Scenario
     from ctrplan.studies.study.task import Task
 
-MOST_STARTS = 100_000
 SOLVE_S = 0.8  # of one core, on a three-tube robot with the default starts
 
 

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 import numpy as np
 from msgspec import Meta, Struct
 
+from ctrplan.base.arguments import MOST_STARTS
 from ctrplan.errors import NoAnswerError
 from ctrplan.storage.toml_document import Point, Tolerance, metres
-from ctrplan.studies.study.kinds.ik import MOST_STARTS
 from ctrplan.studies.study.sources import ROBOT_PREFIX
 from ctrplan.studies.study.task import Loaded, TaskKind, register
 

@@ -1,0 +1,46 @@
+"""The verdict goes by the probability that something unknown acts, beside named effects and beside none."""
+
+from __future__ import annotations
+
+from math import log
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+from measured_data import pair_robot
+
+from ctrplan.diagnosis import CATALOGUE, verdict
+from ctrplan.diagnosis.verdict import Hypothesis, Judgement, Posterior, judge
+from ctrplan.diagnosis.workbench import candidates
+from ctrplan.pipeline.term import term
+
+
+def judged(unknown: float, *names: str) -> Judgement:
+    """The verdict on a set of effects that certainly act, and something unknown besides with a probability."""
+    robot = pair_robot()
+    terms = tuple(term(CATALOGUE[name], [p.name for p in CATALOGUE[name].parameters(robot)], robot) for name in names)
+    chosen: Any = SimpleNamespace(terms=terms, names=names, failed=np.zeros(4, dtype=bool))
+    acts = frozenset(names)
+    posterior = Posterior((Hypothesis(acts, False, log(1 - unknown)), Hypothesis(acts, True, log(unknown))))
+    return judge(cast(Any, None), chosen, candidates(robot, cast(Any, None), {}), posterior, ())
+
+
+@pytest.fixture(autouse=True)
+def no_fits(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(verdict, "remains", lambda bench, chosen: None)
+    monkeypatch.setattr(verdict, "_is_strained", lambda bench, chosen: False)
+    monkeypatch.setattr(verdict, "_is_shared", lambda bench, chosen, t: False)
+
+
+@pytest.mark.parametrize(("unknown", "said"), [(0.2, "no_missing_effect"), (0.8, "unexplained")])
+def test_nothing_is_missing_where_nothing_unknown_acts(unknown: float, said: str) -> None:
+    assert judged(unknown).verdict == said
+
+
+@pytest.mark.parametrize(("unknown", "said"), [(0.2, "named"), (0.8, "unexplained")])
+def test_an_effect_is_named_where_nothing_unknown_acts_beside(unknown: float, said: str) -> None:
+    result = judged(unknown, "tip_load")
+    assert result.verdict == said
+    assert [finding.term.name for finding in result.findings] == (["tip_load"] if said == "named" else [])
+    assert any("unknown acts beside tip_load, probability 0.8" in note for note in result.notes) == (said != "named")
