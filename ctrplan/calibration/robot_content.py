@@ -10,17 +10,20 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ctrplan.base.arrays import CHI95, CI95
+from ctrplan.base.arrays import CHI95, CI95, Array
 from ctrplan.base.package import __version__
 from ctrplan.calibration.estimates import estimates
 from ctrplan.calibration.least_squares import Fit, fit
 from ctrplan.effects.effect import Effect, Parameter
 from ctrplan.errors import CtrplanError
-from ctrplan.measurement.measurements import Measurements
+from ctrplan.measurement.approach import friction_state
+from ctrplan.measurement.measurements import SAME_TRANSLATION_M, Measurements
 from ctrplan.pipeline.chain import taken_along
 from ctrplan.pipeline.parametric_chain import ParametricChain
 from ctrplan.pipeline.term import Term
+from ctrplan.pipeline.tip_table import tip_table
 from ctrplan.robot.named_numbers import MAGNITUDE, MOST_RATIO, with_plain_keys, with_values
 from ctrplan.robot.robot import Robot, StatedIntervals, file_key
 
@@ -176,28 +179,53 @@ def friction_memory(robot: Robot, data: Measurements, position_sigma_m: float) -
     if not repeated or np.any(data.seen_marker) or robot.n < 2 or data.of_collars:
         return None
     collars = robot.collars(data.theta_commanded, data.l_commanded)
-    predicted = np.full((len(data.sequence), 3), np.nan)
-    for run in np.unique(data.sequence):
-        rows = np.flatnonzero(data.sequence == run)
-        try:
-            predicted[rows] = robot.history().follow(collars[0][rows], collars[1][rows]).position_m
-        except CtrplanError:
-            continue
-    squares = []
+    rule_m, slides = _by_rule(robot, data, collars), _slides(data)
+    pairs: list[tuple[int, int, float]] = []  # of poses, and the bound
     for poses in repeated:
         row = data.rows[poses[0]]
         try:
             bound_m = robot.bound(collars[0][row], collars[1][row]).position_m
         except CtrplanError:  # effects of the drive may leave collars where they do not nest
             continue
-        for a, b in itertools.combinations(poses.tolist(), 2):
-            model_m = np.linalg.norm(predicted[data.rows[a]] - predicted[data.rows[b]])
-            apart_m = np.linalg.norm(data.position_m[a] - data.position_m[b])
-            if model_m / 2 < ERASED * bound_m and np.isfinite(apart_m) and bound_m > 2 * position_sigma_m:
-                squares.append((apart_m**2 - model_m**2 - 6 * position_sigma_m**2) / (2 * bound_m) ** 2)
+        for a, b in itertools.combinations(poses.tolist() if bound_m > 2 * position_sigma_m else (), 2):
+            apart_m = np.linalg.norm(rule_m[a] - rule_m[b])
+            if slides[a] or slides[b] or not apart_m / 2 >= 2 * ERASED * bound_m:  # off by less than ERASED
+                pairs.append((a, b, bound_m))
+    predicted = np.full((data.count, 3), np.nan)
+    asked = np.unique([pose for a, b, _ in pairs for pose in (a, b)]).astype(np.int_)
+    run = data.sequence[data.rows[asked]]
+    for number in np.unique(run):
+        own = asked[run == number]
+        rows = np.flatnonzero(data.sequence[: data.rows[own].max() + 1] == number)
+        try:
+            path_m = robot.history().follow(collars[0][rows], collars[1][rows]).position_m
+        except CtrplanError:
+            continue
+        predicted[own] = path_m[np.searchsorted(rows, data.rows[own])]
+    squares = []
+    for a, b, bound_m in pairs:
+        model_m = np.linalg.norm(predicted[a] - predicted[b])
+        apart_m = np.linalg.norm(data.position_m[a] - data.position_m[b])
+        if model_m / 2 < ERASED * bound_m and np.isfinite(apart_m):
+            squares.append((apart_m**2 - model_m**2 - 6 * position_sigma_m**2) / (2 * bound_m) ** 2)
     if len(squares) < LEAST_PAIRS:
         return None
     return float(min(np.sqrt(max(np.mean(squares), 0.0)), 1.0))
+
+
+def _by_rule(robot: Robot, data: Measurements, collars: tuple[Array, Array]) -> Array:
+    """(K, 3) [m] tips in the friction states that follow from how poses were approached; NaN where there is none."""
+    theta_b, l_b = (joints[data.rows] for joints in collars)
+    table = tip_table(robot, theta_b, l_b, friction_state(data))
+    return np.where(table.sound[:, None], table.position_m, np.nan)
+
+
+def _slides(data: Measurements) -> NDArray[np.bool_]:
+    """(K,) poses whose run translates a tube, which turns friction axial."""
+    moved = np.any(np.abs(np.diff(data.l_commanded, axis=0)) > SAME_TRANSLATION_M, axis=1)
+    runs = data.sequence[1:][moved & (np.diff(data.sequence) == 0)]
+    slides: NDArray[np.bool_] = np.isin(data.sequence[data.rows], runs)
+    return slides
 
 
 def _si(t: Term, name: str) -> float:

@@ -61,6 +61,9 @@ class Parametric(Protocol):
     def at(self, p: Array) -> Chain:
         """The chain with its parameters at (P,)."""
 
+    def before_last(self, p: Array) -> tuple[Robot, Mapping[str, float]]:
+        """The robot without the last of the mechanics that change it, and the numbers that this gives, by name."""
+
     def collars(self, p: Array) -> Collars:
         """Where the collars of the K poses stand."""
 
@@ -103,13 +106,16 @@ class StageColumns:
         at, data = self.of.at, self.of.data
         turning, sensing = self.of.of_effects_with("plate_turn"), self.of.stages()["sensor"]
         self._sensor_columns(chain.turned(poses, collars), by)
-        for j in range(by.shape[2]):
-            if j in turning:
-                by[:, :, j] = self._difference(lambda p: _stacked(at(p).seen(poses, collars, data)), j)
-            elif j not in sensing:
-                size = max(float(np.abs(by[:, :, j]).max()), 1e-12)
-                moved = _moved(poses, MOVE / size * by[:, :, j])
-                by[:, :, j] = (_stacked(chain.seen(moved, collars, data)) - _stacked(seen)) * size / MOVE
+        for j in turning:
+            by[:, :, j] = self._difference(lambda p: _stacked(at(p).seen(poses, collars, data)), j)
+        others = [j for j in range(by.shape[2]) if j not in (*turning, *sensing)]
+        by[:, :, others] = self._by_pose(poses, collars, seen) @ by[:, :, others]
+
+    def _by_pose(self, poses: Poses, collars: Collars, seen: Poses) -> Array:
+        """(K, 6, 6) what is seen of each pose by its position and its tangent, by forward differences."""
+        here, steps = _stacked(seen), MOVE * np.eye(6)
+        moved = (self.chain.seen(_moved(poses, step), collars, self.of.data) for step in steps)
+        return np.stack([(_stacked(there) - here) / MOVE for there in moved], axis=2)
 
     def _sensor_columns(self, poses: Poses, by: Array) -> None:
         """Columns of the sensor's own parameters. Effects before that of a parameter act once for all its values."""
@@ -135,8 +141,8 @@ class StageColumns:
         names = sorted({name for named in (*of_file, *of_effects) for name in named})
 
         def numbers(p: Array) -> Array:
-            robot = self.of.at(p).mechanics
-            return np.array([value_of(robot, name) for name in names])
+            robot, last = self.of.before_last(p)
+            return np.array([last[name] if name in last else value_of(robot, name) for name in names])
 
         by = np.zeros((len(names), len(self.of.parameters)))
         for j in self.of.stages()["mechanics"]:
@@ -195,9 +201,9 @@ def unit(vectors: Array) -> Array:
 
 
 def _moved(poses: Poses, step: Array) -> Poses:
-    """Poses displaced and turned by (K, 6)."""
-    along = unit(poses.frame[:, :, 2] + step[:, 3:])
-    return Poses(poses.position + step[:, :3], frames_along(along, poses.frame[:, :, 0]))
+    """Poses displaced and turned by (6,)."""
+    along = unit(poses.frame[:, :, 2] + step[3:])
+    return Poses(poses.position + step[:3], frames_along(along, poses.frame[:, :, 0]))
 
 
 def _stacked(poses: Poses) -> Array:
@@ -298,14 +304,32 @@ class ParametricChain(TermValues):
 
         An effect that the file has too acts once, where the file has it, with the file's values of what does not vary.
         """
-        effects, of_file = {given.effect.name: given for given in self._in_file.acting}, []
+        of_file, effects = self._given(p)
+        return Chain(self._ideal(of_file), tuple(effects))
+
+    def _given(self, p: Array) -> tuple[list[tuple[Effect, dict[str, float]]], list[Acting]]:
+        """The file's own numbers at parameters (P,), and the effects that act."""
+        effects = {given.effect.name: given for given in self._in_file.acting}
+        of_file: list[tuple[Effect, dict[str, float]]] = []
         for t, values in zip(self.terms, self.values(p), strict=True):
             if t.effect.of_the_file:
                 of_file.append((t.effect, values))
             else:
                 present = effects[t.name].values if t.name in effects else {}
                 effects[t.name] = Acting(t.effect, {**present, **values})
-        return Chain(self._ideal(of_file), tuple(effects.values()))
+        return of_file, list(effects.values())
+
+    def before_last(self, p: Array) -> tuple[Robot, Mapping[str, float]]:
+        """The robot without the last of the mechanics that change it, and the numbers that this gives, by name."""
+        of_file, acting = self._given(p)
+        steps = [*of_file, *((given.effect, given.values) for given in acting if given.effect.stage == "mechanics")]
+        robot, last = self._in_file.ideal, dict[str, float]()
+        for k, (effect, values) in enumerate(steps):
+            if k == len(of_file):
+                robot, last = self._ideal(of_file), {}
+            robot, last = with_values(robot, last) if last else robot, {}
+            last = dict(effect.mechanics(values, robot))
+        return robot, last
 
     def _ideal(self, of_file: list[tuple[Effect, dict[str, float]]]) -> Robot:
         """With the file's own numbers; the last one is kept, for derivatives by other parameters leave it as it is."""

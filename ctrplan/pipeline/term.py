@@ -72,6 +72,12 @@ class TermValues:
         self.prior = np.array([p.prior for p in self.parameters]) * self.si
         self.lower = np.array([p.lower for p in self.parameters]) * self.si
         self.upper = np.array([p.upper for p in self.parameters]) * self.si
+        ends = np.cumsum([len(t.parameters) for t in self.terms]).tolist()
+        self._slices = [slice(end - len(t.parameters), end) for end, t in zip(ends, self.terms, strict=True)]
+        self._names = [[q.name for q in t.parameters] for t in self.terms]
+        self._stages: dict[str, list[int]] = {"clock": [], "drive": [], "mechanics": [], "sensor": []}
+        for t, s in zip(self.terms, self._slices, strict=True):
+            self._stages[t.effect.stage] += range(s.start, s.stop)
 
     @property
     def owners(self) -> tuple[str, ...]:
@@ -86,22 +92,16 @@ class TermValues:
 
     def slices(self) -> list[slice]:
         """Where each term's parameters stand."""
-        ends = np.cumsum([len(t.parameters) for t in self.terms]).tolist()
-        return [slice(end - len(t.parameters), end) for end, t in zip(ends, self.terms, strict=True)]
+        return self._slices
 
     def values(self, p: Array) -> list[dict[str, float]]:
         """Per term, parameter -> value, SI."""
-        return [
-            {q.name: float(v) for q, v in zip(t.parameters, p[s], strict=True)}
-            for t, s in zip(self.terms, self.slices(), strict=True)
-        ]
+        numbers = p.tolist()
+        return [dict(zip(names, numbers[s], strict=True)) for names, s in zip(self._names, self._slices, strict=True)]
 
     def stages(self) -> dict[str, list[int]]:
         """Per stage, positions of its parameters in the vector."""
-        places: dict[str, list[int]] = {"clock": [], "drive": [], "mechanics": [], "sensor": []}
-        for t, s in zip(self.terms, self.slices(), strict=True):
-            places[t.effect.stage] += range(s.start, s.stop)
-        return places
+        return self._stages
 
     def of_effects_with(self, *hooks: str) -> list[int]:
         """Positions of the parameters of effects that have any of these methods of their own."""

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
 
 NESTED_M = 1e-8  # collars and tips out of order by less do not matter
-MOST_REMEMBERED = 12  # tables: fits ask again where the one before them ended, a quarter of all a diagnosis asks
+MOST_REMEMBERED = 64  # tables of 0.4 MB: fits ask again where others began and ended, a third of all a diagnosis asks
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,14 +57,29 @@ def tip_table(
     robot: Robot, theta_b: Array, l_b: Array, phi: Array, names: Sequence[str] = (), accuracy: Accuracy = "search"
 ) -> TipTable:
     """Tips at (K, n) [rad], (K, n) [m] in friction states (K, n - 1); names as in `parameters`, or theta_b.1, l_b.1."""
-    inside = nested(robot, l_b)
-    sound = is_in_order(robot.tubes, l_b, NESTED_M)
-    phi = phi * _rubbing(robot, names)
-    rows = np.hstack([theta_b, inside, phi])
+    rubbing, inside = robot.friction[:, 1] > 0, nested(robot, l_b)
+    fresh = {f"contact.{i + 1}.friction_coefficient" for i in np.flatnonzero(~rubbing)}
+    of_friction, others = ([name for name in names if (name in fresh) is asked] for asked in (True, False))
+    rows = np.hstack([theta_b, inside, phi * rubbing])
+    if of_friction and others:  # without friction its state matters to derivatives by friction alone
+        whole = _columns(robot, rows, others, accuracy)
+        more = _columns(robot, np.hstack([theta_b, inside, phi]), of_friction, accuracy)
+        order = [(others + of_friction).index(name) for name in names]
+        by = (np.concatenate([getattr(whole, key), getattr(more, key)], axis=2)[:, :, order] for key in BY)
+        table = TipTable(whole.position_m, whole.tangent, whole.sound, whole.failed, *by)
+    else:
+        table = _columns(robot, np.hstack([theta_b, inside, phi]) if of_friction else rows, names, accuracy)
+    return replace(table, sound=table.sound & is_in_order(robot.tubes, l_b, NESTED_M))
+
+
+BY = ("position_by", "tangent_by")
+
+
+def _columns(robot: Robot, rows: Array, names: Sequence[str], accuracy: Accuracy) -> TipTable:
+    """The table of rows (K, 3 n - 1) of collars and friction states."""
     first, back = distinct(rows)
-    table = _solved(_TipRequest.of(robot, rows[first], names, accuracy))
-    result = TipTable(*(getattr(table, key)[back] for key in TipTable.__dataclass_fields__))
-    return replace(result, sound=result.sound & sound)
+    table = _solved(_TipRequest.of(robot, rows[first], accuracy), robot, tuple(names))
+    return TipTable(*(getattr(table, key)[back] for key in TipTable.__dataclass_fields__))
 
 
 def distinct(rows: Array) -> tuple[NDArray[np.int_], NDArray[np.int_]]:
@@ -74,13 +89,6 @@ def distinct(rows: Array) -> tuple[NDArray[np.int_], NDArray[np.int_]]:
     return first, back.ravel()
 
 
-def _rubbing(robot: Robot, names: Sequence[str]) -> NDArray[np.bool_]:
-    """(n - 1,) pairs whose friction state matters: those with friction, or whose friction is differentiated by."""
-    fitted = [f"contact.{i}.friction_coefficient" in names for i in range(1, robot.n)]
-    rubbing: NDArray[np.bool_] = (robot.friction[:, 1] > 0) | np.array(fitted, dtype=bool)
-    return rubbing
-
-
 def nested(robot: Robot, l_b: Array) -> Array:
     """Base translations (K, n) with those that do not nest moved to where they do."""
     return moved_to_nest(robot.tubes, l_b)
@@ -88,33 +96,51 @@ def nested(robot: Robot, l_b: Array) -> Array:
 
 @dataclass(frozen=True)
 class _TipRequest:
-    """What decides on a table: the numbers of the mechanics, and rows (D, 3 n - 1) of collars and friction states."""
+    """What decides on tips: the numbers of the mechanics, and rows (D, 3 n - 1) of collars and friction states."""
 
     tubes: tuple[Tube, ...]
     loads: Loads
     pairs: bytes
     rows: bytes
-    names: tuple[str, ...]
     accuracy: Accuracy
-    robot: Robot = field(compare=False)
 
     @classmethod
-    def of(cls, robot: Robot, rows: Array, names: Sequence[str], accuracy: Accuracy) -> _TipRequest:
+    def of(cls, robot: Robot, rows: Array, accuracy: Accuracy) -> _TipRequest:
         pairs = np.hstack([robot.clearance_m, robot.friction[:, 1]]).tobytes()
-        return cls(robot.tubes, robot.loads, pairs, rows.tobytes(), tuple(names), accuracy, robot)
+        return cls(robot.tubes, robot.loads, pairs, rows.tobytes(), accuracy)
+
+
+@dataclass(eq=False)
+class _Remembered:
+    """Tips that were solved, and their derivatives (D, 3) by the names that were asked so far."""
+
+    tips: TipTable | None = None  # without names
+    by: dict[str, tuple[Array, Array]] = field(default_factory=dict)  # of position and tangent
 
 
 @lru_cache(MOST_REMEMBERED)
-def _solved(request: _TipRequest) -> TipTable:
-    n = request.robot.n
-    theta_b, l_b, phi = np.split(np.frombuffer(request.rows).reshape(-1, 3 * n - 1), [n, 2 * n], axis=1)
-    tips = request.robot.mechanics.tips_with_friction(
-        theta_b, l_b, phi, parameters=request.names, accuracy=request.accuracy
-    )
-    failed = tips.status == Status.FAILED
-    sound = ~failed & (tips.status != Status.UNSTABLE)
-    by = np.nan_to_num(tips.position_by), np.nan_to_num(tips.tangent_by)  # NaN where a joint can't be moved by itself
-    return TipTable(tips.position_m, tips.tangent, sound, failed, *by)
+def _remembered(request: _TipRequest) -> _Remembered:
+    return _Remembered()
+
+
+def _solved(request: _TipRequest, robot: Robot, names: tuple[str, ...]) -> TipTable:
+    known = _remembered(request)
+    missing = tuple(name for name in dict.fromkeys(names) if name not in known.by)
+    if known.tips is None or missing:
+        n = robot.n
+        theta_b, l_b, phi = np.split(np.frombuffer(request.rows).reshape(-1, 3 * n - 1), [n, 2 * n], axis=1)
+        tips = robot.mechanics.tips_with_friction(theta_b, l_b, phi, parameters=missing, accuracy=request.accuracy)
+        failed = tips.status == Status.FAILED
+        none = np.zeros((len(failed), 3, 0))
+        known.tips = TipTable(
+            tips.position_m, tips.tangent, ~failed & (tips.status != Status.UNSTABLE), failed, none, none
+        )
+        by = np.nan_to_num(tips.position_by), np.nan_to_num(tips.tangent_by)  # NaN where no joint moves by itself
+        known.by |= {name: (by[0][:, :, k], by[1][:, :, k]) for k, name in enumerate(missing)}
+    if not names:
+        return known.tips
+    position_by, tangent_by = (np.stack([known.by[name][k] for name in names], axis=2) for k in range(2))
+    return replace(known.tips, position_by=position_by, tangent_by=tangent_by)
 
 
 NEAR_RAD, NEAR_M, NEAR_STATE = np.radians(1.0), 0.3e-3, 0.1  # that tangents, collars, friction states may have moved
@@ -147,8 +173,10 @@ def remembered_tip_x(data: Measurements, robot: Robot, collars: Collars, phi: Ar
     for result in known:
         if result.serves(collars, phi, tangent):
             return result.x
-    rows = zip(collars.theta, nested(robot, collars.l), phi, strict=True)
-    x = read_only(np.array([robot.solve(*row).tubes[-1].frames[-1, :, 0] for row in rows]))
+    theta_b, l_b, rubbing = collars.theta, nested(robot, collars.l), phi * (robot.friction[:, 1] > 0)
+    first, back = distinct(np.hstack([theta_b, l_b, rubbing]))
+    rows = zip(theta_b[first], l_b[first], rubbing[first], strict=True)
+    x = read_only(np.array([robot.solve(*row).tubes[-1].frames[-1, :, 0] for row in rows])[back])
     known.insert(0, _TipResult(tangent, collars, phi, x))
     del known[MOST:]
     return x

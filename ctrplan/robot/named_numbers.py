@@ -97,21 +97,25 @@ def value_of(robot: HasNumbers, name: str) -> float:
 def with_values(robot: R, values: Mapping[str, float]) -> R:
     """A copy of the robot with named numbers changed, SI. Raises InputError for a name the robot does not have."""
     tubes, contacts = list(robot.tubes), list(robot.contacts)
+    of_tubes: dict[int, dict[str, Any]] = {}
+    sections: dict[int, list[TubeSection]] = {}
     loads: dict[str, list[float]] = {}
     for name, value in values.items():
         value_of(robot, name)
         at = parsed_name(name)
         if at.kind == "tube":
-            changes: dict[str, Any] = {at.key: value}
-            tubes[at.index] = replace(tubes[at.index], **changes)
+            of_tubes.setdefault(at.index, {})[at.key] = value
         elif at.kind == "section":
-            sections = list(tubes[at.index].sections)
-            sections[at.section] = _changed_section(sections[at.section], at.key, value)
-            tubes[at.index] = replace(tubes[at.index], sections=tuple(sections))
+            its = sections.setdefault(at.index, list(tubes[at.index].sections))
+            its[at.section] = _changed_section(its[at.section], at.key, value)
         elif at.kind == "contact":
             contacts[at.index] = _changed_contact(contacts[at.index], at.key, value)
         else:
             loads.setdefault(at.key, list(getattr(robot.loads, at.key)))[at.index] = value
+    for index, its in sections.items():
+        of_tubes.setdefault(index, {})["sections"] = tuple(its)
+    for index, changes in of_tubes.items():
+        tubes[index] = replace(tubes[index], **changes)
     changed: dict[str, Any] = {"tubes": tuple(tubes), "contacts": tuple(contacts)}
     if loads:
         vectors: dict[str, Any] = {key: tuple(vector) for key, vector in loads.items()}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from counted_calls import count_calls
 from made_up_input import FUZZ
 from places import SCENARIOS
 
@@ -44,3 +45,12 @@ def test_the_share_comes_out_again(kept: float) -> None:
 def test_nothing_is_said_where_the_model_does_not_erase_or_data_are_few() -> None:
     assert friction_memory(ROBOT, two_ways(ANGLES, 0.2, 0.0, sliding=False), 0.0) is None
     assert friction_memory(ROBOT, two_ways(ANGLES[: LEAST_PAIRS - 1], 0.2, 0.0), 0.0) is None
+
+
+def test_runs_that_tell_nothing_are_not_simulated(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where friction's bound is within the noise, or the rule of approaches says that the model erases nothing."""
+    slid, turned = two_ways(ANGLES, 0.2, 0.0), two_ways(ANGLES, 0.2, 0.0, sliding=False)
+    called = count_calls(monkeypatch)
+    assert friction_memory(ROBOT, slid, 0.1) is None and friction_memory(ROBOT, turned, 0.0) is None
+    assert "follow" not in called
+    assert friction_memory(ROBOT, slid, 0.0) is not None and "follow" in called

@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+import pytest
 from measured_data import pair_robot
 
+from ctrplan.base.arrays import Array
+from ctrplan.mechanics.core import Mechanics
+from ctrplan.pipeline import tip_table as tip_table_module
 from ctrplan.pipeline.tip_table import TipTable, tip_table
 from ctrplan.robot.robot import Robot
 
@@ -35,3 +41,23 @@ def test_derivatives_by_friction_know_the_state() -> None:
     assert size > 1e-4
     np.testing.assert_allclose(by[0], -by[2], atol=0.02 * size)
     assert np.linalg.norm(by[1]) < 0.02 * size
+
+
+def test_derivatives_that_are_asked_together_are_those_asked_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """And nothing is solved for a name that was asked before."""
+    names, robot = ("tube.2.bending_stiffness_Nm2", FRICTION, "theta_b.2", "contact.1.clearance_m"), pair_robot()
+    tip_table_module._remembered.cache_clear()
+    together = tips(robot, *names)
+    asked: list[tuple[str, ...]] = []
+    solve = Mechanics.tips_with_friction
+
+    def counted(self: Mechanics, *rows: Array, **how: Any) -> object:
+        asked.append(tuple(how["parameters"]))
+        return solve(self, *rows, **how)
+
+    monkeypatch.setattr(Mechanics, "tips_with_friction", counted)
+    for k, name in enumerate(names):
+        np.testing.assert_array_equal(tips(robot, name).position_by[:, :, 0], together.position_by[:, :, k])
+    assert not asked
+    tips(robot, "theta_b.1", "theta_b.2")
+    assert asked == [("theta_b.1",)]

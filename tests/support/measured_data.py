@@ -155,5 +155,5 @@ def without_solutions(data: Measurements, configurations: list[int], patch: pyte
         return replace(tips, status=status, position_m=position)
 
     patch.setattr(Mechanics, "tips_with_friction", failing)
-    patch.setattr(tip_table, "_solved", tip_table._solved.__wrapped__)  # no tables of before, and none kept for after
+    patch.setattr(tip_table, "_remembered", tip_table._remembered.__wrapped__)  # none of before or after
     return set((data.rows[lost] + 1).tolist())
