@@ -88,9 +88,7 @@ class StageColumns:
         return [*self.numbers, *self.joints]
 
     def of_tips(self, table: TipTable, collars: Collars, by: Array) -> None:
-        """Columns of clock, drive and mechanics; the table's last derivatives are by numbers that differ from pose to
-        pose.
-        """
+        """Columns of clock, drive and mechanics; the last of the table are by numbers that differ from pose to pose."""
         upstream, first = np.concatenate([table.position_by, table.tangent_by], axis=1), len(self.numbers)
         last = first + len(self.joints)
         by += upstream[:, :, :first] @ self._numbers_by
@@ -190,14 +188,12 @@ class StageColumns:
         p, h = self.p, STEP * self.of.prior[j]
         up, down = p.copy(), p.copy()
         up[j], down[j] = min(p[j] + h, self.of.upper[j]), max(p[j] - h, self.of.lower[j])
-        difference: Array = (value(up) - value(down)) / (up[j] - down[j])
-        return difference
+        return np.asarray((value(up) - value(down)) / (up[j] - down[j]))
 
 
 def unit(vectors: Array) -> Array:
     """Vectors (K, 3) of length 1."""
-    along: Array = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
-    return along
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
 
 
 def _moved(poses: Poses, step: Array) -> Poses:
@@ -376,11 +372,7 @@ class ParametricChain(TermValues):
     def predict(self, p: Array, *, derivatives: bool = True) -> SensorPrediction:
         """Poses at parameters (P,), in the order of the terms."""
         chain = self.at(p)
-        robot, collars, phi = (
-            chain.mechanics,
-            chain.collars(self.data, last_directions(self.data)),
-            self.friction_state(p),
-        )
+        robot, collars, phi = chain.mechanics, self._collars(chain), self.friction_state(p)
         columns = StageColumns(self, p) if derivatives else None
         changes = chain.changing(self.data)
         table = self._table(robot, collars, phi, columns.names if columns else [], changes)
@@ -408,9 +400,7 @@ class ParametricChain(TermValues):
         return _followed(table, changes)[0], table.sound
 
     def _of_markers(self, p: Array, here_m: Array, by: Array) -> None:
-        """Derivatives of markers, now at (K, 3) [m], by differences of whole solves: the core differentiates tips
-        alone.
-        """
+        """Derivatives of markers, now at (K, 3) [m], by differences of whole solves."""
         if self._body.any():
             chain = self._body_chain
             chain.followed_phi = None if self.followed_phi is None else self.followed_phi[self._body]
@@ -443,8 +433,7 @@ class ParametricChain(TermValues):
         Without a sensor that is fixed to the tube any direction across the tangent will do.
         """
         if not chain.turns_with_tip:
-            across: Array = np.eye(3)[np.argmin(np.abs(tangent), axis=1)]
-            return across
+            return np.asarray(np.eye(3)[np.argmin(np.abs(tangent), axis=1)])
         if self._across is None:
             self._across = remembered_tip_x(self.data, chain.mechanics, collars, phi, tangent)
         return self._across
