@@ -113,22 +113,25 @@ def compared_figure(first: WrittenPlan, second: WrittenPlan, names: tuple[str, s
     import numpy as np
     from matplotlib.figure import Figure
 
-    from ctrplan.reports.looks import SERIES
+    from ctrplan.reports.looks import INK, SERIES
     from ctrplan.reports.plan_picture import draw_panel
 
     figure = Figure(figsize=(12, 4.2), layout="constrained")
-    figure.suptitle("\n".join(_heads(first, second, names)[:2]), x=0.01, ha="left", fontsize=9, parse_math=False)
+    heads = zip(_heads(first, second, names)[:2], ("blue", "orange"), strict=True)
+    lines = "\n".join(f"{head}, {colour}" for head, colour in heads)
+    figure.suptitle(lines, x=0.01, ha="left", fontsize=9, parse_math=False)
     panels, time = _panels((first, second))
     for k, panel in enumerate(panels):
         ax = figure.add_subplot(1, 3, k + 1)
-        draw_panel(ax, panel, time, heading=f"{panel.title}: A blue, B orange")
+        draw_panel(ax, panel, time, heading=panel.title)
         ax.set_xlabel("time (s)")
     space: Any = figure.add_subplot(1, 3, 3, projection="3d")
     for plan, colour in zip((first, second), SERIES, strict=False):
         tips = np.array(plan.content["certificate"]["samples"]["tip_m"], dtype=float) * 1e3
         space.plot(*tips.T, color=colour)
         space.plot(*tips[-1:].T, "o", color=colour)
-    space.set_title("way of the tip without friction (mm)", fontsize=9)
+    space.tick_params(labelsize=8)
+    space.set_title("Way of the tip without friction (mm)", loc="left", fontsize=11.5, fontweight="bold", color=INK)
     return figure
 
 
