@@ -147,9 +147,14 @@ class WorstFigure:
         return self.stated - self.value if self.claim in SMALLER_IS_WORSE else self.value - self.stated
 
     @property
+    def allowance(self) -> float:
+        """By how much the figure may miss its claim, for rounding and meshes."""
+        return ALLOWED[self.claim] + SHARE[self.claim] * abs(self.stated)
+
+    @property
     def is_broken(self) -> bool:
-        """Whether the claim is broken, beyond what is allowed for rounding and meshes."""
-        return self.excess > ALLOWED[self.claim] + SHARE[self.claim] * abs(self.stated)
+        """Whether the claim is broken, beyond the allowance."""
+        return self.excess > self.allowance
 
     def worse_than(self, other: WorstFigure | None) -> bool:
         """Whether it says more against its claim."""

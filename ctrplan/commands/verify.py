@@ -111,5 +111,6 @@ def _line(figure: WorstFigure) -> str:
     factor, unit = UNITS.get(figure.claim, (1e3, " mm"))
     stated = "nothing" if figure.stated != figure.stated else f"{factor * figure.stated:.2f}{unit}"
     broken = "BROKEN: " if figure.is_broken else ""
-    figures = f"{broken}{factor * figure.value:.2f}{unit} found, {stated} claimed"
+    within = f" (meshes may differ by {factor * figure.allowance:.2f})" if figure.excess > 0 and not broken else ""
+    figures = f"{broken}{factor * figure.value:.2f}{unit} found, {stated} claimed{within}"
     return f"  {CLAIMS[figure.claim]:32} {figures}; {figure.where}, {figure.how}"
