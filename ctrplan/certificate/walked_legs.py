@@ -150,7 +150,7 @@ def walk_legs(
     as_walked = walk_pieces(scenario, space, corners, accuracy, progress, known, timing)
     judged = _closely_judged(scenario, space, corners, as_walked, spare_m)
     if _may_keep_more(judged, path_limits(scenario).clearance_m):
-        wider = walk_pieces(scenario, space, corners, accuracy, progress, (), timing, most_large=MOST_LARGE[1])
+        wider = walk_pieces(scenario, space, corners, accuracy, progress, as_walked, timing, most_large=MOST_LARGE[1])
         if wider[0].variants.large != as_walked[0].variants.large:
             judged = _closely_judged(scenario, space, corners, wider, spare_m)
     light = [piece.light() for piece in judged.pieces]

@@ -103,7 +103,7 @@ class FromFile:
     def of(
         cls: type[D], content: Mapping[str, Any], folder: str | os.PathLike[str] = ".", *, allow_outside: bool = False
     ) -> D:
-        """The same of a file's content; files are named relative to `folder`."""
+        """Reads content as a file would hold it, files named relative to `folder`. Raises InputError as `read` does."""
         document = Document.of(content, cls.file_kind, str(Path(folder) / f"{cls.file_kind}.toml"))
         return cls._of(document, allow_outside)
 
