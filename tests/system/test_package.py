@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -49,3 +51,25 @@ def test_help_imports_the_command_alone(command: str | None) -> None:
     modules = imported(f"from ctrplan.__main__ import main\ntry:\n    main({arguments})\nexcept SystemExit:\n    pass")
     own = {f"ctrplan.commands.{name}" for name in COMMANDS} & modules
     assert own == ({f"ctrplan.commands.{command}"} if command else set()) and not HEAVY & modules
+
+
+MULTIPLIED = """
+import contextlib
+from pathlib import Path
+from ctrplan.__main__ import main
+with contextlib.suppress(SystemExit):
+    main(["--version"])
+import numpy
+numpy.ones((500, 500)) @ numpy.ones((500, 500))
+print(len(list(Path("/proc/self/task").iterdir())))
+"""
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").exists() or os.cpu_count() == 1, reason="counts threads as Linux does")
+@pytest.mark.parametrize(("given", "threads"), [({}, "1"), ({"OPENBLAS_NUM_THREADS": "2"}, "2")])
+def test_linear_algebra_of_commands_has_one_thread_unless_the_environment_says_otherwise(
+    given: dict[str, str], threads: str
+) -> None:
+    plain = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")}
+    done = subprocess.run([sys.executable, "-c", MULTIPLIED], env=plain | given, capture_output=True, text=True)
+    assert done.stdout.split()[-1] == threads
