@@ -30,12 +30,13 @@ from ctrplan.planning.search.polish import Polish
 from ctrplan.planning.search.roadmap_search import RoadmapSearch
 from ctrplan.scenario.tip_solver import GoalState
 
-# Shares of the time by which a first path and the cheapest of the roadmap are sought
-FIRST_SHARE, ROADMAP_SHARE = 0.85, 0.6
+# Shares of the time by which the cheapest path of the roadmap is sought, and another where it failed its certificate
+ROADMAP_SHARE, RETRY_SHARE = 0.6, 0.85
 WORTH_A_CERTIFICATE = 5e-3  # of the cost: less gain than that is not worth a certificate, which takes longer
 POLISH_SHARE = 0.3  # of the time, whenever polish begins: a first path that took all of it is where it gains most
-# Share by which L-shaped motions are sampled that led to no path; and that of simultaneous ones, whenever they begin
-SAMPLED_SHARE, FALLBACK_SHARE = 0.9, 0.18
+# Share of a time by the clock that L-shaped motions have where they lead to no path; and that of simultaneous ones after
+# it, which a counted search has beside its budget
+L_SHAPED_SHARE, FALLBACK_SHARE = 0.9, 0.18
 STRAIGHT_HOPE = 0.5  # of motions from the start to a goal, without which chains are made before any is walked
 FIRST_STATES, FIRST_ROUND_S = 100, 0.4  # random states a roadmap first grows by, and after how long; then twice as many
 MOST_STATES = 3000  # of a roadmap
@@ -200,11 +201,16 @@ class StageSearch:
         assert self.failed is not None
         return path_limits(self.checker.scenario).clearance_m - float(self.failed.samples.clearance_m.min())
 
+    @property
+    def _first_until(self) -> float:
+        """When a first path of L-shaped motions is no longer sought, and simultaneous ones are tried."""
+        return self.budget * (L_SHAPED_SHARE if self.clock.timed else 1.0)
+
     def _first_path(self) -> RoadmapSearch:
         """Any path, soon: straight to a goal where that looks free, or on a roadmap that grows while there is none."""
         search = RoadmapSearch(self.checker, direct_roadmap(self.checker, self.goals), self.goals)
         states, until, hope = FIRST_STATES, self.clock.now() + FIRST_ROUND_S, STRAIGHT_HOPE
-        latest = FIRST_SHARE * self.budget
+        latest = self._first_until
         while self.best is None and not self._is_over(latest):
             path = None
             with self._ending(latest):
@@ -235,7 +241,7 @@ class StageSearch:
         Where it fails, friction states between the corners, or the finer mesh, take more room than the search keeps:
         another is sought that leaves as much, for as long as a first path would be.
         """
-        until, latest = ROADMAP_SHARE * self.budget, FIRST_SHARE * self.budget
+        until, latest = ROADMAP_SHARE * self.budget, RETRY_SHARE * self.budget
         with self._ending(until):
             self._prepare(search, until)
         while not self._is_enough():
@@ -287,7 +293,7 @@ class StageSearch:
     def _sample(self, *, only_first: bool = False) -> None:
         """The scenario's planner, to its first path or to the end; simultaneous motions where no other led to any."""
         checker, name = self.checker, self.checker.scenario.planner.name
-        until = self.budget * (1 if self.best else SAMPLED_SHARE)
+        until = self.budget if self.best else self._first_until
         if self.best and self._is_over(until):
             return
         for attempt in range(ATTEMPTS):
@@ -298,7 +304,7 @@ class StageSearch:
                 if self.best or checker is not self.checker or self.interrupted.is_set():
                     break
                 checker = MotionChecker(checker.scenario, "simultaneous", checker.meter, checker.reserve_m)
-                begins = SAMPLED_SHARE * self.budget if self.clock.timed else self.clock.now()
+                begins = self._first_until if self.clock.timed else self.clock.now()
                 until = begins + FALLBACK_SHARE * self.budget
                 continue
             if self.best is None:
