@@ -137,7 +137,8 @@ def costs(paths: list[Path], time_s: float, seeds: int, against: Path | None) ->
         for solved in values:
             there = np.isfinite(solved[:, 0])
             cost, bound = (np.median(solved[there, c]) if there.any() else np.nan for c in (0, 1))
-            cells += [f"{there.sum()} of {seeds}", f"{cost:.1f} mm", f"{bound:.2f} mm"]
+            least = np.nanmin(solved[:, 0], initial=np.inf)
+            cells += [f"{there.sum()} of {seeds}", f"{cost:.1f} mm", f"{least:.1f} mm", f"{bound:.2f} mm"]
             cells += [f"{np.median(solved[:, 2]):.1f} s"]
         rows.append(tuple(cells))
         print(*rows[-1], sep=", ", file=sys.stderr, flush=True)
@@ -145,7 +146,7 @@ def costs(paths: list[Path], time_s: float, seeds: int, against: Path | None) ->
     table("costs", ("scenario", *heads), rows)
 
 
-COST_COLUMNS = ("planned", "cost", "bound at the goal", "processor")
+COST_COLUMNS = ("planned", "cost, median", "least", "bound at the goal", "processor")
 
 
 def ended_by_a_path(progress: Progress) -> None:
