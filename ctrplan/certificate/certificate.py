@@ -205,7 +205,7 @@ class Settling:
 
 def _limits(scenario: Scenario) -> PathLimits:
     """Imported where a limit is evaluated: files that read plans need no checker of motions."""
-    from ctrplan.motion.checker import path_limits
+    from ctrplan.motion.limits import path_limits
 
     return path_limits(scenario)
 

@@ -19,7 +19,7 @@ from ctrplan.certificate.anatomy_distance import AnatomyDistance
 from ctrplan.certificate.certificate import CertificateSamples, Closest
 from ctrplan.certificate.friction_states import TIGHT_M, State, corner_states
 from ctrplan.certificate.walked_piece import Piece
-from ctrplan.motion.checker import TOO_CLOSE
+from ctrplan.motion.limits import TOO_CLOSE
 
 if TYPE_CHECKING:
     from ctrplan.certificate.walked_legs import WalkedLegs

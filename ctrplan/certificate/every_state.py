@@ -30,7 +30,7 @@ from ctrplan.certificate.friction_states import LOOK_EVERY, TIGHT_M, Solved, Sta
 from ctrplan.certificate.narrow_samples import NARROWEST, CloserLooks, closer_looks, key_of
 from ctrplan.certificate.sample_states import SampleStates, StatesBetween
 from ctrplan.certificate.walked_piece import Piece, narrowest_of
-from ctrplan.motion.checker import path_limits
+from ctrplan.motion.limits import path_limits
 
 if TYPE_CHECKING:
     from ctrplan.mechanics.shapes import Accuracy

@@ -31,7 +31,7 @@ from ctrplan.errors import CtrplanError
 from ctrplan.mechanics.equilibria import SAME_SHAPE_M
 from ctrplan.mechanics.shapes import Status
 from ctrplan.mechanics.walk import PathDensity, PathSamples
-from ctrplan.motion.checker import path_limits
+from ctrplan.motion.limits import path_limits
 from ctrplan.uncertainty.body_clearance import GRADIENT_STEP_M
 
 if TYPE_CHECKING:

@@ -22,7 +22,8 @@ from ctrplan.drive.legs import distance_from_polyline
 from ctrplan.mechanics.equilibria import SAME_SHAPE_M
 from ctrplan.mechanics.shapes import Accuracy
 from ctrplan.mechanics.walk import PathLimits
-from ctrplan.motion.checker import TOO_CLOSE, MotionChecker, breach, path_limits
+from ctrplan.motion.checker import MotionChecker
+from ctrplan.motion.limits import TOO_CLOSE, breach, path_limits
 from ctrplan.robot.robot import Robot
 from ctrplan.scenario.joint_space import JointSpace
 from ctrplan.scenario.tip_solver import target_in_robot_frame

@@ -21,7 +21,7 @@ from ctrplan.certificate.anatomy_distance import AnatomyDistance
 from ctrplan.certificate.friction_states import POINT_SPACING_M, UNEVEN_FRICTION_M
 from ctrplan.certificate.narrow_samples import narrow_places
 from ctrplan.certificate.walked_piece import Piece
-from ctrplan.motion.checker import path_limits
+from ctrplan.motion.limits import path_limits
 
 if TYPE_CHECKING:
     from ctrplan.mechanics.friction import FrictionStates

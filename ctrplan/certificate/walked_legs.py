@@ -43,7 +43,8 @@ from ctrplan.drive.legs import merge_legs
 from ctrplan.errors import InputError
 from ctrplan.mechanics.equilibria import SAME_SHAPE_M, is_unique
 from ctrplan.mechanics.shapes import Accuracy
-from ctrplan.motion.checker import TOO_CLOSE, left_at_end, path_limits
+from ctrplan.motion.checker import left_at_end
+from ctrplan.motion.limits import TOO_CLOSE, path_limits
 from ctrplan.scenario.joint_space import JointSpace
 from ctrplan.scenario.prediction import start_load
 from ctrplan.scenario.scenario import path_cost_mm

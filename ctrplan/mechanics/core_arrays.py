@@ -142,6 +142,7 @@ def core_density(density: PathDensity) -> _model.PathDensity:
         motion=density.motion_m,
         near=density.near_m,
         point_spacing=density.point_spacing_m,
+        between_corners=density.between_corners,
     )
 
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrplan.base.arguments import Number, checked, require
+from ctrplan.base.arguments import Flag, Number, checked, require
 from ctrplan.base.arrays import Array, numbers
 from ctrplan.base.long_work import Progress
 from ctrplan.base.package import shown
@@ -43,7 +43,7 @@ class PathSamples:
     tangent_rad: Array  # (K,)
     stability: Array  # (K,)
     max_strain: Array  # (K,)
-    clearance_m: Array  # (K,) smallest over frictionless and corner shapes, outer radius taken off; 1e9 in free space
+    clearance_m: Array  # (K,) smallest over the shapes looked up, outer radius taken off; 1e9 in free space
     motion_m: Array  # (K,) largest displacement of a body point of any of these shapes since the sample before
     status: NDArray[np.int_]  # (K,) values of Status
     tip_m: Array  # (K, 3) frictionless
@@ -71,13 +71,16 @@ class PathSamples:
     motion_m=Number(SHORTEST_STEP, LONGEST_STEP, "m"),
     near_m=Number(SHORTEST_STEP, LONGEST_STEP, "m"),
     point_spacing_m=Number(SHORTEST_STEP, LONGEST_STEP, "m"),
+    between_corners=Flag(),
 )
 @dataclass(frozen=True)
 class PathDensity:
     """How densely a path is walked: longest joint steps, largest motion of a body point between samples.
 
     Where `near_m` is below `motion_m`, a step may move a body point no farther than the clearance it starts with, or
-    `near_m`: clearances are 1-Lipschitz, so that an obstacle is noticed before it is passed.
+    `near_m`: clearances are 1-Lipschitz, so that an obstacle is noticed before it is passed. Shapes between the corners
+    of friction are interpolated, multilinearly with a parabola that takes the corners' mean to the frictionless shape:
+    a body that friction moves past an obstacle from one corner to another touches it in neither.
     """
 
     rotation_rad: float = 0.18
@@ -85,6 +88,7 @@ class PathDensity:
     motion_m: float = 20e-3
     near_m: float = 2e-3
     point_spacing_m: float = 1.5e-3  # between the points of a shape that are looked up in the field
+    between_corners: bool = False  # whether shapes in friction states between the corners are looked up, too
 
 
 SAME_TIP_M = 1e-5  # between solutions of one equilibrium, which agree to 1e-7; others are 0.1 mm away and more

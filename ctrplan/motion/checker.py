@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 
@@ -19,32 +19,24 @@ from ctrplan.errors import InputError
 from ctrplan.mechanics.core import THREADS
 from ctrplan.mechanics.friction import released_error
 from ctrplan.mechanics.gradients import Clearances, clearances
-from ctrplan.mechanics.shapes import Status
 from ctrplan.mechanics.walk import Field, KnownLegs, PathDensity, PathLimits, PathSamples
-from ctrplan.motion.play import usual_play_shift
+from ctrplan.motion.limits import HELD, MOST_STATES, SEARCH_ROOM_M, TOO_CLOSE, breach, clearance_between, search_limits
 from ctrplan.robot.friction_calibration import friction_law
 from ctrplan.scenario.joint_space import JointSpace, MotionStyle
 from ctrplan.scenario.scenario import anatomy_grid, path_cost_mm
-from ctrplan.uncertainty.body_clearance import usual_allowance_m
 
 if TYPE_CHECKING:
     from ctrplan.scenario.scenario import Scenario
 
-# What a certificate on the fine mesh takes off a clearance, half the motion between samples and the discretisation
-# error, and a little for what the search's coarse mesh usually differs.
-SEARCH_ROOM_M = 0.5e-3
 # Motions and states whose zero-clearance shapes have less room than this are not solved: none of 214 in three scenarios
 # was valid.
 DEFINITE_COLLISION_M = -1e-3
 DOUBTFUL_M = 3e-3  # less room than that, and a motion is looked at where it has least, before it is walked
 JUMP, JUMP_M = 3.0, 5e-3  # times the steps of the tip beside, and more than that and the translation by
-SAMPLES, SEED = 8, 6  # configurations that say what a search has to allow for uncertain parameters
 FEW = 100  # shapes, which are not worth a thread
 TERM_STEP_MM = 1.0  # of joint length between states at which terms of the cost are asked for
 COEFFICIENTS = 0.3  # share by which a friction coefficient is mostly uncertain, a prior of the search
 DEFINITE_COLLISION = "a corner shape comes too close to the anatomy: so does the zero-clearance shape"
-
-TOO_CLOSE = "too close to the anatomy"  # how the sentences end that this is about
 
 
 @dataclass(frozen=True)
@@ -98,7 +90,7 @@ class MotionChecker:
         self.scenario, self.style = scenario, style
         self.space, self.m = JointSpace.of(scenario), len(scenario.robot.drive.joints)
         self.mechanics, self.field = scenario.robot.mechanics, robot_field(scenario)
-        self.density = PathDensity(rotation_rad=0.26, translation_m=8e-3, motion_m=15e-3)
+        self.density = PathDensity(rotation_rad=0.26, translation_m=8e-3, motion_m=15e-3, between_corners=True)
         self.reserve_m = reserve_m
         self.limits = search_limits(scenario, reserve_m)
         self.calls = 0  # into the core
@@ -107,6 +99,7 @@ class MotionChecker:
         self._known: dict[bytes, Motion] = {}
         self._ahead: dict[bytes, tuple[Motion, int]] = {}  # checked before they were asked for, and work [ns]
         self._states: dict[bytes, tuple[Motion, PathSamples | None]] = {}
+        self._between: dict[bytes, float] = {}  # clearances [m] over friction states between the corners
 
     def __reduce__(self) -> tuple[Any, ...]:
         """What it was made of."""
@@ -258,7 +251,7 @@ class MotionChecker:
         if not self.space.allowed(corners):
             return invalid(self.space.violation(corners))
         samples = self._legs.along(corners) if remembers else self._walked(corners)
-        reason = breach(samples, self.limits)
+        reason = breach(samples, self.limits) or self._between_corners(corners, samples)
         if reason:
             return invalid(reason)
         error = self.errors(corners, samples)
@@ -283,6 +276,35 @@ class MotionChecker:
         samples = self.mechanics.check_path(theta_b, l_b, self.field, density=density, limits=limits)
         self.meter.add(self.solved_ns * int(samples.solves.sum()))
         return samples
+
+    def _between_corners(self, corners: Array, samples: PathSamples) -> str:
+        """Why a valid walk of a polyline (K, m) is refused in friction states between the corners; empty if it is not.
+
+        They are looked at where the walk of a leg has least clearance.
+        """
+        for leg in range(len(corners) - 1):
+            on_leg = np.flatnonzero(samples.segment == leg)
+            row = on_leg[np.argmin(samples.clearance_m[on_leg])]
+            q = corners[leg] + samples.fraction[row] * (corners[leg + 1] - corners[leg])
+            if reason := self._too_close_between(q, samples.at_rows([row])):
+                return reason
+        return ""
+
+    def _too_close_between(self, q: Array, sample: PathSamples) -> str:
+        """Why friction states between the corners refuse q (m,), sampled there; empty if they do not.
+
+        They are solved where friction moves bodies by more than what the shapes of the sample leave.
+        """
+        left_m, states = sample.clearance_m[0] - self.limits.clearance_m, len(HELD) ** (self.scenario.robot.n - 1)
+        if self.field is None or states > MOST_STATES or left_m >= sample.position_m[0]:
+            return ""
+        key = q.tobytes()
+        if key not in self._between:
+            self.meter.add(SHAPE_NS * states)
+            collars, spacing_m = self.space.drive.collars(q), self.density.point_spacing_m
+            self._between[key] = clearance_between(self.mechanics, self.field, *collars, sample.tip_m[0], spacing_m)
+        short_mm = (self.limits.clearance_m - self._between[key]) * MM_PER_M
+        return f"a shape that friction allows comes {short_mm:.2f} mm {TOO_CLOSE}" if short_mm > 0 else ""
 
     def rooms(self, ways: list[Array]) -> Array:
         """(E,) [m] smallest clearance of zero-clearance shapes on polylines (K, m) each, beyond what is required.
@@ -398,37 +420,6 @@ def left_at_end(
     last = samples.at_end()
     unknown = float(released_error(last, left[None])[0])
     return min(unknown + share * loaded_m, float(last.position_m[0]))
-
-
-def path_limits(scenario: Scenario) -> PathLimits:
-    """Margins as limits; the anatomy's own margins are in the field, what calibration left unexplained comes on top."""
-    strain = min([scenario.margins.max_strain, *(tube.max_strain for tube in scenario.robot.tubes)])
-    return PathLimits(scenario.margins.stability, strain, scenario.robot.model_error_m)
-
-
-def search_limits(scenario: Scenario, reserve_m: float = SEARCH_ROOM_M) -> PathLimits:
-    """Limits for the search, which keeps a little more clearance so that its paths pass the certificate."""
-    limits = path_limits(scenario)
-    space = JointSpace.of(scenario)
-    room = reserve_m + usual_play_shift(scenario.robot, space)
-    room += usual_allowance_m(scenario, lambda: space.sample(np.random.default_rng(SEED), SAMPLES))
-    return replace(limits, clearance_m=limits.clearance_m + room)
-
-
-def breach(samples: PathSamples, limits: PathLimits) -> str:
-    """The limit that the last sample breaks, in words; empty if none."""
-    if samples.status[-1] == Status.FAILED:
-        return "the mechanics solver failed"
-    if samples.status[-1] == Status.UNSTABLE:
-        return "elastically unstable, the robot would snap"
-    if samples.stability[-1] < limits.stability:
-        return f"stability {samples.stability[-1]:.3g} is below the margin {limits.stability:g}"
-    if samples.max_strain[-1] > limits.max_strain:
-        return f"strain {100 * samples.max_strain[-1]:.2f} % is above {100 * limits.max_strain:g} %"
-    if samples.clearance_m[-1] < limits.clearance_m:
-        short = (limits.clearance_m - samples.clearance_m[-1]) * MM_PER_M
-        return f"a corner shape comes {short:.2f} mm too close to the anatomy"
-    return ""
 
 
 def robot_field(scenario: Scenario) -> Field | None:

@@ -16,7 +16,8 @@ from ctrplan.base.arguments import DIRECTION_TOLERANCE_DEG, MOST_STARTS, SEED, N
 from ctrplan.base.arrays import LONGEST_MM, MM_PER_M, UNITS_M, Array, numbers
 from ctrplan.base.package import of_this_process, shown, warn_caller
 from ctrplan.errors import InputError
-from ctrplan.motion.checker import MotionChecker, breach, path_limits
+from ctrplan.motion.checker import MotionChecker
+from ctrplan.motion.limits import breach, path_limits
 from ctrplan.planning.reach import (
     REFINED_SHARE,
     Configuration,

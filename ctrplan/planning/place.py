@@ -28,7 +28,8 @@ from ctrplan.base.long_work import StageProgress, interrupt_event
 from ctrplan.base.package import shown
 from ctrplan.errors import InputError, NoAnswerError
 from ctrplan.mechanics.walk import Field
-from ctrplan.motion.checker import DEFINITE_COLLISION_M, breach, search_limits
+from ctrplan.motion.checker import DEFINITE_COLLISION_M
+from ctrplan.motion.limits import breach, search_limits
 from ctrplan.planning.base_pose import BaseFrame, BasePose, Patch, base_pose, middle_of, placed
 from ctrplan.scenario.joint_space import JointSpace
 from ctrplan.scenario.scenario import Scenario

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.drive.drive import UNITS, Kind
-from ctrplan.motion.checker import path_limits
+from ctrplan.motion.limits import path_limits
 from ctrplan.plans.planned_motion import leg_end_s, sample_time_s
 from ctrplan.reports import looks
 from ctrplan.reports.html_page import FIGURE_TEXT

@@ -24,7 +24,8 @@ from ctrplan.drive.drive import Kind
 from ctrplan.errors import InputError
 from ctrplan.mechanics.equilibria import other_shapes
 from ctrplan.mechanics.shapes import Status
-from ctrplan.motion.checker import MotionChecker, path_limits
+from ctrplan.motion.checker import MotionChecker
+from ctrplan.motion.limits import path_limits
 from ctrplan.motion.play import play_reach, play_shift
 from ctrplan.planning.reach import reach
 from ctrplan.plans.planned_motion import Played, joints_at

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from ctrplan.certificate.certificate import FIGURES
-from ctrplan.motion.checker import path_limits
+from ctrplan.motion.limits import path_limits
 from ctrplan.plans.planned_motion import place_time_s, sample_time_s, settling_duration_s
 from ctrplan.reports import looks
 from ctrplan.reports.words import VALUES, degrees, digits, millimetres

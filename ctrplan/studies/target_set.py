@@ -22,7 +22,8 @@ from ctrplan.errors import NoAnswerError
 from ctrplan.mechanics.gradients import collar_names
 from ctrplan.mechanics.shapes import Status
 from ctrplan.mechanics.walk import PathDensity
-from ctrplan.motion.checker import MotionChecker, path_limits
+from ctrplan.motion.checker import MotionChecker
+from ctrplan.motion.limits import path_limits
 from ctrplan.planning.goal_states import RANK, descended
 from ctrplan.planning.place import OUT_OF_REACH_M
 from ctrplan.planning.reach import Configuration, configuration, reach, refined

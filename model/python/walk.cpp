@@ -91,9 +91,10 @@ void bind_walk(nb::module_& m) {
              "p_AB"_a.noconvert())
         .def("sample", &sample, "points_m"_a.noconvert());
     nb::class_<ctr::PathDensity>(m, "PathDensity")
-        .def("__init__", [](ctr::PathDensity* self, double rotation, double translation, double motion, double near, double point_spacing) {
-            new (self) ctr::PathDensity{rotation, translation, motion, near, point_spacing};
-        }, nb::kw_only(), "rotation"_a, "translation"_a, "motion"_a, "near"_a, "point_spacing"_a);
+        .def("__init__", [](ctr::PathDensity* self, double rotation, double translation, double motion, double near, double point_spacing,
+                            bool between_corners) {
+            new (self) ctr::PathDensity{rotation, translation, motion, near, point_spacing, between_corners};
+        }, nb::kw_only(), "rotation"_a, "translation"_a, "motion"_a, "near"_a, "point_spacing"_a, "between_corners"_a);
     nb::class_<ctr::PathLimits>(m, "PathLimits")
         .def("__init__", [](ctr::PathLimits* self, double stability, double max_strain, double clearance) {
             new (self) ctr::PathLimits{stability, max_strain, clearance};

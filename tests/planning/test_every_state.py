@@ -20,7 +20,7 @@ from ctrplan.certificate.sample_states import SampleStates
 from ctrplan.certificate.walked_piece import Piece, walk_pieces
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.mechanics.shapes import FrictionBodies
-from ctrplan.motion.checker import path_limits
+from ctrplan.motion.limits import path_limits
 from ctrplan.scenario.joint_space import JointSpace
 from ctrplan.scenario.scenario import Scenario
 

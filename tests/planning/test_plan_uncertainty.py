@@ -22,7 +22,7 @@ from ctrplan.certificate.walked_legs import walk_legs
 from ctrplan.commands.plan import _summary
 from ctrplan.errors import InputError
 from ctrplan.files.scenario_file import load_scenario
-from ctrplan.motion.checker import search_limits
+from ctrplan.motion.limits import search_limits
 from ctrplan.plans.plan import Plan
 from ctrplan.reports.plan_page import uncertainty_section
 from ctrplan.scenario.scenario import Goal, Registration, Scenario

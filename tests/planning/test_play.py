@@ -15,7 +15,7 @@ from ctrplan.certificate.certificate import Certificate
 from ctrplan.certificate.certify import certify
 from ctrplan.files.robot_file import load_robot
 from ctrplan.files.scenario_file import load_scenario
-from ctrplan.motion.checker import search_limits
+from ctrplan.motion.limits import search_limits
 from ctrplan.motion.play import play_shift
 from ctrplan.plans.plan import Plan
 from ctrplan.reports.plan_words import certificate_in_words

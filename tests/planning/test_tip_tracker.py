@@ -10,7 +10,8 @@ from scipy.optimize import minimize
 import ctrplan
 from ctrplan.base.arrays import Array
 from ctrplan.errors import InputError
-from ctrplan.motion.checker import MotionChecker, path_limits
+from ctrplan.motion.checker import MotionChecker
+from ctrplan.motion.limits import path_limits
 from ctrplan.planning.inverse_kinematics import TipTracker, TrackedStep
 from ctrplan.planning.reach import closer_by_joints, rooms_on_stretches
 from ctrplan.robot.robot import Robot

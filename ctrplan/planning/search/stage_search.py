@@ -20,7 +20,8 @@ from ctrplan.certificate.uneven_friction import NEAR_LIMIT_M
 from ctrplan.certificate.walked_legs import WalkedLegs, walk_legs
 from ctrplan.drive.legs import merge_legs
 from ctrplan.errors import NoAnswerError
-from ctrplan.motion.checker import MotionChecker, path_limits
+from ctrplan.motion.checker import MotionChecker
+from ctrplan.motion.limits import path_limits
 from ctrplan.planning.compensate import aimed, brought_to_goal
 from ctrplan.planning.goal_states import descended, distinct
 from ctrplan.planning.reordering import Reordered, as_given, least_error_order
@@ -34,8 +35,8 @@ from ctrplan.scenario.tip_solver import GoalState
 ROADMAP_SHARE, RETRY_SHARE = 0.6, 0.85
 WORTH_A_CERTIFICATE = 5e-3  # of the cost: less gain than that is not worth a certificate, which takes longer
 POLISH_SHARE = 0.3  # of the time, whenever polish begins: a first path that took all of it is where it gains most
-# Share of a time by the clock that L-shaped motions have where they lead to no path; and that of simultaneous ones after
-# it, which a counted search has beside its budget
+# Share of a time by the clock that L-shaped motions have where they lead to no path; and that of simultaneous ones,
+# which a counted search has beside its budget
 L_SHAPED_SHARE, FALLBACK_SHARE = 0.9, 0.18
 STRAIGHT_HOPE = 0.5  # of motions from the start to a goal, without which chains are made before any is walked
 FIRST_STATES, FIRST_ROUND_S = 100, 0.4  # random states a roadmap first grows by, and after how long; then twice as many

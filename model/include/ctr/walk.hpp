@@ -16,7 +16,7 @@ struct PathSample {
     double tangent_bound = 0;   // rad
     double stability = 0;
     double max_strain = 0;
-    double clearance = 0;       // smallest over the frictionless and every corner shape, less the outer radius, m
+    double clearance = 0;       // smallest over the frictionless and every corner shape, and between, less the outer radius, m
     double motion = 0;          // largest displacement of any body point in any of these shapes since the previous sample, m
     int solves = 0;             // configurations solved since the previous sample, those not accepted among them
     Vec3 tip{0, 0, 0};          // frictionless
@@ -46,6 +46,7 @@ struct PathDensity {
     double motion = 20e-3;      // m
     double near = 2e-3;         // m
     double point_spacing = 1.5e-3;  // m, between the points of a shape that are looked up in the field
+    bool between_corners = false;   // whether shapes in friction states between the corners are looked up, too, interpolated
 
     // Motion that a step may have which starts with a clearance.
     double allowed(double clearance) const { return std::clamp(clearance, std::min(near, motion), motion); }

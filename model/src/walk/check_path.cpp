@@ -11,6 +11,7 @@ constexpr double kMarkerSpacing = 4e-3;       // m
 constexpr double kSurprise = 1.5;              // times the motion expected from the step before
 constexpr double kSnap = 1e-3;                // m; more motion than expected that counts as a jump
 constexpr double kLeap = 0.75;                // of the motion of a rejected step; a shorter one that keeps so much of it jumps
+constexpr int kMostBetween = 729;             // friction states between corners, a budget: halves of up to four pairs, signs of up to six
 
 #include "mesh/element_functions.hpp"
 #include "walk/outer_line.hpp"
@@ -18,6 +19,61 @@ constexpr double kLeap = 0.75;                // of the motion of a rejected ste
 double backbone_clearance(const BoundSolver& bound, const Backbone& shape, const SignedDistanceField& field, double spacing) {
     double least = 1e9;
     for_outer_points(bound.solver(), shape, spacing, [&](const Vec3& p, double radius) { least = std::min(least, field.sample(p) - radius); });
+    return least;
+}
+
+// Friction states between the corners [state][shape], as weights of the frictionless shape and of every corner's: multilinear
+// between the corners plus a parabola that takes their mean to the frictionless shape. None of more pairs than the budget allows.
+std::vector<double> weights_between(const BoundSolver& bound, int pairs) {
+    const int corners = bound.corners();
+    std::vector<double> weights;
+    if (pairs == 0 || corners != 1 << pairs || std::pow(3, pairs) > kMostBetween) return weights;
+    const int values = std::pow(5, pairs) <= kMostBetween ? 5 : 3, states = static_cast<int>(std::lround(std::pow(values, pairs)));
+    std::vector<double> phi(pairs);
+    for (int state = 0; state < states; ++state) {
+        int digits = state, full = 0, empty = 0;
+        double square = 0;
+        for (double& x : phi) {
+            x = 2.0 * (digits % values) / (values - 1) - 1;
+            digits /= values;
+            square += x * x / pairs;
+            full += std::fabs(x) == 1;
+            empty += x == 0;
+        }
+        if (full == pairs || empty == pairs) continue;  // those are solved
+        weights.push_back(1 - square);
+        for (int corner = 0; corner < corners; ++corner) {
+            double weight = 1;
+            for (int pair = 0; pair < pairs; ++pair) weight *= 1 + bound.sign(corner, pair) * phi[pair];
+            weights.push_back((weight + square - 1) / corners);
+        }
+    }
+    return weights;
+}
+
+// The least of `least` and the clearance of shapes between the corners. They lie no farther from the frictionless one than twice the
+// farthest corner does, so that most points are not looked up again.
+double clearance_between(const BoundSolver& bound, const SignedDistanceField& field, double spacing, const std::vector<double>& weights, double least) {
+    std::vector<double> body;
+    collect_points(bound, bound.backbone, spacing, body);
+    const std::size_t size = body.size(), shapes = 1 + bound.corner_backbones.size();
+    for (const Backbone& shape : bound.corner_backbones) collect_points(bound, shape, spacing, body);
+    for (std::size_t k = 0; k < size; k += 4) {
+        const double* own = body.data() + k;
+        double square = 0;
+        for (std::size_t j = 1; j < shapes; ++j) {
+            const double* other = own + j * size;
+            const Vec3 away{other[0] - own[0], other[1] - own[1], other[2] - own[2]};
+            square = std::max(square, dot(away, away));
+        }
+        if (field.sample({own[0], own[1], own[2]}) - own[3] - 2 * std::sqrt(square) >= least) continue;
+        for (std::size_t row = 0; row < weights.size(); row += shapes) {
+            Vec3 p{0, 0, 0};
+            for (std::size_t j = 0; j < shapes; ++j)
+                for (int i = 0; i < 3; ++i) p[i] += weights[row + j] * own[j * size + i];
+            least = std::min(least, field.sample(p) - own[3]);
+        }
+    }
     return least;
 }
 
@@ -96,6 +152,8 @@ std::vector<PathSample> check_path(BoundSolver& solver, const std::vector<Config
                                    bool keep_shapes) {
     std::vector<PathSample> samples;
     std::vector<Markers> before, now;
+    const std::vector<double> weights = density.between_corners && field.values ? weights_between(solver, solver.solver().robot().count() - 1)
+                                                                                : std::vector<double>();
     int solves = 0;
     // Solves at q and appends the sample; false if it breaks a limit.
     auto record = [&](int segment, double fraction, double motion) {
@@ -108,6 +166,7 @@ std::vector<PathSample> check_path(BoundSolver& solver, const std::vector<Config
         sample.stability = solver.stability();
         sample.max_strain = solver.max_strain;
         sample.clearance = clearance(solver, field, density.point_spacing);
+        if (!weights.empty()) sample.clearance = clearance_between(solver, field, density.point_spacing, weights, sample.clearance);
         sample.motion = motion;
         sample.solves = solves;
         solves = 0;

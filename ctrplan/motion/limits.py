@@ -1,0 +1,81 @@
+"""What is asked of a motion, which limit a walk of it breaks, and the clearance of bodies between corners of friction."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ctrplan.base.arrays import MM_PER_M, Array
+from ctrplan.mechanics.core_arrays import core_grid
+from ctrplan.mechanics.equilibria import SAME_SHAPE_M
+from ctrplan.mechanics.shapes import Status
+from ctrplan.mechanics.walk import PathLimits
+from ctrplan.motion.play import usual_play_shift
+from ctrplan.scenario.joint_space import JointSpace
+from ctrplan.uncertainty.body_clearance import usual_allowance_m
+
+if TYPE_CHECKING:
+    from ctrplan.mechanics.core import Mechanics
+    from ctrplan.mechanics.walk import Field, PathSamples
+    from ctrplan.scenario.scenario import Scenario
+
+# What a certificate on the fine mesh takes off a clearance, half the motion between samples and the discretisation
+# error, and a little for what the search's coarse mesh usually differs.
+SEARCH_ROOM_M = 0.5e-3
+SAMPLES, SEED = 8, 6  # configurations that say what a search has to allow for uncertain parameters
+HELD = (-1.0, -0.5, 0.0, 0.5, 1.0)  # of what a pair can hold: a body passes an obstacle in about one of these steps
+MOST_STATES = 125  # of friction that a search solves at a configuration, a budget: those of four tubes
+TOO_CLOSE = "too close to the anatomy"  # how the sentences end that this is about
+
+
+def path_limits(scenario: Scenario) -> PathLimits:
+    """Margins as limits; the anatomy's own margins are in the field, what calibration left unexplained comes on top."""
+    strain = min([scenario.margins.max_strain, *(tube.max_strain for tube in scenario.robot.tubes)])
+    return PathLimits(scenario.margins.stability, strain, scenario.robot.model_error_m)
+
+
+def search_limits(scenario: Scenario, reserve_m: float = SEARCH_ROOM_M) -> PathLimits:
+    """Limits for the search, which keeps a little more clearance so that its paths pass the certificate."""
+    limits = path_limits(scenario)
+    space = JointSpace.of(scenario)
+    room = reserve_m + usual_play_shift(scenario.robot, space)
+    room += usual_allowance_m(scenario, lambda: space.sample(np.random.default_rng(SEED), SAMPLES))
+    return replace(limits, clearance_m=limits.clearance_m + room)
+
+
+def breach(samples: PathSamples, limits: PathLimits) -> str:
+    """The limit that the last sample breaks, in words; empty if none."""
+    if samples.status[-1] == Status.FAILED:
+        return "the mechanics solver failed"
+    if samples.status[-1] == Status.UNSTABLE:
+        return "elastically unstable, the robot would snap"
+    if samples.stability[-1] < limits.stability:
+        return f"stability {samples.stability[-1]:.3g} is below the margin {limits.stability:g}"
+    if samples.max_strain[-1] > limits.max_strain:
+        return f"strain {100 * samples.max_strain[-1]:.2f} % is above {100 * limits.max_strain:g} %"
+    if samples.clearance_m[-1] < limits.clearance_m:
+        short = (limits.clearance_m - samples.clearance_m[-1]) * MM_PER_M
+        return f"a corner shape comes {short:.2f} mm too close to the anatomy"
+    return ""
+
+
+def clearance_between(
+    mechanics: Mechanics, field: Field, theta_b: Array, l_b: Array, tip_m: Array, spacing_m: float
+) -> float:
+    """Clearance [m] of bodies at collars (n,), (n,) in all friction states, those between the corners too, as a hint.
+
+    Friction may move a body past an obstacle from one sign corner to another, where it is far away in both. States in
+    which pairs hold nothing or all are solved, what lies between is interpolated. inf where they are not those of the
+    equilibrium whose frictionless tip (3,) was walked to.
+    """
+    phi = np.array(list(itertools.product(HELD, repeat=mechanics.n - 1)))
+    bodies = mechanics.friction_states(theta_b, l_b).bodies(phi, spacing_m=spacing_m)
+    if not bodies.solved.all() or not np.linalg.norm(bodies.point_m[len(phi) // 2, -1] - tip_m) < SAME_SHAPE_M:
+        return np.inf
+    grid = core_grid(field)
+    assert grid is not None, "there is a field"
+    rooms = np.asarray(grid.sample(np.ascontiguousarray(bodies.point_m.reshape(-1, 3))))
+    return float((rooms.reshape(len(phi), -1) - bodies.radius_m).min())

@@ -1,0 +1,106 @@
+"""Bodies that friction moves past an obstacle on the way from one sign corner to another."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from places import SCENARIOS
+
+from ctrplan.anatomy.parts import AnatomyPart
+from ctrplan.anatomy.shapes.sphere import Sphere
+from ctrplan.base.arrays import Array
+from ctrplan.files.scenario_file import load_scenario
+from ctrplan.mechanics.core_arrays import core_grid
+from ctrplan.mechanics.friction import corner_signs, tip_deviations
+from ctrplan.mechanics.walk import PathDensity
+from ctrplan.motion.checker import MotionChecker, robot_field
+from ctrplan.motion.limits import clearance_between
+from ctrplan.scenario.scenario import Scenario
+
+BETWEEN = np.array([-1.0, 0.5])  # a friction state on an edge of the square of states
+ROOM_M = 1.5e-3  # of the passed place from the bodies in the sign corners, and from the frictionless one
+
+
+def passed_place(scenario: Scenario, q: Array) -> tuple[Array, float]:
+    """Of the body in the state between, the point (3,) that is farthest [m] from all solved bodies; anatomy's frame."""
+    states = scenario.robot.mechanics.friction_states(*scenario.robot.drive.collars(q))
+    bodies = states.bodies(np.vstack([BETWEEN, np.zeros(2), corner_signs(2)])).point_m
+    apart = np.linalg.norm(bodies[0][:, None, None] - bodies[None, 1:], axis=3).min(axis=(1, 2))
+    k = int(np.argmax(apart))
+    return scenario.located(bodies[0][[k]])[0], float(apart[k])
+
+
+@pytest.fixture(scope="module")
+def passing() -> tuple[Scenario, Array]:
+    """Three tubes and a ball that only friction states between the corners touch; and the configuration."""
+    base = replace(load_scenario(SCENARIOS / "ribs.toml"), anatomy=())
+    rng, space = np.random.default_rng(5), MotionChecker(base).space
+    for q in space.sample(rng, 200):
+        place, apart_m = passed_place(base, q)
+        if apart_m > ROOM_M + 2e-3 and MotionChecker(base).state(q).valid:
+            ball = AnatomyPart(Sphere(place, 0.3e-3), "avoid", 0.0)
+            return replace(base, anatomy=(ball,)), q
+    raise AssertionError("friction moves no body that far")
+
+
+def test_a_walk_looks_up_shapes_interpolated_between_the_corners(passing: tuple[Scenario, Array]) -> None:
+    """The core's clearance against the formula of friction states of tips, for every point of the bodies."""
+    scenario, q = passing
+    field, (theta_b, l_b) = robot_field(scenario), scenario.robot.drive.collars(q[None])
+    walk, density = scenario.robot.mechanics.check_path, PathDensity()
+    corners = walk(theta_b, l_b, field, density=density, bodies=True)
+    between = walk(theta_b, l_b, field, density=replace(density, between_corners=True))
+    shapes = corners.bodies[0].reshape(5, -1, 4)
+    phi = np.array(list(itertools.product((-1.0, -0.5, 0.0, 0.5, 1.0), repeat=2)))
+    bodies = np.array(
+        [own + tip_deviations(np.tile(of, (len(phi), 1, 1)), np.tile(own, (len(phi), 1)), phi)
+         for own, of in zip(shapes[0, :, :3], shapes[1:, :, :3].transpose(1, 0, 2), strict=True)]
+    )  # fmt: skip
+    grid = core_grid(field)
+    assert grid is not None
+    rooms = np.asarray(grid.sample(bodies.reshape(-1, 3))).reshape(bodies.shape[:2]) - shapes[0, :, 3:]
+    assert between.clearance_m[0] == pytest.approx(rooms.min(), abs=1e-12)
+    assert between.clearance_m[0] < corners.clearance_m[0] - 0.5e-3
+
+
+def test_what_is_far_away_is_not_nearer_between_the_corners() -> None:
+    """A shape between corners lies no farther off than they do, so that a distant wall is as far as it was."""
+    scenario = load_scenario(SCENARIOS / "vessel.toml")
+    walk, collars = scenario.robot.mechanics.check_path, scenario.robot.drive.collars(scenario.start[None])
+    plain = walk(*collars, robot_field(scenario))
+    between = walk(*collars, robot_field(scenario), density=PathDensity(between_corners=True))
+    assert between.clearance_m[0] <= plain.clearance_m[0]
+    np.testing.assert_array_equal(between.corner_tip_m, plain.corner_tip_m)
+    np.testing.assert_array_equal(between.position_m, plain.position_m)
+
+
+def test_clearance_between_corners_is_that_of_the_bodies_there(passing: tuple[Scenario, Array]) -> None:
+    """It touches the ball, which no solved corner does, and is inf for another equilibrium's tip."""
+    scenario, q = passing
+    field, collars, mechanics = robot_field(scenario), scenario.robot.drive.collars(q), scenario.robot.mechanics
+    assert field is not None
+    tip_m = mechanics.bound(*collars).frictionless.tip_m
+    least = clearance_between(mechanics, field, *collars, tip_m, 1e-3)
+    bodies = mechanics.friction_bodies(*collars, BETWEEN)
+    ball = scenario.anatomy[0].shape
+    assert isinstance(ball, Sphere)
+    away = np.linalg.norm(scenario.located(bodies.point_m[0]) - ball.center_m, axis=1)
+    touching_m = float((away - ball.radius_m - bodies.radius_m).min())
+    assert touching_m < 0 and least < touching_m + field.spacing_m
+    assert least < float(mechanics.check_path(*(x[None] for x in collars), field).clearance_m[0]) - ROOM_M
+    assert clearance_between(mechanics, field, *collars, tip_m + 1e-3, 1e-3) == np.inf
+
+
+@pytest.mark.parametrize("interpolates", [True, False])
+def test_a_motion_whose_states_between_touch_is_refused(passing: tuple[Scenario, Array], interpolates: bool) -> None:
+    """It was called valid: friction moves the body past the ball from one corner to another."""
+    scenario, q = passing
+    way = np.array([q, q + np.radians(0.5) * scenario.robot.drive.is_rotation])
+    refusing, free = MotionChecker(scenario), MotionChecker(replace(scenario, anatomy=()))
+    refusing.density = replace(refusing.density, between_corners=interpolates)
+    assert free.along(way).valid
+    assert not refusing.along(way).valid
+    assert "friction allows" in refusing.along(way).reason or interpolates
