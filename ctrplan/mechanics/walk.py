@@ -50,6 +50,8 @@ class PathSamples:
     tip_tangent: Array  # (K, 3)
     solves: NDArray[np.int_]  # (K,) configurations solved since the sample before, those not accepted among them
     corner_tip_m: Array  # (K, C, 3) of the corner shapes in the order of Bound.corners; C = 0 when looked up
+    # Friction states (K, P) whose shape, interpolated, is nearer than those solved, if asked for; NaN where none is
+    nearest_phi: Array = field(default_factory=no_shapes)
     # Of every shape, frictionless first, if asked for:
     shape_stability: Array = field(default_factory=no_shapes)  # (K, 1 + C) friction included
     shape_max_strain: Array = field(default_factory=no_shapes)  # (K, 1 + C)

@@ -20,7 +20,7 @@ from ctrplan.mechanics.core import THREADS
 from ctrplan.mechanics.friction import released_error
 from ctrplan.mechanics.gradients import Clearances, clearances
 from ctrplan.mechanics.walk import Field, KnownLegs, PathDensity, PathLimits, PathSamples
-from ctrplan.motion.limits import HELD, MOST_STATES, SEARCH_ROOM_M, TOO_CLOSE, breach, clearance_between, search_limits
+from ctrplan.motion.limits import SEARCH_ROOM_M, TOO_CLOSE, breach, clearance_between, search_limits
 from ctrplan.robot.friction_calibration import friction_law
 from ctrplan.scenario.joint_space import JointSpace, MotionStyle
 from ctrplan.scenario.scenario import anatomy_grid, path_cost_mm
@@ -282,6 +282,8 @@ class MotionChecker:
 
         They are looked at where the walk of a leg has least clearance.
         """
+        if self.field is None or not samples.nearest_phi.size:
+            return ""
         for leg in range(len(corners) - 1):
             on_leg = np.flatnonzero(samples.segment == leg)
             row = on_leg[np.argmin(samples.clearance_m[on_leg])]
@@ -293,16 +295,17 @@ class MotionChecker:
     def _too_close_between(self, q: Array, sample: PathSamples) -> str:
         """Why friction states between the corners refuse q (m,), sampled there; empty if they do not.
 
-        They are solved where friction moves bodies by more than what the shapes of the sample leave.
+        They are solved where an interpolated shape is nearer than the corners', and friction moves bodies by more than
+        is left.
         """
-        left_m, states = sample.clearance_m[0] - self.limits.clearance_m, len(HELD) ** (self.scenario.robot.n - 1)
-        if self.field is None or states > MOST_STATES or left_m >= sample.position_m[0]:
+        phi, key = sample.nearest_phi[0], q.tobytes()
+        if np.isnan(phi).any() or sample.clearance_m[0] - self.limits.clearance_m >= sample.position_m[0]:
             return ""
-        key = q.tobytes()
         if key not in self._between:
-            self.meter.add(SHAPE_NS * states)
+            self.meter.add(SHAPE_NS * 2 * (1 + len(phi)))
             collars, spacing_m = self.space.drive.collars(q), self.density.point_spacing_m
-            self._between[key] = clearance_between(self.mechanics, self.field, *collars, sample.tip_m[0], spacing_m)
+            tip_m = sample.tip_m[0]
+            self._between[key] = clearance_between(self.mechanics, self.field, *collars, phi, tip_m, spacing_m)
         short_mm = (self.limits.clearance_m - self._between[key]) * MM_PER_M
         return f"a shape that friction allows comes {short_mm:.2f} mm {TOO_CLOSE}" if short_mm > 0 else ""
 

@@ -1,8 +1,7 @@
-"""What is asked of a motion, which limit a walk of it breaks, and the clearance of bodies between corners of friction."""
+"""What is asked of a motion, which limit a walk of it breaks, and clearances between the corners of friction."""
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -26,8 +25,7 @@ if TYPE_CHECKING:
 # error, and a little for what the search's coarse mesh usually differs.
 SEARCH_ROOM_M = 0.5e-3
 SAMPLES, SEED = 8, 6  # configurations that say what a search has to allow for uncertain parameters
-HELD = (-1.0, -0.5, 0.0, 0.5, 1.0)  # of what a pair can hold: a body passes an obstacle in about one of these steps
-MOST_STATES = 125  # of friction that a search solves at a configuration, a budget: those of four tubes
+BESIDE = 0.25  # of what a pair can hold, to either side of an interpolated state: half the steps of the interpolation
 TOO_CLOSE = "too close to the anatomy"  # how the sentences end that this is about
 
 
@@ -63,19 +61,21 @@ def breach(samples: PathSamples, limits: PathLimits) -> str:
 
 
 def clearance_between(
-    mechanics: Mechanics, field: Field, theta_b: Array, l_b: Array, tip_m: Array, spacing_m: float
+    mechanics: Mechanics, field: Field, theta_b: Array, l_b: Array, phi: Array, tip_m: Array, spacing_m: float
 ) -> float:
-    """Clearance [m] of bodies at collars (n,), (n,) in all friction states, those between the corners too, as a hint.
+    """Clearance [m] of bodies at collars (n,), (n,) in friction states about phi (P,), between the corners, as a hint.
 
-    Friction may move a body past an obstacle from one sign corner to another, where it is far away in both. States in
-    which pairs hold nothing or all are solved, what lies between is interpolated. inf where they are not those of the
-    equilibrium whose frictionless tip (3,) was walked to.
+    Friction may move a body past an obstacle from one sign corner to another, where it is far away in both. inf where
+    the states are not those of the equilibrium whose frictionless tip (3,) was walked to.
     """
-    phi = np.array(list(itertools.product(HELD, repeat=mechanics.n - 1)))
-    bodies = mechanics.friction_states(theta_b, l_b).bodies(phi, spacing_m=spacing_m)
-    if not bodies.solved.all() or not np.linalg.norm(bodies.point_m[len(phi) // 2, -1] - tip_m) < SAME_SHAPE_M:
+    sides = BESIDE * np.eye(len(phi))
+    states = np.clip(phi + np.vstack([np.zeros(len(phi)), sides, -sides]), -1.0, 1.0)
+    bodies = mechanics.friction_states(theta_b, l_b).bodies(
+        np.vstack([states, np.zeros(len(phi))]), spacing_m=spacing_m
+    )
+    if not bodies.solved.all() or not np.linalg.norm(bodies.point_m[-1, -1] - tip_m) < SAME_SHAPE_M:
         return np.inf
     grid = core_grid(field)
     assert grid is not None, "there is a field"
-    rooms = np.asarray(grid.sample(np.ascontiguousarray(bodies.point_m.reshape(-1, 3))))
-    return float((rooms.reshape(len(phi), -1) - bodies.radius_m).min())
+    rooms = np.asarray(grid.sample(np.ascontiguousarray(bodies.point_m[:-1].reshape(-1, 3))))
+    return float((rooms.reshape(len(states), -1) - bodies.radius_m).min())

@@ -74,6 +74,7 @@ nb::dict to_python(std::vector<Sample>&& samples, bool shapes) {
     made["tip_tangent"] = array(column<ctr::Vec3>(samples, [](const Sample& s) { return s.tangent; }));
     made["solves"] = counts(samples, &Sample::solves);
     made["corner_tip_m"] = corner_tips(samples);
+    made["nearest_phi"] = of_shapes(samples, &Sample::nearest_phi);
     nb::list points;
     for (Sample& s : samples) {
         const std::size_t rows = s.body.size() / 4;

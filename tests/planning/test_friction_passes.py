@@ -15,7 +15,7 @@ from ctrplan.base.arrays import Array
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.mechanics.core_arrays import core_grid
 from ctrplan.mechanics.friction import corner_signs, tip_deviations
-from ctrplan.mechanics.walk import PathDensity
+from ctrplan.mechanics.walk import PathDensity, PathLimits
 from ctrplan.motion.checker import MotionChecker, robot_field
 from ctrplan.motion.limits import clearance_between
 from ctrplan.scenario.scenario import Scenario
@@ -63,18 +63,21 @@ def test_a_walk_looks_up_shapes_interpolated_between_the_corners(passing: tuple[
     assert grid is not None
     rooms = np.asarray(grid.sample(bodies.reshape(-1, 3))).reshape(bodies.shape[:2]) - shapes[0, :, 3:]
     assert between.clearance_m[0] == pytest.approx(rooms.min(), abs=1e-12)
+    np.testing.assert_array_equal(between.nearest_phi[0], phi[np.argmin(rooms.min(axis=0))])
     assert between.clearance_m[0] < corners.clearance_m[0] - 0.5e-3
 
 
-def test_what_is_far_away_is_not_nearer_between_the_corners() -> None:
-    """A shape between corners lies no farther off than they do, so that a distant wall is as far as it was."""
-    scenario = load_scenario(SCENARIOS / "vessel.toml")
-    walk, collars = scenario.robot.mechanics.check_path, scenario.robot.drive.collars(scenario.start[None])
-    plain = walk(*collars, robot_field(scenario))
-    between = walk(*collars, robot_field(scenario), density=PathDensity(between_corners=True))
-    assert between.clearance_m[0] <= plain.clearance_m[0]
-    np.testing.assert_array_equal(between.corner_tip_m, plain.corner_tip_m)
-    np.testing.assert_array_equal(between.position_m, plain.position_m)
+def test_looking_between_the_corners_changes_no_solution(passing: tuple[Scenario, Array]) -> None:
+    """Only clearance can fall, and where a shape between is nearer, its friction state is told."""
+    base, q = passing
+    for scenario in (base, load_scenario(SCENARIOS / "vessel.toml")):
+        collars = scenario.robot.drive.collars((q if scenario is base else scenario.start)[None])
+        walk, field = scenario.robot.mechanics.check_path, robot_field(scenario)
+        plain, between = walk(*collars, field), walk(*collars, field, density=PathDensity(between_corners=True))
+        np.testing.assert_array_equal(between.corner_tip_m, plain.corner_tip_m)
+        assert np.all(np.isnan(plain.nearest_phi))
+        is_nearer = between.clearance_m < plain.clearance_m
+        np.testing.assert_array_equal(np.isfinite(between.nearest_phi).all(axis=1), is_nearer)
 
 
 def test_clearance_between_corners_is_that_of_the_bodies_there(passing: tuple[Scenario, Array]) -> None:
@@ -83,7 +86,7 @@ def test_clearance_between_corners_is_that_of_the_bodies_there(passing: tuple[Sc
     field, collars, mechanics = robot_field(scenario), scenario.robot.drive.collars(q), scenario.robot.mechanics
     assert field is not None
     tip_m = mechanics.bound(*collars).frictionless.tip_m
-    least = clearance_between(mechanics, field, *collars, tip_m, 1e-3)
+    least = clearance_between(mechanics, field, *collars, BETWEEN, tip_m, 1e-3)
     bodies = mechanics.friction_bodies(*collars, BETWEEN)
     ball = scenario.anatomy[0].shape
     assert isinstance(ball, Sphere)
@@ -91,16 +94,30 @@ def test_clearance_between_corners_is_that_of_the_bodies_there(passing: tuple[Sc
     touching_m = float((away - ball.radius_m - bodies.radius_m).min())
     assert touching_m < 0 and least < touching_m + field.spacing_m
     assert least < float(mechanics.check_path(*(x[None] for x in collars), field).clearance_m[0]) - ROOM_M
-    assert clearance_between(mechanics, field, *collars, tip_m + 1e-3, 1e-3) == np.inf
+    assert clearance_between(mechanics, field, *collars, BETWEEN, tip_m + 1e-3, 1e-3) == np.inf
 
 
-@pytest.mark.parametrize("interpolates", [True, False])
-def test_a_motion_whose_states_between_touch_is_refused(passing: tuple[Scenario, Array], interpolates: bool) -> None:
+def test_a_motion_whose_states_between_touch_is_refused(passing: tuple[Scenario, Array]) -> None:
     """It was called valid: friction moves the body past the ball from one corner to another."""
     scenario, q = passing
     way = np.array([q, q + np.radians(0.5) * scenario.robot.drive.is_rotation])
-    refusing, free = MotionChecker(scenario), MotionChecker(replace(scenario, anatomy=()))
-    refusing.density = replace(refusing.density, between_corners=interpolates)
-    assert free.along(way).valid
+    refusing, blind, free = (
+        MotionChecker(scenario),
+        MotionChecker(scenario),
+        MotionChecker(replace(scenario, anatomy=())),
+    )
+    blind.density = replace(blind.density, between_corners=False)
+    assert free.along(way).valid and blind.along(way).valid
     assert not refusing.along(way).valid
-    assert "friction allows" in refusing.along(way).reason or interpolates
+
+
+def test_solved_states_refuse_what_interpolated_ones_leave(passing: tuple[Scenario, Array]) -> None:
+    """An interpolated shape says where to look; solved ones beside it say what is left there."""
+    scenario, q = passing
+    checker = MotionChecker(scenario)
+    samples = checker.walk(q[None], checker.density, PathLimits())
+    sample = replace(samples.at_end(), clearance_m=np.array([checker.limits.clearance_m]))  # interpolated: just enough
+    assert "friction allows" in checker._too_close_between(q, sample)
+    far = replace(sample, clearance_m=checker.limits.clearance_m + 1.01 * sample.position_m)
+    assert not checker._too_close_between(q, far)
+    assert not checker._too_close_between(q, replace(sample, nearest_phi=np.full_like(sample.nearest_phi, np.nan)))

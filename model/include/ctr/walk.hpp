@@ -22,6 +22,7 @@ struct PathSample {
     Vec3 tip{0, 0, 0};          // frictionless
     Vec3 tangent{0, 0, 1};
     std::vector<Vec3> corner_tips;
+    std::vector<double> nearest_phi;  // friction state between the corners, interpolated, that is nearer than they are; NaN if none is
     Status status = Status::failed;
     // Of every shape, only if asked for:
     std::vector<double> body;              // x, y, z, outer radius of every point looked up, frictionless and corners

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 
 namespace ctr {
 namespace {
@@ -22,12 +23,17 @@ double backbone_clearance(const BoundSolver& bound, const Backbone& shape, const
     return least;
 }
 
-// Friction states between the corners [state][shape], as weights of the frictionless shape and of every corner's: multilinear
-// between the corners plus a parabola that takes their mean to the frictionless shape. None of more pairs than the budget allows.
-std::vector<double> weights_between(const BoundSolver& bound, int pairs) {
+// Friction states between the corners: phi [state][pair], and weights [state][shape] of the frictionless shape and of every corner's,
+// multilinear between the corners plus a parabola that takes their mean to the frictionless shape.
+struct StatesBetween {
+    std::vector<double> phi, weights;
+};
+
+// None of more pairs than the budget allows.
+StatesBetween states_between(const BoundSolver& bound, int pairs) {
     const int corners = bound.corners();
-    std::vector<double> weights;
-    if (pairs == 0 || corners != 1 << pairs || std::pow(3, pairs) > kMostBetween) return weights;
+    StatesBetween made;
+    if (pairs == 0 || corners != 1 << pairs || std::pow(3, pairs) > kMostBetween) return made;
     const int values = std::pow(5, pairs) <= kMostBetween ? 5 : 3, states = static_cast<int>(std::lround(std::pow(values, pairs)));
     std::vector<double> phi(pairs);
     for (int state = 0; state < states; ++state) {
@@ -41,22 +47,23 @@ std::vector<double> weights_between(const BoundSolver& bound, int pairs) {
             empty += x == 0;
         }
         if (full == pairs || empty == pairs) continue;  // those are solved
-        weights.push_back(1 - square);
+        made.phi.insert(made.phi.end(), phi.begin(), phi.end());
+        made.weights.push_back(1 - square);
         for (int corner = 0; corner < corners; ++corner) {
             double weight = 1;
             for (int pair = 0; pair < pairs; ++pair) weight *= 1 + bound.sign(corner, pair) * phi[pair];
-            weights.push_back((weight + square - 1) / corners);
+            made.weights.push_back((weight + square - 1) / corners);
         }
     }
-    return weights;
+    return made;
 }
 
-// The least of `least` and the clearance of shapes between the corners. They lie no farther from the frictionless one than twice the
-// farthest corner does, so that most points are not looked up again.
-double clearance_between(const BoundSolver& bound, const SignedDistanceField& field, double spacing, const std::vector<double>& weights, double least) {
+// Puts the least clearance of shapes between the corners into the sample, where it is below that of the others, and their friction
+// state. They lie no farther from the frictionless one than twice the farthest corner does, so that most points are not looked up again.
+void look_between(const BoundSolver& bound, const SignedDistanceField& field, double spacing, const StatesBetween& between, PathSample& sample) {
     std::vector<double> body;
     collect_points(bound, bound.backbone, spacing, body);
-    const std::size_t size = body.size(), shapes = 1 + bound.corner_backbones.size();
+    const std::size_t size = body.size(), shapes = 1 + bound.corner_backbones.size(), pairs = between.phi.size() * shapes / between.weights.size();
     for (const Backbone& shape : bound.corner_backbones) collect_points(bound, shape, spacing, body);
     for (std::size_t k = 0; k < size; k += 4) {
         const double* own = body.data() + k;
@@ -66,15 +73,17 @@ double clearance_between(const BoundSolver& bound, const SignedDistanceField& fi
             const Vec3 away{other[0] - own[0], other[1] - own[1], other[2] - own[2]};
             square = std::max(square, dot(away, away));
         }
-        if (field.sample({own[0], own[1], own[2]}) - own[3] - 2 * std::sqrt(square) >= least) continue;
-        for (std::size_t row = 0; row < weights.size(); row += shapes) {
+        if (field.sample({own[0], own[1], own[2]}) - own[3] - 2 * std::sqrt(square) >= sample.clearance) continue;
+        for (std::size_t row = 0; row < between.weights.size() / shapes; ++row) {
             Vec3 p{0, 0, 0};
             for (std::size_t j = 0; j < shapes; ++j)
-                for (int i = 0; i < 3; ++i) p[i] += weights[row + j] * own[j * size + i];
-            least = std::min(least, field.sample(p) - own[3]);
+                for (int i = 0; i < 3; ++i) p[i] += between.weights[row * shapes + j] * own[j * size + i];
+            const double room = field.sample(p) - own[3];
+            if (room >= sample.clearance) continue;
+            sample.clearance = room;
+            std::copy_n(between.phi.begin() + row * pairs, pairs, sample.nearest_phi.begin());
         }
     }
-    return least;
 }
 
 // Points that move with the material, per tube where it is the outermost: at fixed distances from the tube's own tip.
@@ -152,8 +161,8 @@ std::vector<PathSample> check_path(BoundSolver& solver, const std::vector<Config
                                    bool keep_shapes) {
     std::vector<PathSample> samples;
     std::vector<Markers> before, now;
-    const std::vector<double> weights = density.between_corners && field.values ? weights_between(solver, solver.solver().robot().count() - 1)
-                                                                                : std::vector<double>();
+    const int pairs = solver.solver().robot().count() - 1;
+    const StatesBetween between_corners = density.between_corners && field.values ? states_between(solver, pairs) : StatesBetween();
     int solves = 0;
     // Solves at q and appends the sample; false if it breaks a limit.
     auto record = [&](int segment, double fraction, double motion) {
@@ -166,7 +175,8 @@ std::vector<PathSample> check_path(BoundSolver& solver, const std::vector<Config
         sample.stability = solver.stability();
         sample.max_strain = solver.max_strain;
         sample.clearance = clearance(solver, field, density.point_spacing);
-        if (!weights.empty()) sample.clearance = clearance_between(solver, field, density.point_spacing, weights, sample.clearance);
+        sample.nearest_phi.assign(pairs, std::numeric_limits<double>::quiet_NaN());
+        if (!between_corners.phi.empty()) look_between(solver, field, density.point_spacing, between_corners, sample);
         sample.motion = motion;
         sample.solves = solves;
         solves = 0;
