@@ -299,13 +299,16 @@ class MotionChecker:
         is left.
         """
         phi, key = sample.nearest_phi[0], q.tobytes()
-        if np.isnan(phi).any() or sample.clearance_m[0] - self.limits.clearance_m >= sample.position_m[0]:
+        if (
+            self.field is None
+            or np.isnan(phi).any()
+            or sample.clearance_m[0] - self.limits.clearance_m >= sample.position_m[0]
+        ):
             return ""
         if key not in self._between:
-            self.meter.add(SHAPE_NS * 2 * (1 + len(phi)))
-            collars, spacing_m = self.space.drive.collars(q), self.density.point_spacing_m
-            tip_m = sample.tip_m[0]
-            self._between[key] = clearance_between(self.mechanics, self.field, *collars, phi, tip_m, spacing_m)
+            spacing_m, tip_m = self.density.point_spacing_m, sample.tip_m[0]
+            self._between[key], solved = clearance_between(self.scenario, self.field, q, phi, tip_m, spacing_m)
+            self.meter.add(SHAPE_NS * solved)
         short_mm = (self.limits.clearance_m - self._between[key]) * MM_PER_M
         return f"a shape that friction allows comes {short_mm:.2f} mm {TOO_CLOSE}" if short_mm > 0 else ""
 

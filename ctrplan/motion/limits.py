@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ctrplan.anatomy.parts import exact_clearance_of_many
 from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.mechanics.core_arrays import core_grid
 from ctrplan.mechanics.equilibria import SAME_SHAPE_M
@@ -17,7 +18,7 @@ from ctrplan.scenario.joint_space import JointSpace
 from ctrplan.uncertainty.body_clearance import usual_allowance_m
 
 if TYPE_CHECKING:
-    from ctrplan.mechanics.core import Mechanics
+    from ctrplan.mechanics.shapes import FrictionBodies
     from ctrplan.mechanics.walk import Field, PathSamples
     from ctrplan.scenario.scenario import Scenario
 
@@ -61,21 +62,38 @@ def breach(samples: PathSamples, limits: PathLimits) -> str:
 
 
 def clearance_between(
-    mechanics: Mechanics, field: Field, theta_b: Array, l_b: Array, phi: Array, tip_m: Array, spacing_m: float
-) -> float:
-    """Clearance [m] of bodies at collars (n,), (n,) in friction states about phi (P,), between the corners, as a hint.
+    scenario: Scenario, field: Field, q: Array, phi: Array, tip_m: Array, spacing_m: float
+) -> tuple[float, int]:
+    """Least clearance [m] at joints q (m,) in friction states between the corners, downhill from phi (P,), as a hint.
 
     Friction may move a body past an obstacle from one sign corner to another, where it is far away in both. inf where
-    the states are not those of the equilibrium whose frictionless tip (3,) was walked to.
+    the states are not those of the equilibrium whose frictionless tip (3,) was walked to. And how many were solved.
     """
-    sides = BESIDE * np.eye(len(phi))
-    states = np.clip(phi + np.vstack([np.zeros(len(phi)), sides, -sides]), -1.0, 1.0)
-    bodies = mechanics.friction_states(theta_b, l_b).bodies(
-        np.vstack([states, np.zeros(len(phi))]), spacing_m=spacing_m
-    )
-    if not bodies.solved.all() or not np.linalg.norm(bodies.point_m[-1, -1] - tip_m) < SAME_SHAPE_M:
-        return np.inf
-    grid = core_grid(field)
+    solver = scenario.robot.mechanics.friction_states(*scenario.robot.drive.collars(q))
+    none = solver.bodies(np.zeros((1, len(phi))), spacing_m=spacing_m)
+    if not np.linalg.norm(none.point_m[0, -1] - tip_m) < SAME_SHAPE_M:
+        return np.inf, 1
+    sides = BESIDE * np.vstack([np.zeros(len(phi)), np.eye(len(phi)), -np.eye(len(phi))])
+    known, least_m = set[bytes](), np.inf
+    while True:
+        states = np.unique(np.clip(phi + sides, -1.0, 1.0), axis=0)
+        states = states[[state.tobytes() not in known for state in states]]
+        if not len(states):
+            return least_m, 1 + len(known)
+        known |= {state.tobytes() for state in states}
+        bodies = solver.bodies(states, spacing_m=spacing_m)
+        rooms = _rooms(scenario, field, bodies)
+        if not bodies.solved.all() or not rooms.min() < least_m:
+            return least_m, 1 + len(known)
+        phi, least_m = states[np.argmin(rooms)], float(rooms.min())
+
+
+def _rooms(scenario: Scenario, field: Field, bodies: FrictionBodies) -> Array:
+    """(S,) [m] clearances of bodies, exact where the grid, which is off by less than its spacing, has the least."""
+    grid, points = core_grid(field), bodies.point_m.reshape(-1, 3)
     assert grid is not None, "there is a field"
-    rooms = np.asarray(grid.sample(np.ascontiguousarray(bodies.point_m[:-1].reshape(-1, 3))))
-    return float((rooms.reshape(len(states), -1) - bodies.radius_m).min())
+    rooms = np.asarray(grid.sample(np.ascontiguousarray(points))) - np.tile(bodies.radius_m, len(bodies.point_m))
+    near = np.flatnonzero(rooms < rooms.min() + field.spacing_m)
+    radius_m = bodies.radius_m[near % len(bodies.radius_m)]
+    rooms[near] = exact_clearance_of_many(scenario.anatomy, scenario.located(points[near])) - radius_m
+    return np.asarray(rooms.reshape(len(bodies.point_m), -1).min(axis=1))
