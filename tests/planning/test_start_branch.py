@@ -334,14 +334,12 @@ def test_a_scenario_with_another_start_knows_nothing_of_the_branch_before() -> N
 
 
 def test_targets_on_the_way_are_passed_on_the_branch() -> None:
-    robot = rvim()
-    start = in_si(robot, WOUND[1])
-    way = l_shaped(robot, start, in_si(robot, MOVED))
+    robot, way, _ = wound_and_moved(1)
     end = way[-1] + in_si(robot, [-5, 8, 0, 0, 1, -2])
-    scenario = wound(robot, start, end, via=(Goal(joints=way[-1]),))
+    scenario = wound(robot, way[0], end, via=(Goal(joints=way[-1]),))
     certificate = ctrplan.certify(scenario, np.vstack([way, end]))
     assert certificate.valid and len(certificate.targets) == 2
-    most, snaps = beyond_m(robot, certificate, start, np.random.default_rng(2))
+    most, snaps = beyond_m(robot, certificate, way[0], np.random.default_rng(2))
     assert most < BEYOND_BOUND_M and not snaps
 
 
@@ -422,15 +420,10 @@ def test_no_combination_of_many_intervals_snaps_on_a_certified_way(width: float)
     angles = np.append([0.0, start[1]], np.radians(np.arange(200, 240, 0.25)))
     driven = other.history().follow(*other.drive.collars(np.array([[0, angle, start[2]] for angle in angles])))
     snap_deg = float(np.degrees(angles[np.flatnonzero(driven.snaps)[0]]))
-    for end_deg, is_valid in (
-        (snap_deg - 0.5, True),
-        (snap_deg, False),
-        (snap_deg + 0.5, False),
-        (snap_deg + 3, False),
-    ):
-        path = np.array([start, [0, np.radians(end_deg), start[2]]])
+    for beyond_deg in (-0.5, 0.0, 0.5, 3.0):
+        path = np.array([start, [0, np.radians(snap_deg + beyond_deg), start[2]]])
         for way in (path, path[::-1]):  # there, and back by a robot that was wound up so far
-            assert ctrplan.certify(wound(robot, way[0], way[-1]), way).valid == is_valid
+            assert ctrplan.certify(wound(robot, way[0], way[-1]), way).valid == (beyond_deg < 0)
 
 
 @pytest.mark.parametrize("at_deg", [178, 182])
