@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import argparse
 import io
+import json
+import os
+import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -39,6 +43,27 @@ def sections(given: Sequence[str], known: Mapping[str, Callable[[], object]], re
 def again(name: str, *arguments: str) -> list[str]:
     """The command that runs a benchmark in a process of its own, without keeping what it prints."""
     return [sys.executable, str(ROOT / "benchmarks" / "run.py"), "--bare", name, *arguments]
+
+
+def kept(file: Path | None) -> list[dict[str, Any]]:
+    """Rows that earlier runs kept in a file, a JSON object a line."""
+    return [json.loads(line) for line in file.read_text().splitlines()] if file and file.exists() else []
+
+
+def keep(file: Path, row: Mapping[str, Any]) -> None:
+    """Adds a row to such a file."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+    with file.open("a") as stream:
+        stream.write(json.dumps(row) + "\n")
+
+
+def spent(command: Sequence[str], environment: Mapping[str, str], output: Any) -> tuple[int, float, float, float]:
+    """Exit code, seconds by the clock and of the processor, peak memory [MB] of a command, which prints to `output`."""
+    began = time.perf_counter()
+    process = subprocess.Popen(command, stdout=output, stderr=output, env=environment)
+    _, status, used = os.wait4(process.pid, 0)
+    clock_s = time.perf_counter() - began
+    return os.waitstatus_to_exitcode(status), clock_s, used.ru_utime + used.ru_stime, used.ru_maxrss / 1024
 
 
 def table(title: str, head: Sequence[str], rows: Iterable[Sequence[object]]) -> None:

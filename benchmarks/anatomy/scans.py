@@ -1,12 +1,10 @@
 """How well surfaces between voxels follow analytic bodies, and what large scans and meshes cost.
 
-    python benchmarks/run.py scans [phantoms] [sides] [plans] [volume] [mesh]        (default: all)
+    python benchmarks/run.py scans [phantoms] [volume] [mesh]        (default: all)
 
-phantoms: tubes along a line and a circle, askew to the voxels, as label maps and as grey values. sides: where on a
-surface of labels the error is large, by how far its normal is from an axis of the voxels, and what smoothing over more
-voxels would do. plans: shipped meshes made volumes. volume: a label map of 512 x 512 x 400 voxels to a field of
-clearances. mesh: 2 million triangles read, thinned, and planned in. Memory is the largest that the process ever had, so
-give one word to learn one of them.
+phantoms: tubes along a line and a circle, askew to the voxels, as label maps and as grey values. volume: a label map of
+512 x 512 x 400 voxels to a field of clearances. mesh: 2 million triangles read, thinned, and planned in. Memory is the
+largest that the process ever had, so give one word to learn one of them.
 """
 
 import os
@@ -77,42 +75,6 @@ def _errors(folder: Path, spacing: tuple[float, ...], radius: float, grey: bool,
         part = phantoms.part_of(folder, kind="volume", file="a.nrrd", **chosen)
         found.append(body(part.shape.surface().vertices_m * 1e3) / max(spacing))
     return np.concatenate(found)
-
-
-def sides(folder: Path) -> None:
-    """Sides of labels 1 mm wide, axes along the patient's, by the width of the smoothing's kernel in voxels."""
-    from ctrplan.anatomy import structure
-
-    ranges = ((0, 5), (5, 10), (10, 20), (20, 35), (35, 55))
-    print(
-        "| radius (voxels) | smoothed over | beyond 0.15 | " + " | ".join(f"{a} to {b} deg" for a, b in ranges) + " |"
-    )
-    print("|---|---|---|" + "---|" * len(ranges))
-    kept = structure.SIGMA, structure.HALO
-    for radius in (3.0, 9.0):
-        for sigma in (1.5, 3.0):
-            structure.SIGMA, structure.HALO = sigma, int(np.ceil(3 * sigma)) + 2
-            off, angle = np.concatenate([_sided(folder, radius, seed) for seed in range(DRAWS)]).T
-            largest = [off[(angle >= a) & (angle < b)].max() for a, b in ranges]
-            shown = " | ".join(f"{x:.2f}" for x in largest)
-            print(f"| {radius:g} | {sigma:g} | {100 * np.mean(off > 0.15):.0f} % | {shown} |")
-    structure.SIGMA, structure.HALO = kept
-
-
-def _sided(folder: Path, radius: float, seed: int) -> phantoms.Array:
-    """Rows of how far vertices are off [voxel], and of the angle of their normal to the nearest axis [deg]."""
-    turned = Rotation.random(random_state=seed).as_matrix()
-    centre = np.random.default_rng(seed).uniform(-1, 1, 3)
-    line = phantoms.capsule(centre - 1.5 * radius * turned[0], centre + 1.5 * radius * turned[0], radius)
-    rows = []
-    for body in (line, phantoms.torus(centre, turned, 2.2 * radius, radius)):
-        phantoms.written(phantoms.image(body, centre, 3.3 * radius + 3, 1.0, np.eye(3)), folder / "a.nrrd")
-        part = phantoms.part_of(folder, kind="volume", file="a.nrrd", label=3)
-        places = part.shape.surface().vertices_m * 1e3
-        slope = np.stack([body(places + step) - body(places - step) for step in 1e-4 * np.eye(3)], axis=1)
-        along = np.abs(slope).max(axis=1) / np.linalg.norm(slope, axis=1)
-        rows.append(np.stack([np.abs(body(places)), np.degrees(np.arccos(np.minimum(along, 1.0)))], axis=1))
-    return np.concatenate(rows)
 
 
 def large_volume(folder: Path) -> None:
@@ -194,54 +156,6 @@ def _write_lumen(path: Path, rings: int = 2100, around: int = 500) -> None:
     trimesh.Trimesh(vertices, faces, process=False).export(path)
 
 
-def plans(folder: Path) -> None:
-    """The shipped airway and ventricle as label maps: clearance planned with, and of that motion to the meshes."""
-    print("| scenario | voxels (mm) | clearance claimed (mm) | of that motion to the mesh (mm) |")
-    print("|---|---|---|---|")
-    for name in ("airway", "ventricle"):
-        text = (SCENARIOS / f"{name}.toml").read_text().replace("robots/", f"{SCENARIOS}/robots/")
-        body = ctrplan.load_scenario(SCENARIOS / f"{name}.toml").anatomy[0]
-        print(_plan_row(folder, name, "mesh", text.replace("meshes/", f"{SCENARIOS}/meshes/"), body))
-        for spacing in (0.5, 1.0):
-            lower, upper = (1e3 * corner for corner in body.box)
-            made = phantoms.image(
-                _side_of(body), (lower + upper) / 2, (upper - lower).max() / 2 + 2 * spacing, spacing, phantoms.SWAPPED
-            )
-            phantoms.written(made, folder / f"{name}.nrrd")
-            for said, key in (("", ""), (", surface_error_mm = 0", "\nsurface_error_mm = 0")):
-                entry = f'kind = "volume"\nfile = "{name}.nrrd"\nlabel = 3{key}'
-                volume = 'frame = "LPS"\n' + text.replace('kind = "mesh"', entry)
-                lines = [line for line in volume.split("\n") if "meshes/" not in line and not line.startswith("unit")]
-                print(_plan_row(folder, name, f"{spacing:g}{said}", "\n".join(lines), body), flush=True)
-
-
-def _side_of(body: AnatomyPart) -> phantoms.Body:
-    """-1 within a body and 1 outside: all that a label map asks for."""
-    import igl
-
-    surface = body.shape.surface()
-    winding = igl.FastWindingNumberBVH()
-    winding.init(surface.vertices_m, surface.faces)
-    return lambda points: np.where(np.asarray(winding.winding_number(points * 1e-3)) > 0.5, -1.0, 1.0)
-
-
-def _plan_row(folder: Path, name: str, voxels: str, text: str, body: AnatomyPart) -> str:
-    (folder / "plan.toml").write_text(text)
-    scenario = ctrplan.load_scenario(folder / "plan.toml", allow_outside=True)
-    try:
-        plan = ctrplan.plan(scenario)
-    except ctrplan.CtrplanError as error:
-        return f"| {name} | {voxels} | {error} | |"
-    least = np.inf
-    for joints in plan.certificate.samples.joints[::5]:
-        points, radius = scenario.robot.mechanics.body(*scenario.robot.drive.collars(joints))
-        located = points[0] @ scenario.base_R.T + scenario.base_position_m
-        least = min(least, float((-body.shape.distance(located) - radius).min()))
-    margin = body.margin_m
-    claimed = plan.certificate.min_clearance_m
-    return f"| {name} | {voxels} | {claimed * 1e3:.3f} | {(least - margin) * 1e3:.3f} |"
-
-
 def _clock() -> tuple[float, float]:
     return time.perf_counter(), time.process_time()
 
@@ -260,6 +174,6 @@ def main() -> None:
     parser.add_argument("sections", nargs="*", metavar="SECTION")
     with tempfile.TemporaryDirectory() as name:
         os.environ["CTRPLAN_CACHE_DIR"] = name
-        known = {"phantoms": phantom_errors, "sides": sides, "plans": plans, "mesh": large_mesh, "volume": large_volume}
+        known = {"phantoms": phantom_errors, "mesh": large_mesh, "volume": large_volume}
         bound = {section: partial(work, Path(name)) for section, work in known.items()}
         common.sections(parser.parse_args().sections, bound, parser.error)

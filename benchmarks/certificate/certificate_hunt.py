@@ -320,10 +320,8 @@ def _driven(given: Case, anatomy: RawAnatomy, before: Array, mesh: Accuracy) -> 
 
 def known(file: Path, seed: int) -> dict[int, Result]:
     """Results of earlier runs."""
-    if not file.exists():
-        return {}
-    rows = [json.loads(line) for line in file.read_text().splitlines()]
-    return {row["result"]["number"]: Result(**row["result"]) for row in rows if row["seed"] == seed}
+    rows = [row["result"] for row in common.kept(file) if row["seed"] == seed]
+    return {row["number"]: Result(**row) for row in rows}
 
 
 def print_table(results: list[Result]) -> None:
@@ -366,11 +364,9 @@ def main() -> None:
         return
     results = known(given.file, given.seed)
     wanted = [number for number in range(given.first, given.scenes) if number not in results]
-    given.file.parent.mkdir(parents=True, exist_ok=True)
-    with ProcessPoolExecutor(given.processes) as pool, given.file.open("a") as stream:
+    with ProcessPoolExecutor(given.processes) as pool:
         for result in pool.map(judged, wanted, itertools.repeat(given.seed)):
             results[result.number] = result
-            stream.write(json.dumps({"seed": given.seed, "result": asdict(result)}) + "\n")
-            stream.flush()
+            common.keep(given.file, {"seed": given.seed, "result": asdict(result)})
     print_table(list(results.values()))
     print("\n".join(broken(list(results.values()))))

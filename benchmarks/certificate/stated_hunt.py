@@ -406,8 +406,7 @@ def main() -> None:
     if given.only is not None:
         print(json.dumps(scene(given.only, given.seed, kinds), indent=1))
         return
-    RESULTS.parent.mkdir(exist_ok=True)
-    known = [json.loads(line) for line in RESULTS.read_text().splitlines()] if RESULTS.exists() else []
+    known = common.kept(RESULTS)
     done = {(row["number"], row["seed"]) for row in known}
     for number in range(given.first, given.first + given.scenes):
         if (number, given.seed) in done:
@@ -415,8 +414,7 @@ def main() -> None:
         result = scene(number, given.seed, kinds)
         if result is not None:
             known.append({**result, "seed": given.seed})
-            with RESULTS.open("a") as stream:
-                stream.write(json.dumps(known[-1]) + "\n")
+            common.keep(RESULTS, known[-1])
     rows = []
     for kind in kinds:
         own = [row for row in known if row["kind"] == kind and "skipped" not in row]

@@ -1,19 +1,15 @@
 """What bounds take beside the three-tube robot's solves: more tubes, calls from Python, inverse kinematics.
 
-    python benchmarks/run.py bound_calls [times] [extremes] [overhead] [threads] [tracking] [ways]
+    python benchmarks/run.py bound_calls [times] [extremes] [threads] [tracking] [ways]
 
 times: time and peak memory of one bound for 2 to 12 tubes. extremes: what the extreme corners miss of all of them.
-overhead: what a call from Python takes beyond the core's own work: zero-clearance shapes, bounds, steps of a walker.
 threads: 10,000 bounds and 400 motions on two threads against one, by the clock and in seconds of the processor.
 tracking: a step of `TipTracker` at 20 Hz on a circle, a line, through a lumen to its wall. ways: all ways to a point.
-The core's own time is that of the same configurations in one call, on one thread, which gives numbers and no shapes.
 """
 
 import multiprocessing
 import resource
 import time
-from collections.abc import Callable
-from functools import partial
 from typing import Any
 
 import common
@@ -111,85 +107,13 @@ def extremes() -> None:
 
 
 ROBOT = ctrplan.load_robot(ROBOTS / "three_tube.toml")
-CALLS = 200
-ROUNDS = 7  # in alternation: the machine is not ours alone
-STEP_RAD = np.radians(1.0)
-
-random = np.random.default_rng(1)
-THETA = random.uniform(-np.pi, np.pi, (CALLS, 3))
-L = np.tile([0.0, -0.017, -0.0628], (CALLS, 1))
-L[:, 2] -= random.uniform(0, 0.02, CALLS)
-TURNED = np.array([0.0, 1.0, 2.0]) + np.outer(np.arange(CALLS), [0.0, 0.0, STEP_RAD])
-STAYING = np.tile(L[0], (CALLS, 1))
-
-
-def one_by_one(call: Callable[[np.ndarray, np.ndarray], object], theta: np.ndarray, l_b: np.ndarray) -> float:
-    """Microseconds a call."""
-    begun = time.perf_counter()
-    for row in zip(theta, l_b, strict=True):
-        call(*row)
-    return 1e6 * (time.perf_counter() - begun) / len(theta)
-
-
-def at_once(call: Callable[[], object]) -> float:
-    """Microseconds a configuration."""
-    begun = time.perf_counter()
-    call()
-    return 1e6 * (time.perf_counter() - begun) / CALLS
-
-
-def walked() -> float:
-    """Microseconds a step of a walker, its first one left out."""
-    walker = ROBOT.walker()
-    walker.bound(TURNED[0], STAYING[0])
-    return one_by_one(walker.bound, TURNED[1:], STAYING[1:])
-
-
-def everything(theta_b: np.ndarray, l_b: np.ndarray) -> None:
-    """A bound all of whose arrays are looked at."""
-    found = ROBOT.bound(theta_b, l_b)
-    for shape in (found.frictionless, *found.corners):
-        _ = shape.tubes, shape.radius_m, shape.contact_s_m, shape.contact_force_N, shape.contact_angle_rad
-
-
-def tips() -> object:
-    return ROBOT.mechanics.tips(THETA, L, threads=1)
-
-
-def bounds() -> object:
-    return ROBOT.bound_many(THETA, L, threads=1)
-
-
-def measured_calls() -> dict[str, tuple[Callable[[], float], Callable[[], object]]]:
-    """By what is called: microseconds a call from Python, and the same configurations in one call."""
-    one = partial(partial, one_by_one)
-    return {
-        "zero_clearance, its tip": (one(lambda q, l_b: ROBOT.zero_clearance(q, l_b).tip_m, THETA, L), tips),
-        "zero_clearance, all arrays": (one(lambda q, l_b: ROBOT.zero_clearance(q, l_b).tubes, THETA, L), tips),
-        "bound, cold, its tip": (one(lambda q, l_b: ROBOT.bound(q, l_b).frictionless.tip_m, THETA, L), bounds),
-        "bound, cold, all arrays": (one(everything, THETA, L), bounds),
-        "walker, steps of 1 degree": (walked, lambda: ROBOT.mechanics.check_path(TURNED, STAYING)),
-    }
-
-
-def overhead() -> None:
-    """Prints medians over rounds."""
-    rows = []
-    for name, (python, core) in measured_calls().items():
-        python(), core()
-        pairs = np.array([(python(), at_once(core)) for _ in range(ROUNDS)])
-        outside, inside = np.median(pairs, axis=0)
-        between = np.median(pairs[:, 0] - pairs[:, 1])
-        rows.append((name, *(f"{us:.0f}" for us in (outside, inside, between))))
-    table("calls", ("call", "from Python, us", "core, us", "difference (median), us"), rows)
-
-
 MANY, MOTIONS = 10_000, 400
 TRIES = 3  # in alternation, of which the best counts: whoever else uses the machine only makes it slower
 
 
 def threads() -> None:
     """Prints seconds and their ratios; the clock shows a gain only where two cores are free."""
+    random = np.random.default_rng(1)
     turn = random.uniform(-np.pi, np.pi, (MANY, 3))
     l_b = np.tile([0.0, -0.017, -0.0628], (MANY, 1)) - np.outer(random.uniform(0, 0.02, MANY), [0, 0, 1.0])
     scenario = ctrplan.load_scenario(SCENARIOS / "pair_free.toml")
@@ -303,6 +227,5 @@ def ways() -> None:
 def main() -> None:
     parser = common.parser(__doc__)
     parser.add_argument("sections", nargs="*", metavar="SECTION")
-    known = {"times": times, "extremes": extremes, "overhead": overhead, "threads": threads, "tracking": tracking}
-    known["ways"] = ways
+    known = {"times": times, "extremes": extremes, "threads": threads, "tracking": tracking, "ways": ways}
     common.sections(parser.parse_args().sections, known, parser.error)

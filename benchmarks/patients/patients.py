@@ -26,7 +26,7 @@ from pathlib import Path
 from typing import Any
 
 import common
-from common import ROBOTS, SCENARIOS, again, table
+from common import ROBOTS, SCENARIOS, again, spent, table
 
 from ctrplan.storage.toml_document import read_document
 
@@ -110,21 +110,19 @@ def _write(folder: Path, found: dict[str, Any]) -> None:
 
 def _run(arguments: list[str], folder: Path, log: str, core: int) -> dict[str, Any]:
     """Runs a command on one core: exit code, clock and processor time [s], largest memory [MB], its last words."""
-    begun = time.perf_counter()
     cores = sorted(os.sched_getaffinity(0))
     own = os.environ | {"CTRPLAN_CACHE_DIR": str(folder / "cache")}
     command = ["taskset", "--cpu-list", str(cores[core]), str(COMMAND), *arguments]
     with (folder / log).open("w+") as stream:
-        process = subprocess.Popen(command, stdout=stream, stderr=stream, env=own)
-        _, status, used = os.wait4(process.pid, 0)
+        code, clock_s, processor_s, memory = spent(command, own, stream)
         stream.seek(0)
         words = stream.read().strip().splitlines()
     return {
         "command": shlex.join(["ctrplan", *arguments]),
-        "code": os.waitstatus_to_exitcode(status),
-        "clock_s": round(time.perf_counter() - begun, 1),
-        "processor_s": round(used.ru_utime + used.ru_stime, 1),
-        "memory_MB": round(used.ru_maxrss / 1024),
+        "code": code,
+        "clock_s": round(clock_s, 1),
+        "processor_s": round(processor_s, 1),
+        "memory_MB": round(memory),
         "words": words[-30:],
     }
 

@@ -36,14 +36,7 @@ from ctrplan.mechanics.history import HistoryOptions, HistoryState
 from ctrplan.mechanics.shapes import Accuracy
 from ctrplan.robot.robot import Robot
 from ctrplan.scenario.joint_space import JointSpace, bare_scenario
-from ctrplan.scenario.prediction import (
-    STEP_M,
-    STEP_RAD,
-    predict_end,
-    rows_to_simulate,
-    start_states,
-    step_error,
-)
+from ctrplan.scenario.prediction import STEP_M, STEP_RAD, predict_end, rows_to_simulate, start_states, step_error
 from ctrplan.scenario.scenario import Goal, Scenario
 from ctrplan.storage.toml_document import read_document
 

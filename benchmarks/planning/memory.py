@@ -29,7 +29,7 @@ import common
 import numpy as np
 import trimesh
 from arrival import robots
-from common import ROBOTS, SCENARIOS, table
+from common import ROBOTS, SCENARIOS, spent, table
 
 import ctrplan
 from ctrplan.certificate.certify import certify
@@ -123,23 +123,11 @@ def plan_apart(scenario: str, at_least: int) -> tuple[object, ...]:
         folder = Path(name)
         triangles = prepare(folder, scenario, at_least)
         run = "import sys; from ctrplan.__main__ import main; sys.exit(main(sys.argv[1:]))"
-        command = [
-            sys.executable,
-            "-c",
-            run,
-            "plan",
-            str(folder / "scenario.toml"),
-            "-o",
-            str(folder / "out"),
-            "--quiet",
-        ]
+        arguments = ["plan", str(folder / "scenario.toml"), "-o", str(folder / "out"), "--quiet"]
         own = {**os.environ, "CTRPLAN_CACHE_DIR": str(folder / "cache")}
-        began = time.monotonic()
-        process = subprocess.Popen(command, env=own, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-        _, status, used = os.wait4(process.pid, 0)
-        outcome = "planned and certified" if status == 0 else f"exit code {os.waitstatus_to_exitcode(status)}"
-        times = f"{used.ru_utime + used.ru_stime:.0f} s", f"{time.monotonic() - began:.0f} s"
-        return scenario, f"{triangles:,}", outcome, f"{used.ru_maxrss / 1024:.0f} MB", *times
+        code, clock_s, processor_s, memory = spent([sys.executable, "-c", run, *arguments], own, subprocess.DEVNULL)
+        outcome = "planned and certified" if code == 0 else f"exit code {code}"
+        return scenario, f"{triangles:,}", outcome, f"{memory:.0f} MB", f"{processor_s:.0f} s", f"{clock_s:.0f} s"
 
 
 def prepare(folder: Path, scenario: str, at_least: int) -> int:

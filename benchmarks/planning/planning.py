@@ -121,7 +121,7 @@ def results(
     chosen: list[Query], seeds: int, limits: tuple[float | None, float | None], file: Path | None
 ) -> list[dict[str, Any]]:
     """Every query in both modes with every seed; those in the file are not run again."""
-    rows = [json.loads(line) for line in file.read_text().splitlines()] if file and file.exists() else []
+    rows = common.kept(file)
     done = {(row["query"], row["mode"], row["seed"]): row for row in rows}
     choices = {row["query"]: row["choice"] for row in rows}
     for seed, query, mode in itertools.product(range(seeds), in_turn(chosen), MODES):
@@ -132,8 +132,7 @@ def results(
         rows.append(run(query, mode, seed, *limits) | {"choice": choices[query.name]})
         print(json.dumps(rows[-1]), file=sys.stderr, flush=True)
         if file:
-            with file.open("a") as stream:
-                stream.write(json.dumps(rows[-1]) + "\n")
+            common.keep(file, rows[-1])
     names = {query.name for query in chosen}
     return [row for row in rows if row["query"] in names and row["seed"] < seeds]
 
@@ -211,8 +210,7 @@ def main() -> None:
     parser.add_argument("--summary", action="store_true", help="run nothing: what is in the file of results")
     arguments = parser.parse_args()
     if arguments.summary:
-        rows = [json.loads(line) for line in arguments.results.read_text().splitlines()]
-        print_table(rows)
+        print_table(common.kept(arguments.results))
         return
     chosen = [query for query in queries() if not arguments.only or query.scenario in arguments.only]
     print_table(results(chosen, arguments.seeds, (arguments.time, arguments.count), arguments.results))

@@ -178,13 +178,7 @@ def success(scenarios: dict[str, list[Scenario]], time_s: float, seeds: range, t
     table(title, heads, rows)
 
 
-CAGE_M, BAR_M, FROM_M, TO_M, EVERY_DEG = (
-    18e-3,
-    0.8e-3,
-    130e-3,
-    260e-3,
-    6,
-)  # of bars; outer tubes reach 150
+CAGE_M, BAR_M, FROM_M, TO_M, EVERY_DEG = (18e-3, 0.8e-3, 130e-3, 260e-3, 6)  # of bars; outer tubes reach 150
 GAPS_DEG, WIDE_DEG = (50.0, 170.0, 290.0), (60, 50, 40, 30)
 OUTSIDE_M, TIPS = 12e-3, 3  # of tips beyond the bars
 

@@ -1,28 +1,25 @@
-"""What markers along the body tell beside the tip: widths of intervals, verdicts, and the time that they take.
+"""What markers along the body tell beside the tip: widths of intervals, and the time that they take.
 
-    python benchmarks/run.py markers [--diagnose] [--configurations N]
+    python benchmarks/run.py markers [--configurations N]
 
 The three-tube robot of Table II, positions alone, noise 0.3 mm; rings in the middle of the curved part of tube 3 and at
 the ends of tubes 1 and 2. Intervals are those of a linearised fit of all numbers in the table together, as shares of
-their priors. With --diagnose: measurements of a pair with a precurvature that varies along tube 2, diagnosed by the tip
-alone and with a ring (some minutes).
+their priors.
 """
 
 import time
 from dataclasses import replace
-from typing import Any
 
 import common
 import numpy as np
 from common import ROOT
-from measured_data import chain_of, pair_robot, waypoints
+from measured_data import chain_of, waypoints
 
 import ctrplan
 from ctrplan.base.arrays import Array
 from ctrplan.calibration.residuals import Noise, information_inverse, residuals
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.pipeline.parametric_chain import ParametricChain
-from ctrplan.robot.robot import Robot
 
 SIGMA_M = 0.3e-3
 MARKERS = (
@@ -80,43 +77,7 @@ def drawn_back(plan: Measurements) -> Array:
     return np.column_stack([np.full(len(inner), -0.017), inner])
 
 
-def verdicts() -> None:
-    """Verdicts on a hidden change of precurvature along tube 2, by the tip alone and with a ring."""
-    ring: list[dict[str, Any]] = [{"name": "ring", "tube": 2, "from_tip_mm": 30}]
-    robot = pair_robot(marker=ring, measurement={"position_sigma_mm": 0.1})
-    plan = waypoints(robot, 40, seed=4)
-    print(
-        "| measured | verdict | named | held-out error before, after, mm | noise, mm | CPU, s |\n" + "| --- " * 6 + "|"
-    )
-    for name, count in (("tip alone", 0), ("tip and ring", 1)):
-        data = made(robot, of_points(plan, count))
-        began = time.process_time()
-        found = ctrplan.diagnose(robot, data)
-        took = time.process_time() - began
-        gap = found.to_json()["gap"]
-        names = (
-            " and ".join(" or ".join(one.term.name for one in (f, *f.alternatives)) for f in found.judgement.findings)
-            or "-"
-        )
-        sizes = f"{gap['before_rms_mm']:.2f}, {gap['after_rms_mm']:.2f} | {gap['noise_floor_mm']:.2f}"
-        print(f"| {name} | {found.verdict} | {names} | {sizes} | {took:.0f} |", flush=True)
-
-
-def made(robot: Robot, data: Measurements) -> Measurements:
-    """Measured with a change of precurvature of 15 % along the curved part of tube 2."""
-    chain = chain_of(robot, data, {"varying_precurvature": None})
-    p = chain.neutral.copy()
-    p[-1] = 0.15
-    noise = 0.1e-3 * np.random.default_rng(8).standard_normal((data.count, 3))
-    return replace(data, position_m=chain.predict(p, derivatives=False).position_m + noise, file="made up")
-
-
 def main() -> None:
     parser = common.parser(__doc__)
     parser.add_argument("--configurations", type=int, default=12)
-    parser.add_argument("--diagnose", action="store_true")
-    arguments = parser.parse_args()
-    if arguments.diagnose:
-        verdicts()
-    else:
-        intervals(arguments.configurations)
+    intervals(parser.parse_args().configurations)

@@ -1,6 +1,6 @@
 """Following a robot: time per step, and tip errors one step ahead, with an observer and without.
 
-    python benchmarks/run.py observer [--only times|friction|small|logs] [--sets N]
+    python benchmarks/run.py observer [--only times|small|logs] [--sets N]
     python benchmarks/run.py observer --measured ROBOT.toml LOG.csv [--slow NAME=SIGMA ...]
 
 Small motions are of ctrplan's own histories, noise 0.1 mm. Synthetic logs come from the independent generator of
@@ -8,8 +8,7 @@ tests/oracles/hidden_effects: three tubes on a continuous motion at 10 Hz, with 
 them or a little different. ctrplan is told the friction, or that times --friction-factor. It follows a log from row
 --from on, and knows nothing of what was before. Beside the observer: the frictionless robot, a history that starts
 released there, and that history corrected by the error of the row before, which needs no friction state. Held: share of
-measured coordinates inside the interval of 95 %, noise added in squares, and half the interval's width. Friction: large
-motions of ctrplan's own histories whose friction the file has wrong, with friction as slow parameters and without. With
+measured coordinates inside the interval of 95 %, noise added in squares, and half the interval's width.
 --measured: a log of one's own. --logs keeps the synthetic ones, which take a minute each.
 """
 
@@ -29,7 +28,6 @@ from common import ROBOTS
 import ctrplan
 from ctrplan.base.arrays import Array
 from ctrplan.measurement.measurements import Measurements
-from ctrplan.robot.named_numbers import with_values
 from ctrplan.robot.robot import Robot
 from ctrplan.robot.slow_states import SlowOffset, SlowParameter
 from ctrplan.studies.follow import Following, follow
@@ -79,50 +77,11 @@ def compared(name: str, robot: Robot, data: Measurements, slow: Sequence[SlowPar
             print(f"{key}: {values[-1, 0]:.4g} +- {1.96 * values[-1, 1]:.2g}")
 
 
-def wrong_friction() -> None:
-    """Friction of 0.3 where the file has 0.2: errors one step ahead, what is found, and the time of a step."""
-    print(
-        "| robot, rows | history, mm | observer, mm | with slow friction, mm | its last half, mm | held | found |",
-        end="",
-    )
-    print(" a step, median | 95 % |\n|" + " --- |" * 9)
-    noise = ["measurement.position_sigma_mm=0.1"]
-    for name in ("table_5_pair.toml", "three_tube.toml"):
-        robot = ctrplan.load_robot(ROBOTS / name, noise)
-        n, phase = robot.n, np.linspace(0, 12 * np.pi, 300)
-        theta = np.outer(1.0 + 0.6 * np.sin(phase) + 0.1 * np.sin(3.3 * phase), np.arange(n))
-        l_b = translations(n, 0.5e-3 * np.sin(1.7 * phase))
-        names = [f"contact.{i}.friction_coefficient" for i in range(1, n)]
-        truth = with_values(robot, dict.fromkeys(names, 0.3)).history([0.4, -0.7][: n - 1]).follow(theta, l_b)
-        seen = truth.position_m + 0.1e-3 * np.random.default_rng(n).standard_normal(truth.position_m.shape)
-        data = Measurements(*logged(theta, l_b, seen))
-        spent: list[float] = []
-        bare, slow = follow(robot, data), timed(robot, data, [SlowParameter(key, 0.1) for key in names], spent)
-        half = len(phase) // 2
-        off = (bare.error_without_m, bare.error_m, slow.error_m)
-        cells = [f"{rms_mm(part[1:]):.3f}" for part in off] + [f"{rms_mm(slow.error_m[half:]):.3f}"]
-        found = ", ".join(f"{v[-1, 0]:.2f} +- {1.96 * v[-1, 1]:.2f}" for v in slow.parameters.values())
-        ms = [f"{np.median(spent):.1f} ms", f"{np.quantile(spent, 0.95):.1f} ms"]
-        print(f"| {robot.name}, {len(phase)} | " + " | ".join([*cells, held(slow), found, *ms]) + " |")
-
-
 def translations(n: int, inner_m: Array) -> Array:
     """(K, n) [m] of two or three tubes, of which the innermost one moves."""
     l_b = np.tile([0.0, -0.06] if n == 2 else [0.0, -0.017, -0.06], (len(inner_m), 1))
     l_b[:, -1] += inner_m
     return l_b
-
-
-def timed(robot: Robot, data: Measurements, slow: list[SlowParameter], spent: list[float]) -> Following:
-    """`follow`, the processor time [ms] of its steps told."""
-    clock = [time.process_time()]
-
-    def told(_share: float) -> None:
-        now = time.process_time()
-        spent.append(1e3 * (now - clock[0]))
-        clock[0] = now
-
-    return follow(robot, data, slow=slow, progress=told)
 
 
 def logged(theta: Array, l_b: Array, seen: Array) -> tuple[Array, ...]:
@@ -251,7 +210,7 @@ def step_times_ms(robot: Robot, measured: bool, slow: Sequence[SlowParameter] = 
 
 def main() -> None:
     parser = common.parser(__doc__)
-    parser.add_argument("--only", choices=["times", "friction", "small", "logs"])
+    parser.add_argument("--only", choices=["times", "small", "logs"])
     parser.add_argument("--slow", action="append", default=[], metavar="NAME=SIGMA", help="with --measured")
     parser.add_argument("--sets", type=int, default=4)
     parser.add_argument("--from", type=int, default=30, dest="begin")
@@ -268,8 +227,6 @@ def main() -> None:
         compared(Path(arguments.measured[1]).stem, own, ctrplan.load_measurements(arguments.measured[1], own), named)
     if not arguments.measured and arguments.only in (None, "times"):
         times()
-    if not arguments.measured and arguments.only in (None, "friction"):
-        wrong_friction()
     if not arguments.measured and arguments.only in (None, "small", "logs"):
         header()
         if arguments.only != "logs":

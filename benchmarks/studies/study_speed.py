@@ -1,13 +1,12 @@
-"""How fast studies are: tasks a second against a plain loop on one core, what a task costs beside its work, memory.
+"""How fast studies are: tasks a second against a plain loop on one core, what a task costs beside its work.
 
     python benchmarks/run.py study_speed                      # all of it: some 12 minutes on two idle cores
-    python benchmarks/run.py study_speed --bounds 1000 --plans 6 --empty 500 --many 10000 --rounds 1  # a minute
-    python benchmarks/run.py study_speed --bounds 8000 --plans 0 --empty 0 --many 0                      # bounds alone
+    python benchmarks/run.py study_speed --bounds 1000 --plans 6 --rounds 1  # a minute
+    python benchmarks/run.py study_speed --bounds 8000 --plans 0             # bounds alone
 
 What it prints: tasks a second of a plain loop, of two plain loops in two processes at once without any engine (what the
 machine gives: caches and memory are shared), and of a study on two workers, in alternation, medians of all rounds;
-overhead of a task on its worker, and of client and scheduler, in ms; memory of client and scheduler as tasks are done;
-whether tables are the same on any number of workers.
+overhead of a task on its worker, and of client and scheduler, in ms.
 
 Times of the clock mean something on an idle machine only. Where others work on it, look at the ratio of processor
 times: that of the loop to that of workers, client and scheduler together, times the number of workers.
@@ -17,12 +16,10 @@ from __future__ import annotations
 
 import argparse
 import os
-import resource
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -36,12 +33,8 @@ from ctrplan.base.long_work import one_core
 from ctrplan.studies.study.study import Doing, Study
 
 ROBOT = str(ROBOTS / "three_tube.toml")
-PAIR = str(ROBOTS / "table_5_pair.toml")
 SCENARIO = str(SCENARIOS / "pair_free.toml")
 WORKERS = 2
-SHORT_S = 0.05  # of search, of many plans
-NEAR = {"rotate inner": 10.0, "translate inner": -27.0}  # goals of many plans, 0.3 s of a core each
-EMPTY = "def nothing(scenario, inputs, seed):\n    return {'seed': seed}\n"
 
 
 def bounds_study(count: int) -> dict[str, Any]:
@@ -51,27 +44,10 @@ def bounds_study(count: int) -> dict[str, Any]:
     return {"robot": ROBOT, "task": {"kind": "bound", "theta_deg": [0, 0, 0], "l_mm": [0, -17, -62.8]}, "vary": turns}
 
 
-def cheap_bounds_study(count: int) -> dict[str, Any]:
-    """Bounds of a pair, a quarter of a millisecond or so each: many of them for what is held in memory."""
-    side = max(2, round(count**0.5))
-    turns = {"key": "theta_2", "low": 0, "high": 350, "count": side}
-    lengths = {"key": "l_2", "low": -60, "high": -30, "count": side}
-    task = {"kind": "bound", "theta_deg": [0, 0], "l_mm": [0, -60]}
-    return {"robot": PAIR, "task": task, "vary": [turns, lengths]}
-
-
 def plans_study(count: int) -> dict[str, Any]:
     """Plans of a pair in free space, a second or so each."""
     seeds = [{"key": "seed", "values": list(range(count))}, {"key": "planner.time_s", "values": [0.5]}]
     return {"scenario": SCENARIO, "task": {"kind": "plan"}, "vary": seeds}
-
-
-def near_plans_study(count: int) -> dict[str, Any]:
-    """Plans to goals near the start, each to another: cheap ones, with all that a plan and its certificate hold."""
-    goals = [{"key": 'goal.joints."rotate outer"', "low": 5.0, "high": 20.0, "count": count}]
-    goals += [{"key": f'goal.joints."{joint}"', "values": [value]} for joint, value in NEAR.items()]
-    searches = [{"key": "planner.time_s", "values": [SHORT_S]}]
-    return {"scenario": SCENARIO, "task": {"kind": "plan"}, "vary": [*goals, *searches]}
 
 
 def loop_of_bounds(study: Study) -> float:
@@ -97,10 +73,9 @@ def loop_of_plans(study: Study) -> float:
 
 
 class Run:
-    """A study on workers of this machine: from when they are there to the last row, and memory meanwhile."""
+    """A study on workers of this machine: from when they are there to the last row."""
 
     def __init__(self, content: dict[str, Any], folder: Path, workers: int = WORKERS) -> None:
-        self.memory: list[tuple[int, float, float]] = []
         self.begun: tuple[int, float, float, float] | None = None
         self.ended = (0, 0.0, 0.0, 0.0)
         self.asked = time.monotonic()
@@ -114,7 +89,6 @@ class Run:
         self.workers = self.workers or children()  # looked for once: what this costs counts as the client's
         now = (doing.done, time.monotonic(), time.process_time(), sum(map(processor_s, self.workers)))
         self.begun, self.ended = self.begun or now, now
-        self.memory.append((doing.done, resident_mb("self"), max(map(resident_mb, self.workers), default=0.0)))
 
     @property
     def rate(self) -> float:
@@ -139,15 +113,6 @@ class Run:
         """Seconds of the clock until all workers were there."""
         assert self.begun is not None
         return self.begun[1] - self.asked
-
-
-def resident_mb(process: str) -> float:
-    """Resident memory of "self", where the client and a LocalCluster's scheduler are, or of a child process."""
-    try:
-        with open(f"/proc/{process}/statm", encoding="ascii") as file:
-            return int(file.read().split()[1]) * resource.getpagesize() / 1e6
-    except OSError:  # it has ended
-        return 0.0
 
 
 def processor_s(process: str) -> float:
@@ -207,7 +172,6 @@ def compare(name: str, count: int, folder: Path, rounds: int) -> None:
         found = Run(LOOPS[name][0](count), folder)
         times.append((*one, *both, 1 / found.rate, found.workers_s, found.client_s, found.start_s))
     print_rates(f"{name}: {len(found.table)} tasks", np.array(times))
-    print_memory(found.memory)
 
 
 def print_rates(what: str, times: np.ndarray) -> None:
@@ -229,43 +193,10 @@ def print_rates(what: str, times: np.ndarray) -> None:
           f"{own[2]:.3f} of client and scheduler; {np.median(start):.1f} s to start workers", flush=True)  # fmt: skip
 
 
-def on_any_number_of_workers(folder: Path) -> None:
-    """Whether the table is the same, bit for bit, whoever does the tasks."""
-    tables = [Run(bounds_study(400), folder, workers).table.results for workers in (1, 2, 8)]
-    same = tables[0] == tables[1] == tables[2]
-    print(f"400 bounds on 1, 2 and 8 workers: the same table: {'yes' if same else 'NO'}")
-
-
-def empty_tasks(count: int, folder: Path) -> None:
-    """What a task costs that does nothing, one by one and in chunks, and how memory grows."""
-    (folder / "empty.py").write_text(EMPTY, encoding="utf-8")
-    seeds = [{"key": "seed", "low": 0, "high": count - 1, "count": count}]
-    content = {"robot": ROBOT, "task": {"kind": "function", "function": "empty:nothing"}, "vary": seeds}
-    many("empty tasks one by one", content, folder)
-
-
-def print_memory(memory: Sequence[tuple[int, float, float]]) -> None:
-    for share in (0.0, 0.1, 0.25, 0.5, 0.75, 1.0):
-        done, size, worker = memory[max(0, round(share * len(memory)) - 1)]
-        print(
-            f"  {done:>8,} tasks: client and scheduler hold {size:.0f} MB, the larger worker {worker:.0f}", flush=True
-        )
-
-
-def many(what: str, content: dict[str, Any], folder: Path) -> None:
-    """How memory grows over many tasks."""
-    found = Run(content, folder)
-    print(f"{what}: {len(found.table):,} at {found.rate:.1f} a second by the clock, {1e3 / found.rate:.2f} ms each")
-    print_memory(found.memory)
-
-
 def main() -> None:
     parser = common.parser(__doc__)
     parser.add_argument("--bounds", type=int, default=8000)
     parser.add_argument("--plans", type=int, default=48)
-    parser.add_argument("--empty", type=int, default=2000)
-    parser.add_argument("--many", type=int, default=100_000, help="bounds for memory")
-    parser.add_argument("--many-plans", type=int, default=0, help="plans for memory, to near goals")
     parser.add_argument("--rounds", type=int, default=3, help="of loop, two loops and study")
     parser.add_argument("--serve-loop", nargs=2, metavar=("NAME", "COUNT"), help=argparse.SUPPRESS)
     asked = parser.parse_args()
@@ -278,10 +209,3 @@ def main() -> None:
             compare("bounds", asked.bounds, folder, asked.rounds)
         if asked.plans:
             compare("plans", asked.plans, folder, asked.rounds)
-        on_any_number_of_workers(folder)
-        if asked.empty:
-            empty_tasks(asked.empty, folder)
-        if asked.many:
-            many("many bounds", cheap_bounds_study(asked.many), folder)
-        if asked.many_plans:
-            many("many plans", near_plans_study(asked.many_plans), folder)

@@ -23,6 +23,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from functools import lru_cache
 from itertools import product
 from pathlib import Path
 
@@ -40,7 +41,7 @@ from ctrplan.anatomy.parts import (
     surface_distance,
 )
 from ctrplan.anatomy.shape import PartShape
-from ctrplan.base.arrays import Array
+from ctrplan.base.arrays import Array, read_only
 from ctrplan.base.long_work import Progress, cores
 from ctrplan.errors import InputError
 from ctrplan.storage import cache as field_cache
@@ -329,14 +330,19 @@ def _build(parts: Sequence[AnatomyPart], lattice: Lattice, index: Index) -> Grid
 def _clearance(parts: Sequence[AnatomyPart], lattice: Lattice, start: NDArray[np.int_], shape: Index) -> Grid:
     """At the nodes from `start` on."""
     origin = lattice.node_m(start)
-    nodes = origin + lattice.spacing_m * np.indices(shape).reshape(3, -1).T
 
     def distance(part: AnatomyPart) -> NDArray[np.floating]:
         if part.shape.is_formula:
-            return surface_distance(part, nodes).reshape(shape)
+            return surface_distance(part, origin + _nodes_m(lattice.spacing_m, shape)).reshape(shape)
         return grid_distance(part, origin, lattice.spacing_m, shape, lambda _: None)
 
     return combined_clearance(parts, distance).astype(np.float32, copy=False)
+
+
+@lru_cache(maxsize=2)
+def _nodes_m(spacing_m: float, shape: Index) -> Array:
+    """(K, 3) [m] nodes of a brick as they lie from its first one; most bricks have the same."""
+    return read_only(spacing_m * np.indices(shape).reshape(3, -1).T)
 
 
 def _ball(lattice: Lattice, start: NDArray[np.int_], shape: ArrayLike) -> tuple[Array, float]:

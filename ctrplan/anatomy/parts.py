@@ -29,7 +29,7 @@ from ctrplan.base.package import of_this_process, shown
 from ctrplan.base.surface import Surface
 from ctrplan.errors import CtrplanError, InputError
 
-CHUNK_POINTS = 1 << 18
+CHUNK_POINTS = 1 << 14  # at once: what lies between a point and its distance stays in a processor's cache
 
 
 @shown

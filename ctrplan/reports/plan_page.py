@@ -28,7 +28,6 @@ from ctrplan.reports.curves import (
 )
 from ctrplan.reports.html_page import plot, rendered
 from ctrplan.reports.plan_motion import WAY_NAMES, clearance_section, shown_motion
-from ctrplan.reports.plan_picture import write_plan_png
 from ctrplan.reports.plan_scene import plan_scene
 from ctrplan.reports.plan_words import (
     certificate_in_words,
@@ -200,6 +199,8 @@ def save_plan(
     place = output_folder(os.fspath(folder), outputs)
     scene, inputs = plan_scene(plan) if report else None, inputs_of(plan.scenario)  # writers solve nothing
     if scene is not None:
+        from ctrplan.reports.plan_picture import write_plan_png  # matplotlib takes as long as a short search
+
         _ = plan.reorder.alternatives  # simulated now: plan.json has them, too
     if inputs is None:
         (place / INPUTS).unlink(missing_ok=True)  # of an earlier plan

@@ -49,6 +49,21 @@ def test_rotation_during_translation_keeps_the_share_of_its_slip() -> None:
     assert np.tan(np.arcsin(phi)) == pytest.approx(radius * 6.0 / 8e-3, rel=1e-6)
 
 
+def test_a_step_solves_its_equation_from_no_slide_to_a_long_one() -> None:
+    """One backward Euler step by `advance`, near the limit and far from it, against bisection."""
+    rng, law = np.random.default_rng(5), FrictionLaw(np.ones(1), np.ones(1))
+    trial = rng.choice([-1.0, 1.0], 4000) * 10 ** rng.uniform(-8, 2, 4000)
+    trial[:2000] = np.sign(trial[:2000]) * (1 + rng.normal(size=2000) * 10 ** rng.uniform(-16, -1, 2000))
+    slide = np.where(rng.random(4000) < 0.1, 0.0, 10 ** rng.uniform(-35, 4, 4000))
+    low, high = np.full(4000, -np.pi / 2), np.full(4000, np.pi / 2)
+    for _ in range(60):
+        middle = (low + high) / 2
+        above = np.sin(middle) + slide * np.tan(middle) > trial
+        low, high = np.where(above, low, middle), np.where(above, middle, high)
+    phi = law.advance(np.zeros((4000, 1)), trial[:, None], slide[:, None])
+    np.testing.assert_allclose(phi[:, 0], np.sin((low + high) / 2), atol=1e-12)
+
+
 def test_every_start_stays_between_the_corners_and_below_the_load_left() -> None:
     rng = np.random.default_rng(3)
     for _ in range(6):

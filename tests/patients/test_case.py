@@ -21,7 +21,7 @@ from ctrplan.errors import InputError, NoAnswerError
 from ctrplan.patients.case import Case, case
 from ctrplan.patients.work import BASES, PLACED, SCENARIO, read_bases
 from ctrplan.planning import place as screening
-from ctrplan.reports import plan_page
+from ctrplan.reports import plan_page, plan_picture
 from ctrplan.storage.toml_document import read_document
 
 TARGET = phantom.ENTRY + phantoms.OBLIQUE @ (33.4, -25.7, 166.3)  # near where the robot begins
@@ -35,8 +35,8 @@ def coarse() -> Any:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(screening, "SAMPLES", 1500)
         patch.setattr(clearance_grid, "MAX_DEFAULT_NODES", 5e4)
-        for page in ("write_plan_png", "write_plan_report"):
-            patch.setattr(plan_page, page, lambda path, _: path.write_text("a page"))
+        for module, page in ((plan_picture, "write_plan_png"), (plan_page, "write_plan_report")):
+            patch.setattr(module, page, lambda path, _: path.write_text("a page"))
         yield
 
 

@@ -9,11 +9,23 @@ import os
 import shlex
 import signal
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
-from arriving_pair import GOAL, PATH, SHORT, START, TURNED_LAST, arrival, certified, pair, plain_arrival
+from arriving_pair import (
+    GOAL,
+    PATH,
+    SHORT,
+    START,
+    TURNED_LAST,
+    arrival,
+    arrival_of,
+    certified,
+    pair,
+    plain_arrival,
+)
 from made_up_input import FUZZ
 from places import SCENARIOS
 
@@ -21,7 +33,7 @@ import ctrplan
 from ctrplan.__main__ import main
 from ctrplan.certificate import arrival as arrivals
 from ctrplan.certificate.arrival import friction_variants
-from ctrplan.certificate.certificate import joined_certificates
+from ctrplan.certificate.certificate import Certificate, joined_certificates
 from ctrplan.certificate.certify import certify
 from ctrplan.certificate.other_equilibria import _windings, other_start
 from ctrplan.commands import plan as plan_command
@@ -34,7 +46,7 @@ from ctrplan.mechanics.friction import FrictionLaw
 from ctrplan.mechanics.history import HistoryOptions
 from ctrplan.motion.checker import MotionChecker
 from ctrplan.planning.compensate import compensate
-from ctrplan.planning.endings import erase
+from ctrplan.planning.endings import Settled, erase
 from ctrplan.scenario.prediction import TIP_TOLERANCE_M, ball_centre, predict, predict_end, start_states, step_error
 from ctrplan.scenario.scenario import CostTerm, Registration
 
@@ -122,7 +134,8 @@ def test_execution_counts_by_the_drives_tolerance() -> None:
 
 def test_coefficients_anywhere_in_their_interval_arrive_inside() -> None:
     case = pair("robot.contact.1.friction_coefficient=[0.1, 0.3]")
-    found, exact = arrival(case, TURNED_LAST), plain_arrival(TURNED_LAST)
+    certificate, exact = certify(case, TURNED_LAST), plain_arrival(TURNED_LAST)
+    found = arrival_of(certificate)
     assert len(friction_variants(case.robot)) == 3 and not friction_variants(pair().robot)
     assert found.by_cause.coefficients_m > 1e-3 and exact.by_cause.coefficients_m == 0
     rng = np.random.default_rng(3)
@@ -131,14 +144,20 @@ def test_coefficients_anywhere_in_their_interval_arrive_inside() -> None:
         tip = predict(replace(case.robot, contacts=(contact,)), TURNED_LAST, ["released"]).tip_m[0, -1]
         away = np.linalg.norm(case.base_R @ tip + case.base_position_m - case.goal.tip_m)
         assert away <= found.error_m
-    middle = compensate(MotionChecker(case), TURNED_LAST, certify(case, TURNED_LAST)).certificate.arrival
+    middle = compensate(MotionChecker(case), TURNED_LAST, certificate).certificate.arrival
     assert middle is not None and middle.by_cause.offset_m < 0.1e-3 and middle.error_m < 0.75 * found.error_m
 
 
-def test_an_ending_erases_what_the_path_does_not() -> None:
+@cache
+def short_ended() -> tuple[Certificate, Settled]:
+    """A turn too short to erase anything, certified, and with an ending that does; nobody changes them."""
     case = replace(pair(), start=SHORT[0])
     before = certify(case, SHORT)
-    ended = erase(MotionChecker(case), SHORT, before)
+    return before, erase(MotionChecker(case), SHORT, before)
+
+
+def test_an_ending_erases_what_the_path_does_not() -> None:
+    before, ended = short_ended()
     assert before.arrival is not None and ended.certificate.arrival is not None
     assert ended.certificate.valid and ended.certificate.arrival.spread_m < 1e-5 < before.arrival.spread_m
     np.testing.assert_allclose(ended.corners[-1], SHORT[-1], atol=1e-12)
@@ -150,7 +169,7 @@ def test_an_ending_erases_what_the_path_does_not() -> None:
 def test_endings_heed_terms_of_the_cost() -> None:
     """A term that is dear where the cheapest ending goes leads to another one."""
     case = replace(pair(), start=SHORT[0])
-    usual = erase(MotionChecker(case), SHORT, certify(case, SHORT)).corners
+    usual = short_ended()[1].corners
     turned = usual[len(SHORT)] - SHORT[-1]  # where the first leg of the ending leads
 
     def beyond(states: np.ndarray) -> np.ndarray:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from arriving_pair import GOAL, PATH, START, pair
+from arriving_pair import GOAL, PATH, START, certified, pair
 from made_up_input import FUZZ
 from places import ROBOTS, SCENARIOS
 
@@ -120,5 +120,5 @@ def test_what_joints_limits_leave_of_the_offset_is_said() -> None:
     assert found is not None and found.by_cause.offset_m > TIP_TOLERANCE_M
     assert result.compensation.note.startswith(f"{found.by_cause.offset_m * 1e3:.2f} mm of the known offset: ")
     assert "within the joints' limits" in result.compensation.note
-    free = compensate(MotionChecker(case), turned_last, certify(case, turned_last))
+    free = compensate(MotionChecker(case), turned_last, certified(turned_last))
     assert not free.compensation.note

@@ -90,7 +90,7 @@ def test_the_command_says_what_play_adds(capsys: pytest.CaptureFixture[str]) -> 
 
 def certified(robot: Robot) -> tuple[Scenario, Certificate]:
     scenario = replace(load_scenario(SCENARIOS / "ribs.toml"), robot=robot)
-    turn = np.radians([0.0, 15.0, -20.0, 0.0])
+    turn = np.radians([0.0, 5.0, -7.0, 0.0])
     return scenario, certify(scenario, np.array([scenario.start, scenario.start + turn]), accuracy="certificate")
 
 

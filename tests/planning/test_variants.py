@@ -192,7 +192,7 @@ def test_no_robot_that_the_file_allows_comes_nearer_than_certified(seed: int) ->
 
 def test_what_takes_clearance_is_said_by_cause() -> None:
     """The parts add up from the frictionless robot to the certificate; each takes more where more of it is stated."""
-    start, goal = joints(0, 40, 80, -40), joints(0, 55, 80, -40)
+    start, goal = joints(0, 45, 80, -40), joints(0, 50, 80, -40)
     plain = robot()
     tip = plain.solve(*plain.drive.collars((start + goal) / 2)).tip_m
     ball = ((tip + [3e-3, 9e-3, 2e-3]) * 1e3).tolist(), 3.0
