@@ -8,10 +8,11 @@ Position and tangent have sizes s of their own. Multiplying by (I + s^2 R)^(-1/2
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
 
 from ctrplan.base.arrays import Array
 
@@ -137,16 +138,21 @@ class SizeSums:
     """Sums over one part of the poses' numbers at S sizes of the discrepancy: normal systems and likelihoods."""
 
     size: Array  # (S,)
-    H: Array  # (S, P, P)
     g: Array  # (S, P)
     likelihood: Array  # (S,) twice the log-likelihood at the priors' centres, up to a constant
+    along: Array  # (N, P) derivatives along the eigenvectors whose weights the sizes change apart
+    root: Array  # (S, N) roots of these weights
+    alike: Array  # (P, P) of all others
+    weight: Array  # (S,) theirs
+    _known: dict[int, Array] = field(default_factory=dict)
 
     @classmethod
     def over(cls, fit: Linearised, blocks: Sequence[Numbered], sizes: Array) -> SizeSums:
         """The sums of the numbers of some blocks; without blocks there is one size, 0, and no sum."""
         count = len(fit.precision)
         if not blocks:
-            return cls(np.zeros(1), np.zeros((1, count, count)), np.zeros((1, count)), np.zeros(1))
+            none = np.zeros((1, 0)), np.zeros((count, count)), np.zeros(1)
+            return cls(np.zeros(1), np.zeros((1, count)), np.zeros(1), np.zeros((0, count)), *none)
         r, J = fit.r.ravel(), fit.J.reshape(fit.r.size, -1)
         along_r = np.concatenate([(b.vectors.T @ r[numbers]).ravel() for numbers, b in blocks])
         along_J = np.concatenate(
@@ -159,18 +165,22 @@ class SizeSums:
         same, of_same = along_J[alike], along_r[alike]
         weight = 1 / (1 + sizes[:, None] ** 2 * values[~alike])
         of_all = 1 / (1 + sizes**2 * usual)
-        weighted = (weight[:, :, None] * flat).transpose(0, 2, 1)
         return cls(
             sizes,
-            weighted @ flat + of_all[:, None, None] * (same.T @ same),
-            weighted @ y + of_all[:, None] * (same.T @ of_same),
+            (weight * y) @ flat + of_all[:, None] * (of_same @ same),
             np.log(weight).sum(axis=1) - weight @ y**2 + len(of_same) * np.log(of_all) - of_all * (of_same @ of_same),
+            flat,
+            np.sqrt(weight),
+            same.T @ same,
+            of_all,
         )
 
-    def of(self, columns: Sequence[int]) -> SizeSums:
-        """The sums of some of the parameters."""
-        kept = np.array(columns, dtype=np.int_)
-        return SizeSums(self.size, self.H[:, kept[:, None], kept], self.g[:, kept], self.likelihood)
+    def H(self, number: int) -> Array:
+        """(P, P) the normal matrix at a size."""
+        if number not in self._known:
+            weighted = self.root[number][:, None] * self.along
+            self._known[number] = weighted.T @ weighted + self.weight[number] * self.alike
+        return self._known[number]
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,6 +190,9 @@ class Spectrum:
     precision: Array  # (P,) of the parameters' priors
     position: SizeSums
     tangent: SizeSums
+    columns: NDArray[np.int_]  # (P,) where the parameters are in the sums
+    modes: int = 0  # last parameters of the sums, of unit priors: the amounts of a process, over which is integrated
+    _integrated: dict[tuple[int, int], tuple[Array, Array, float]] = field(default_factory=dict)
 
     @classmethod
     def at(cls, fit: Linearised, blocks: Sequence[Block]) -> Spectrum:
@@ -195,13 +208,21 @@ class Spectrum:
         position: Sequence[Numbered],
         tangent: Sequence[Numbered],
         sizes: tuple[Array, Array] = (SIZES, SIZES),
+        modes: int = 0,
     ) -> Spectrum:
-        """The linearised fit whose positions and tangents have blocks of their own; sizes: those required, of each."""
-        return cls(fit.precision, SizeSums.over(fit, position, sizes[0]), SizeSums.over(fit, tangent, sizes[1]))
+        """The linearised fit whose positions and tangents have blocks of their own; sizes: those required, of each.
 
-    def of(self, columns: Sequence[int]) -> Spectrum:
-        """The linearised fit in some of the parameters, the others being where they do nothing."""
-        return Spectrum(self.precision[columns], self.position.of(columns), self.tangent.of(columns))
+        modes: how many of the last parameters are the amounts of a process.
+        """
+        sums = SizeSums.over(fit, position, sizes[0]), SizeSums.over(fit, tangent, sizes[1])
+        own = len(fit.precision) - modes
+        return cls(fit.precision[:own], *sums, np.arange(own), modes)
+
+    def of(self, columns: Sequence[int], precision: Array | None = None) -> Spectrum:
+        """The linearised fit in some of the parameters, the others being where they do nothing; with other priors."""
+        kept = np.array(columns, dtype=np.int_)
+        priors = self.precision[kept] if precision is None else precision
+        return replace(self, precision=priors, columns=self.columns[kept])
 
     def highest(self) -> tuple[float, float, float]:
         """The highest evidence, and the sizes of position and tangent that it has: one by one, until both stay.
@@ -225,23 +246,49 @@ class Spectrum:
     @property
     def without_error(self) -> float:
         """Twice the logarithm of the evidence beside noise alone, up to a constant."""
-        return float(self.evidences(slice(0, 1), 0)[0])
+        return float(self.evidences(0, 0))
 
     def evidences(self, position: Chosen, tangent: Chosen) -> Array:
-        """(S,) twice their logarithms, up to a constant, at numbers of the sizes; one of each is a single number.
+        """(S,) twice their logarithms, up to a constant, at numbers of the sizes; one of each is a single number."""
+        numbers = np.arange(len(self.position.size))[position], np.arange(len(self.tangent.size))[tangent]
+        pairs = np.broadcast(*numbers)
+        systems, kept = [self._system(int(p), int(t)) for p, t in pairs], self.columns
+        H, g = np.array([H[kept[:, None], kept] for H, _, _ in systems]), np.array([g[kept] for _, g, _ in systems])
+        evidences = np.array([likelihood for *_, likelihood in systems]) + integral(H, g, self.precision)
+        return evidences.reshape(pairs.shape)
 
-        g^T H^-1 g is what the last pivot lacks of the corner of [H, g; g^T, corner].
+    def _system(self, position: int, tangent: int) -> tuple[Array, Array, float]:
+        """The normal system and twice the log-likelihood at a pair of sizes, the process integrated out.
+
+        That has taken what it explains out of the system of all others, whichever of them are asked.
         """
-        first, second, scale = self.position, self.tangent, 1 / np.sqrt(self.precision)
-        H = (first.H[position] + second.H[tangent]) * np.outer(scale, scale) + np.eye(len(scale))
-        g = (first.g[position] + second.g[tangent]) * scale
-        corner = 1.0 + (g**2).sum(axis=-1)  # H is no smaller than 1
-        whole = np.concatenate([H, g[..., None, :]], axis=-2)
-        column = np.concatenate([g, corner[..., None]], axis=-1)
-        pivots = np.diagonal(
-            np.linalg.cholesky(np.concatenate([whole, column[..., None]], axis=-1)), axis1=-2, axis2=-1
-        )
-        fitted = corner - pivots[..., -1] ** 2
-        volume = np.log(pivots[..., :-1]).sum(axis=-1)
-        evidences: Array = first.likelihood[position] + second.likelihood[tangent] + fitted - 2 * volume
-        return evidences
+        first, second, m = self.position, self.tangent, self.modes
+        pair = position, tangent
+        if pair not in self._integrated:
+            H, g = first.H(position) + second.H(tangent), first.g[position] + second.g[tangent]
+            likelihood = float(first.likelihood[position] + second.likelihood[tangent])
+            if m:
+                factor = np.linalg.cholesky(H[-m:, -m:] + np.eye(m))
+                seen = solve_triangular(factor, np.column_stack([H[-m:, :-m], g[-m:]]), lower=True, check_finite=False)
+                taken = seen.T @ seen
+                H, g = H[:-m, :-m] - taken[:-1, :-1], g[:-m] - taken[:-1, -1]
+                likelihood += float(taken[-1, -1] - 2 * np.log(np.diag(factor)).sum())
+            self._integrated[pair] = H, g, likelihood
+        return self._integrated[pair]
+
+
+def integral(H: Array, g: Array, precision: Array) -> Array:
+    """(...) what parameters with normal systems (..., P, P), (..., P) and priors (P,) add to twice the logarithm.
+
+    With g below H in one matrix, the last row of its factor squares to g^T (H + prior)^-1 g. The corner is larger than
+    that, for H over the priors is no smaller than 1.
+    """
+    scale, count = 1 / np.sqrt(precision), len(precision)
+    whole = np.empty((*H.shape[:-2], count + 1, count + 1))
+    whole[..., :-1, :-1] = H * np.outer(scale, scale) + np.eye(count)
+    whole[..., -1, :-1] = whole[..., :-1, -1] = g * scale
+    whole[..., -1, -1] = 2 * (1.0 + (whole[..., -1, :-1] ** 2).sum(axis=-1))
+    factor = np.linalg.cholesky(whole)
+    pivots = np.diagonal(factor, axis1=-2, axis2=-1)[..., :-1]
+    added: Array = (factor[..., -1, :-1] ** 2).sum(axis=-1) - 2 * np.log(pivots).sum(axis=-1)
+    return added

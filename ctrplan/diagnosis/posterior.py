@@ -26,7 +26,7 @@ from itertools import combinations
 import numpy as np
 from scipy.special import logsumexp
 
-from ctrplan.calibration.discrepancy import Linearised
+from ctrplan.calibration.discrepancy import Linearised, Spectrum
 from ctrplan.calibration.least_squares import Fit
 from ctrplan.calibration.residuals import Noise
 from ctrplan.diagnosis.correlated_bench import FRAMES
@@ -34,7 +34,7 @@ from ctrplan.diagnosis.linear_fit import STATED, Linear, Width, widths_of
 from ctrplan.diagnosis.term_pieces import is_built, pieces
 from ctrplan.diagnosis.unknown_errors import Peak, UnknownErrors, without_error
 from ctrplan.diagnosis.verdict import ACTS, UNKNOWN_ACTS, Posterior, log_odds, normalised
-from ctrplan.diagnosis.workbench import Candidates, Scored, Workbench, linear
+from ctrplan.diagnosis.workbench import Candidates, Linearisation, Scored, Workbench, linear
 from ctrplan.pipeline.term import Term
 
 MOST_EFFECTS = 4  # of a set
@@ -290,7 +290,7 @@ class _Comparison:
         others = [t for t in self.known.beside(here.terms) if t.name not in {*mine.names, *here.names}]
         if not others:
             return
-        of_peak = mine.peak.evidence(self.as_fitted(here))
+        of_peak, wide = mine.peak.evidence(self.as_fitted(here)), dict[Linearisation, Spectrum]()
         for screened in self.bench.screened(here, others, self.known.completed):
             terms = self.known.completed(here.terms, screened.term)
             added = [t for t in terms if t.name not in here.names]
@@ -299,7 +299,13 @@ class _Comparison:
             fit = self._linearised(screened.linear, self.bench.noise, screened.owners, widths)
             cost = self._cost(names, widths) + self.of_piece * sum(map(is_built, here.terms))
             alone = -np.inf if np.isneginf(mine.alone) else without_error(fit) - cost
-            beside = mine.beside + mine.cost + mine.peak.evidence(fit) - of_peak - cost
+            if (panel := screened.panel) is None:
+                of_fit = mine.peak.evidence(fit)
+            else:  # what all variants have in common is worked out once
+                if panel not in wide:
+                    wide[panel] = mine.peak.beside(panel.whole.centred(self.bench.noise, self.root))
+                of_fit = wide[panel].of(screened.places, fit.precision).highest()[0] / 2
+            beside = mine.beside + mine.cost + of_fit - of_peak - cost
             yield added, _Set(names, cost, alone, beside, mine.peak)
 
     def by_names(self) -> dict[frozenset[str], tuple[float, float]]:

@@ -24,6 +24,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import product
 from typing import Literal
 
@@ -94,9 +95,9 @@ class SmoothError:
     position: tuple[Numbered, ...]
     tangent: tuple[Numbered, ...]
 
-    def spectrum(self, fit: Linearised) -> Spectrum:
-        """The spectrum of a fit of these poses beside the error, at every size."""
-        return Spectrum.apart(fit, self.position, self.tangent)
+    def spectrum(self, fit: Linearised, modes: int = 0) -> Spectrum:
+        """The spectrum of a fit of these poses beside the error, at every size; its last `modes` are of a process."""
+        return Spectrum.apart(fit, self.position, self.tangent, modes=modes)
 
     def at(self, fit: Linearised, position: float, tangent: float) -> Spectrum:
         """The fit beside the error at one size of each, over the noise."""
@@ -198,9 +199,13 @@ class Peak:
 
     def evidence(self, fit: Linearised) -> float:
         """Logarithm of the evidence beside an error of this kind, of the sizes that are most probable there."""
-        if self.process is not None:
-            fit = _with_process(fit, self.process)
-        return self.error.spectrum(fit).highest()[0] / 2
+        return self.beside(fit).highest()[0] / 2
+
+    def beside(self, fit: Linearised) -> Spectrum:
+        """A fit beside errors of this kind, of every size, and beside the process."""
+        if self.process is None:
+            return self.error.spectrum(fit)
+        return self.error.spectrum(_with_process(fit, self.process), self.process.shape[1])
 
     def around(self, fit: Linearised) -> Spectrum:
         """The fit beside this error at sizes within a factor of three of its own."""
@@ -213,11 +218,20 @@ class Peak:
     def over_covariance(self, values: Array) -> Array:
         """(5 K, ...) numbers of a fit over the covariance of noise and smooth error."""
         new = np.array(values)
-        for numbered, size in ((self.error.position, self.position), (self.error.tangent, self.tangent)):
-            for numbers, block in numbered if size else ():
-                inverse = (block.vectors / (1 + size**2 * block.values)) @ block.vectors.T
-                new[numbers] = np.tensordot(inverse, values[numbers], axes=1)
+        for numbers, inverse in self._inverses:
+            new[numbers] = np.tensordot(inverse, values[numbers], axes=1)
         return new
+
+    @cached_property
+    def _inverses(self) -> list[tuple[NDArray[np.int_], Array]]:
+        """Numbers of a fit that go together, and the inverse of their covariance."""
+        sized = ((self.error.position, self.position), (self.error.tangent, self.tangent))
+        return [
+            (numbers, (block.vectors / (1 + size**2 * block.values)) @ block.vectors.T)
+            for numbered, size in sized
+            if size
+            for numbers, block in numbered
+        ]
 
 
 def _with_process(fit: Linearised, modes: Array) -> Linearised:
