@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -138,49 +139,58 @@ class SizeSums:
     """Sums over one part of the poses' numbers at S sizes of the discrepancy: normal systems and likelihoods."""
 
     size: Array  # (S,)
+    along: Array  # (N, P) derivatives along the eigenvectors whose weights the sizes change apart
+    weight: Array  # (S, N) these weights
+    same: Array  # (M, P) along all others
+    of_all: Array  # (S,) their weight
+    alike: NDArray[np.bool_]  # (N + M,) which these are
     g: Array  # (S, P)
     likelihood: Array  # (S,) twice the log-likelihood at the priors' centres, up to a constant
-    along: Array  # (N, P) derivatives along the eigenvectors whose weights the sizes change apart
-    root: Array  # (S, N) roots of these weights
-    alike: Array  # (P, P) of all others
-    weight: Array  # (S,) theirs
     _known: dict[int, Array] = field(default_factory=dict)
 
     @classmethod
     def over(cls, fit: Linearised, blocks: Sequence[Numbered], sizes: Array) -> SizeSums:
         """The sums of the numbers of some blocks; without blocks there is one size, 0, and no sum."""
-        count = len(fit.precision)
         if not blocks:
-            none = np.zeros((1, 0)), np.zeros((count, count)), np.zeros(1)
-            return cls(np.zeros(1), np.zeros((1, count)), np.zeros(1), np.zeros((0, count)), *none)
-        r, J = fit.r.ravel(), fit.J.reshape(fit.r.size, -1)
-        along_r = np.concatenate([(b.vectors.T @ r[numbers]).ravel() for numbers, b in blocks])
-        along_J = np.concatenate(
-            [np.tensordot(b.vectors.T, J[numbers], axes=1).reshape(-1, count) for numbers, b in blocks]
-        )
-        values = np.concatenate([np.repeat(b.values, numbers.shape[1]) for numbers, b in blocks])
-        usual = np.median(values)
+            sizes = np.zeros(1)
+        J = _along(fit.J.reshape(fit.r.size, -1), blocks)
+        values = np.concatenate([np.zeros(0), *(np.repeat(b.values, numbers.shape[1]) for numbers, b in blocks)])
+        usual = np.median(values) if len(values) else 0.0
         alike = np.isclose(values, usual, rtol=0, atol=1e-9)  # approaches of one configuration, among them
-        flat, y = along_J[~alike], along_r[~alike]
-        same, of_same = along_J[alike], along_r[alike]
-        weight = 1 / (1 + sizes[:, None] ** 2 * values[~alike])
-        of_all = 1 / (1 + sizes**2 * usual)
-        return cls(
-            sizes,
-            (weight * y) @ flat + of_all[:, None] * (of_same @ same),
-            np.log(weight).sum(axis=1) - weight @ y**2 + len(of_same) * np.log(of_all) - of_all * (of_same @ of_same),
-            flat,
-            np.sqrt(weight),
-            same.T @ same,
-            of_all,
+        weight, of_all = 1 / (1 + sizes[:, None] ** 2 * values[~alike]), 1 / (1 + sizes**2 * usual)
+        none = np.zeros((len(sizes), J.shape[1])), np.zeros(len(sizes))
+        return cls(sizes, J[~alike], weight, J[alike], of_all, alike, *none).of_residuals(fit.r, blocks)
+
+    def of_residuals(self, r: Array, blocks: Sequence[Numbered]) -> SizeSums:
+        """The sums with other residuals (K, 5) of the same numbers."""
+        along_r = _along(r.reshape(-1, 1), blocks)[:, 0]
+        y, of_same, of_all = along_r[~self.alike], along_r[self.alike], self.of_all
+        volume = np.log(self.weight).sum(axis=1) + len(of_same) * np.log(of_all)
+        return replace(
+            self,
+            g=(self.weight * y) @ self.along + of_all[:, None] * (of_same @ self.same),
+            likelihood=volume - self.weight @ y**2 - of_all * (of_same @ of_same),
         )
 
     def H(self, number: int) -> Array:
         """(P, P) the normal matrix at a size."""
         if number not in self._known:
-            weighted = self.root[number][:, None] * self.along
-            self._known[number] = weighted.T @ weighted + self.weight[number] * self.alike
+            weighted = np.sqrt(self.weight[number])[:, None] * self.along
+            self._known[number] = weighted.T @ weighted + self.of_all[number] * self._of_same
         return self._known[number]
+
+    @cached_property
+    def _of_same(self) -> Array:
+        """(P, P) the normal matrix of what all sizes weigh alike."""
+        squares: Array = self.same.T @ self.same
+        return squares
+
+
+def _along(values: Array, blocks: Sequence[Numbered]) -> Array:
+    """(N, ...) the numbers (5 K, ...) of some blocks along their eigenvectors."""
+    count = values.shape[1]
+    parts = (np.tensordot(b.vectors.T, values[numbers], axes=1).reshape(-1, count) for numbers, b in blocks)
+    return np.concatenate([np.zeros((0, count)), *parts])
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,6 +233,11 @@ class Spectrum:
         kept = np.array(columns, dtype=np.int_)
         priors = self.precision[kept] if precision is None else precision
         return replace(self, precision=priors, columns=self.columns[kept])
+
+    def of_residuals(self, r: Array, position: Sequence[Numbered], tangent: Sequence[Numbered]) -> Spectrum:
+        """The spectrum of a fit with other residuals (K, 5), whose numbers have the same blocks."""
+        sums = self.position.of_residuals(r, position), self.tangent.of_residuals(r, tangent)
+        return replace(self, position=sums[0], tangent=sums[1], _integrated={})
 
     def highest(self) -> tuple[float, float, float]:
         """The highest evidence, and the sizes of position and tangent that it has: one by one, until both stay.

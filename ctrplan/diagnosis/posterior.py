@@ -19,7 +19,7 @@ What something unknown may be, `unknown_errors.py` has.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -186,11 +186,14 @@ class _Comparison:
         terms, (widths, owners) = self._named(scored), self._of_fit(scored)
         built = [t for t in scored.terms if is_built(t)]
         of_built = len(built) * self.of_piece
+        whole = self._linearised(linear(scored.fit), scored.fit.noise, owners, widths)
+        spectra = self.errors.spectra(whole)
         for gone in self._frames(scored):
             names = frozenset(t.name for t in terms) - gone
             cost = self._cost(names, widths) + of_built
-            fit = self._linearised(linear(scored.fit), scored.fit.noise, owners, widths, gone)
-            beside, peak = self.errors.evidence(fit)
+            kept = [k for k, name in enumerate(owners) if name not in gone]
+            fit = Linearised(whole.r, whole.J[:, :, kept], whole.precision[kept])
+            beside, peak = self.errors.evidence(fit, [spectrum.of(kept) for spectrum in spectra])
             alone = -np.inf if built else without_error(fit) - cost
             result = _Set(names, cost, alone, beside - cost, peak)
             _note(self._evidence, [t for t in terms if t.name not in gone], result)
@@ -337,12 +340,10 @@ class _Comparison:
         noise: Noise,
         owners: Sequence[str],
         widths: Mapping[str, Width],
-        without: Collection[str] = (),
     ) -> Linearised:
-        """Residuals at the priors' centres over the noise alone, as poses count; without some effects' parameters."""
+        """Residuals at the priors' centres over the noise alone, as poses count."""
         precision = fit.precision / np.square([widths.get(name, STATED).over_stated for name in owners])
-        kept, centred = [k for k, name in enumerate(owners) if name not in without], fit.centred(noise, self.root)
-        return Linearised(centred.r, centred.J[:, :, kept], precision[kept])
+        return replace(fit.centred(noise, self.root), precision=precision)
 
     def _cost(self, names: Iterable[str], widths: Mapping[str, Width]) -> float:
         """Logarithm of what the choice of one variant of each effect and of its width cost."""

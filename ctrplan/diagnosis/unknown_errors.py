@@ -265,15 +265,20 @@ class UnknownErrors:
         processes = list(_processes(bench, base, counts)) if with_stages else []
         self.inputs = [name for name, _ in processes]  # of each process
         self.processes = [modes for _, modes in processes]
-        self._known: dict[object, list[tuple[Array, Array]]] = {}  # processes apart from each other, by peak
+        self._known: dict[object, list[tuple[Array, Array | None]]] = {}  # processes apart from each other, by peak
 
-    def evidence(self, fit: Linearised) -> tuple[float, Peak]:
+    def spectra(self, fit: Linearised) -> list[Spectrum]:
+        """A fit beside every smooth error, of every size; whoever asks for some of its parameters shares their sums."""
+        return [error.spectrum(fit) for error in self.smooth]
+
+    def evidence(self, fit: Linearised, spectra: Sequence[Spectrum] | None = None) -> tuple[float, Peak]:
         """Logarithm of the evidence averaged over kinds and sizes of errors, and the most probable one.
 
         An error of tips, one of a stage, and both are as probable a priori. Both are sought from either side: the
         process beside the most probable smooth error, and the smooth error beside the most probable process.
         """
-        smooth, peak = self._of_tips(fit)
+        spectra = self.spectra(fit) if spectra is None else spectra
+        smooth, peak, _ = self._of_tips(spectra)
         if not self.processes:
             return smooth, peak
         gains = self._gains(fit)
@@ -281,31 +286,36 @@ class UnknownErrors:
         beside = self._gains(fit, peak)
         both = smooth + float(_averaged(beside.ravel(), axis=0))
         k, s = np.unravel_index(int(gains.argmax()), gains.shape)
-        other, there = self._beside(_leading(SIZES[s] * self.processes[k]), fit)
+        other, there = self._beside(_leading(SIZES[s] * self.processes[k]), fit, spectra)
         other += float(_averaged(gains.ravel(), axis=0)) - float(gains.max())
         peaks = [(smooth, peak), (both, peak), (other, there)]
         best = max(peaks, key=lambda pair: pair[0])[1]
         return float(logsumexp([smooth, alone, max(both, other)]) - np.log(3)), best
 
-    def _of_tips(self, fit: Linearised) -> tuple[float, Peak]:
-        """Logarithm of the evidence averaged over smooth errors, and the most probable one."""
-        averaged = [_over_sizes(error, fit) for error in self.smooth]
-        values = np.array([value for value, _ in averaged])
-        return float(_averaged(values, axis=0)), averaged[int(values.argmax())][1]
+    def _of_tips(self, spectra: Sequence[Spectrum]) -> tuple[float, Peak, float]:
+        """Logarithm of the evidence averaged over smooth errors, and the most probable one with the logarithm of its
+        own, at its peak.
+        """
+        averaged = [_over_sizes(*pair) for pair in zip(self.smooth, spectra, strict=True)]
+        values = np.array([value for value, *_ in averaged])
+        return float(_averaged(values, axis=0)), *averaged[int(values.argmax())][1:]
 
-    def _beside(self, modes: Array, fit: Linearised) -> tuple[float, Peak]:
+    def _beside(self, modes: Array, fit: Linearised, spectra: Sequence[Spectrum]) -> tuple[float, Peak]:
         """Log evidence and peak beside a process (5 K, m), for the likeliest kind of error in what its mean leaves."""
         wide = _with_process(fit, modes)
         J = wide.J.reshape(fit.r.size, -1)
         mean = np.linalg.solve(J.T @ J + np.diag(wide.precision), J.T @ fit.r.ravel())[len(fit.precision) :]
-        rest = replace(fit, r=(fit.r.ravel() - modes @ mean).reshape(fit.r.shape))
-        averaged, near = self._of_tips(rest)
+        r = (fit.r.ravel() - modes @ mean).reshape(fit.r.shape)
+        of_errors = zip(self.smooth, spectra, strict=True)
+        rest = [spectrum.of_residuals(r, error.position, error.tangent) for error, spectrum in of_errors]
+        averaged, near, own = self._of_tips(rest)
         highest, position, tangent = near.around(wide).highest()
-        return highest / 2 + averaged - near.evidence(rest), Peak(near.error, position, tangent, modes)
+        return highest / 2 + averaged - own, Peak(near.error, position, tangent, modes)
 
     def along(self, fit: Linearised) -> dict[str, float]:
         """How probable it is that an unknown error goes along with each input, if it is one of tips or of a stage."""
-        smooth = [_over_sizes(error, fit)[0] - np.log(len(self.smooth)) for error in self.smooth]
+        of_errors = zip(self.smooth, self.spectra(fit), strict=True)
+        smooth = [_over_sizes(*pair)[0] - np.log(len(self.smooth)) for pair in of_errors]
         of_size = self._gains(fit)
         gains = _averaged(of_size, axis=1) - np.log(len(self.inputs) or 1) if len(of_size) else np.zeros(0)
         weights = np.array([*smooth, *(without_error(fit) + gains)])
@@ -320,20 +330,25 @@ class UnknownErrors:
         whole, gains = own.T @ over, list[Array]()
         square = SIZES[:, None] ** 2
         for B, (values, vectors) in zip(self.processes, self._apart(peak), strict=True):
-            along, spread = vectors.T @ (B.T @ over), np.log1p(square * values).sum(axis=1)
+            along, spread = B.T @ over, np.log1p(square * values).sum(axis=1)
+            along = along if vectors is None else vectors.T @ along
             taken = (along.T * (square / (1 + square * values))[:, None]) @ along
             gains.append(_marginal(whole - taken) - spread / 2)
         of_sizes = np.array(gains).reshape(-1, len(SIZES))
         return of_sizes - of_sizes[:, :1]  # of size zero there is no process
 
-    def _apart(self, peak: Peak | None) -> list[tuple[Array, Array]]:
-        """Eigenvalues (m,) and vectors (m, m) of every process over the noise, and over the smooth error of a peak."""
-        key = peak and (peak.error, peak.position, peak.tangent)
+    def _apart(self, peak: Peak | None) -> list[tuple[Array, Array | None]]:
+        """Eigenvalues (m,) and vectors (m, m) of every process over the noise and the smooth error of a peak.
+
+        Beside noise alone modes are their own.
+        """
+        if peak is None:
+            return [((B**2).sum(axis=0), None) for B in self.processes]
+        key = peak.error, peak.position, peak.tangent
         if key not in self._known:
-            over = ((B, peak.over_covariance(B) if peak else B) for B in self.processes)
-            squares = [np.linalg.eigh(B.T @ weighed) for B, weighed in over]
-            if len(self._known) > RECENT:  # the oldest peak makes room; without one they are always kept
-                del self._known[next(filter(None, self._known))]
+            squares = [np.linalg.eigh(B.T @ peak.over_covariance(B)) for B in self.processes]
+            if len(self._known) >= RECENT:
+                del self._known[next(iter(self._known))]  # the oldest
             self._known[key] = [(np.maximum(values, 0.0), vectors) for values, vectors in squares]
         return self._known[key]
 
@@ -364,21 +379,21 @@ def _averaged(logarithms: Array, axis: int) -> Array:
 
 
 def _leading(modes: Array) -> Array:
-    """(5 K, m) the modes of a process that are more than a part of the noise, apart from each other."""
-    values, vectors = np.linalg.eigh(modes.T @ modes)
-    leading: Array = modes @ vectors[:, values > LEAST_MODE]
+    """(5 K, m) the modes of a process, apart from each other, that are more than a part of the noise."""
+    leading: Array = modes[:, (modes**2).sum(axis=0) > LEAST_MODE]
     return leading
 
 
-def _over_sizes(error: SmoothError, fit: Linearised) -> tuple[float, Peak]:
-    """Logarithm of the evidence averaged over sizes, as if those of position and tangent were apart; and its peak."""
-    spectrum = error.spectrum(fit)
+def _over_sizes(error: SmoothError, spectrum: Spectrum) -> tuple[float, Peak, float]:
+    """Logarithm of the evidence averaged over sizes, as if those of position and tangent were apart; its peak, and the
+    logarithm of the evidence there.
+    """
     highest, position, tangent = spectrum.highest()
     p = int(np.abs(spectrum.position.size - position).argmin())
     t = int(np.abs(spectrum.tangent.size - tangent).argmin())
     lines = spectrum.evidences(slice(None), t), np.atleast_1d(spectrum.evidences(p, slice(None)))
     spread = sum(float(logsumexp((line - highest) / 2)) - np.log(len(line)) for line in lines)
-    return highest / 2 + spread, Peak(error, position, tangent)
+    return highest / 2 + spread, Peak(error, position, tangent), highest / 2
 
 
 def _smooth(data: Measurements, axes: Array, ends: Sequence[Linearised]) -> list[SmoothError]:
@@ -420,9 +435,10 @@ def _processes(bench: Workbench, base: Scored, counts: Array) -> Iterator[tuple[
 
 
 def _modes_of_one_size(B: Array) -> Array:
-    """(5 K, m) of modes (K, 5, ...), with mean square 1."""
+    """(5 K, m) of modes (K, 5, ...), with mean square 1, turned to where they are apart from each other."""
     flat = B.reshape(B.shape[0] * B.shape[1], -1)
-    modes: Array = flat / np.sqrt((flat**2).sum() / len(flat))
+    flat = flat / np.sqrt((flat**2).sum() / len(flat))
+    modes: Array = flat @ np.linalg.eigh(flat.T @ flat)[1]
     return modes
 
 
