@@ -13,7 +13,6 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
 
 from ctrplan.base.arrays import Array
 
@@ -284,7 +283,7 @@ class Spectrum:
             likelihood = float(first.likelihood[position] + second.likelihood[tangent])
             if m:
                 factor = np.linalg.cholesky(H[-m:, -m:] + np.eye(m))
-                seen = solve_triangular(factor, np.column_stack([H[-m:, :-m], g[-m:]]), lower=True, check_finite=False)
+                seen = np.linalg.solve(factor, np.column_stack([H[-m:, :-m], g[-m:]]))
                 taken = seen.T @ seen
                 H, g = H[:-m, :-m] - taken[:-1, :-1], g[:-m] - taken[:-1, -1]
                 likelihood += float(taken[-1, -1] - 2 * np.log(np.diag(factor)).sum())
