@@ -171,12 +171,16 @@ class SizeSums:
             likelihood=volume - self.weight @ y**2 - of_all * (of_same @ of_same),
         )
 
-    def H(self, number: int) -> Array:
-        """(P, P) the normal matrix at a size."""
-        if number not in self._known:
-            weighted = np.sqrt(self.weight[number])[:, None] * self.along
-            self._known[number] = weighted.T @ weighted + self.of_all[number] * self._of_same
-        return self._known[number]
+    def H(self, numbers: NDArray[np.int_], columns: NDArray[np.int_]) -> Array:
+        """(..., P, P) the normal matrices of some parameters at numbers (...) of the sizes."""
+        for number in numbers.ravel().tolist():
+            if number not in self._known:
+                weighted = np.sqrt(self.weight[number])[:, None] * self.along
+                self._known[number] = weighted.T @ weighted + self.of_all[number] * self._of_same
+        at = columns[:, None], columns
+        return np.array([self._known[k][at] for k in numbers.ravel().tolist()]).reshape(
+            *numbers.shape, *2 * columns.shape
+        )
 
     @cached_property
     def _of_same(self) -> Array:
@@ -192,6 +196,9 @@ def _along(values: Array, blocks: Sequence[Numbered]) -> Array:
     return np.concatenate([np.zeros((0, count)), *parts])
 
 
+System = tuple[Array, Array, Array]  # normal matrices (..., P, P), right sides (..., P), twice the log-likelihoods
+
+
 @dataclass(frozen=True, eq=False)
 class Spectrum:
     """A fit in the eigenvectors of the discrepancy's blocks, where its covariance is diagonal: sums at every size."""
@@ -201,7 +208,7 @@ class Spectrum:
     tangent: SizeSums
     columns: NDArray[np.int_]  # (P,) where the parameters are in the sums
     modes: int = 0  # last parameters of the sums, of unit priors: the amounts of a process, over which is integrated
-    _integrated: dict[tuple[int, int], tuple[Array, Array, float]] = field(default_factory=dict)
+    _known: dict[tuple[int, int], System] = field(default_factory=dict)  # beside the process, by numbers of sizes
 
     @classmethod
     def at(cls, fit: Linearised, blocks: Sequence[Block]) -> Spectrum:
@@ -236,7 +243,7 @@ class Spectrum:
     def of_residuals(self, r: Array, position: Sequence[Numbered], tangent: Sequence[Numbered]) -> Spectrum:
         """The spectrum of a fit with other residuals (K, 5), whose numbers have the same blocks."""
         sums = self.position.of_residuals(r, position), self.tangent.of_residuals(r, tangent)
-        return replace(self, position=sums[0], tangent=sums[1], _integrated={})
+        return replace(self, position=sums[0], tangent=sums[1], _known={})
 
     def highest(self) -> tuple[float, float, float]:
         """The highest evidence, and the sizes of position and tangent that it has: one by one, until both stay.
@@ -264,43 +271,54 @@ class Spectrum:
 
     def evidences(self, position: Chosen, tangent: Chosen) -> Array:
         """(S,) twice their logarithms, up to a constant, at numbers of the sizes; one of each is a single number."""
-        numbers = np.arange(len(self.position.size))[position], np.arange(len(self.tangent.size))[tangent]
-        pairs = np.broadcast(*numbers)
-        systems, kept = [self._system(int(p), int(t)) for p, t in pairs], self.columns
-        H, g = np.array([H[kept[:, None], kept] for H, _, _ in systems]), np.array([g[kept] for _, g, _ in systems])
-        evidences = np.array([likelihood for *_, likelihood in systems]) + integral(H, g, self.precision)
-        return evidences.reshape(pairs.shape)
+        p, t = np.arange(len(self.position.size))[position], np.arange(len(self.tangent.size))[tangent]
+        H, g, likelihood = self._beside_process(p, t) if self.modes else self._systems(p, t, self.columns)
+        evidences: Array = likelihood + integral(H, g, self.precision)
+        return evidences
 
-    def _system(self, position: int, tangent: int) -> tuple[Array, Array, float]:
-        """The normal system and twice the log-likelihood at a pair of sizes, the process integrated out.
+    def _systems(self, position: NDArray[np.int_], tangent: NDArray[np.int_], columns: NDArray[np.int_]) -> System:
+        """Normal systems of some parameters, and twice the log-likelihoods, at numbers of the sizes."""
+        first, second = (self.position, position), (self.tangent, tangent)
+        return (
+            sum(part.H(at, columns) for part, at in (first, second)),
+            sum(part.g[at][..., columns] for part, at in (first, second)),
+            sum(part.likelihood[at] for part, at in (first, second)),
+        )
 
-        That has taken what it explains out of the system of all others, whichever of them are asked.
+    def _beside_process(self, position: NDArray[np.int_], tangent: NDArray[np.int_]) -> System:
+        """The same beside the process, which has taken what it explains out of the system of all other parameters.
+
+        That is done once at a pair of sizes, whichever of the others are asked.
         """
-        first, second, m = self.position, self.tangent, self.modes
-        pair = position, tangent
-        if pair not in self._integrated:
-            H, g = first.H(position) + second.H(tangent), first.g[position] + second.g[tangent]
-            likelihood = float(first.likelihood[position] + second.likelihood[tangent])
-            if m:
+        from scipy.linalg import solve_triangular  # slow to import
+
+        pairs, m = np.broadcast(position, tangent), self.modes
+        for pair in pairs:
+            if pair not in self._known:
+                H, g, likelihood = self._systems(*map(np.array, pair), np.arange(self.position.g.shape[1]))
                 factor = np.linalg.cholesky(H[-m:, -m:] + np.eye(m))
-                seen = np.linalg.solve(factor, np.column_stack([H[-m:, :-m], g[-m:]]))
+                seen = solve_triangular(factor, np.column_stack([H[-m:, :-m], g[-m:]]), lower=True, check_finite=False)
                 taken = seen.T @ seen
-                H, g = H[:-m, :-m] - taken[:-1, :-1], g[:-m] - taken[:-1, -1]
-                likelihood += float(taken[-1, -1] - 2 * np.log(np.diag(factor)).sum())
-            self._integrated[pair] = H, g, likelihood
-        return self._integrated[pair]
+                likelihood = likelihood + taken[-1, -1] - 2 * np.log(np.diag(factor)).sum()
+                self._known[pair] = H[:-m, :-m] - taken[:-1, :-1], g[:-m] - taken[:-1, -1], likelihood
+        pairs.reset()
+        systems, kept = [self._known[pair] for pair in pairs], self.columns
+        H = np.array([H[kept[:, None], kept] for H, _, _ in systems]).reshape(*pairs.shape, *2 * kept.shape)
+        g = np.array([g[kept] for _, g, _ in systems]).reshape(*pairs.shape, -1)
+        return H, g, np.array([likelihood for *_, likelihood in systems]).reshape(pairs.shape)
 
 
-def integral(H: Array, g: Array, precision: Array) -> Array:
+def integral(H: Array, g: Array, precision: Array, least: Array | float = 1.0) -> Array:
     """(...) what parameters with normal systems (..., P, P), (..., P) and priors (P,) add to twice the logarithm.
 
     With g below H in one matrix, the last row of its factor squares to g^T (H + prior)^-1 g. The corner is larger than
-    that, for H over the priors is no smaller than 1.
+    that, for H over the priors is no smaller than 1, or than what `least` (...) rounding leaves it.
     """
     scale, count = 1 / np.sqrt(precision), len(precision)
     whole = np.empty((*H.shape[:-2], count + 1, count + 1))
-    whole[..., :-1, :-1] = H * np.outer(scale, scale) + np.eye(count)
-    whole[..., -1, :-1] = whole[..., :-1, -1] = g * scale
+    whole[..., :-1, :-1] = H * np.outer(scale, scale)
+    whole[..., range(count), range(count)] += np.asarray(least)[..., None]
+    whole[..., -1, :-1] = g * scale
     whole[..., -1, -1] = 2 * (1.0 + (whole[..., -1, :-1] ** 2).sum(axis=-1))
     factor = np.linalg.cholesky(whole)
     pivots = np.diagonal(factor, axis1=-2, axis2=-1)[..., :-1]

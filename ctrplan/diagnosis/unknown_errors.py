@@ -45,6 +45,7 @@ from ctrplan.calibration.discrepancy import (
     Spectrum,
     block_of,
     decay,
+    integral,
     of_configurations,
 )
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
@@ -365,10 +366,7 @@ def _marginal(square: Array) -> Array:
     """
     H, g, of_r = square[..., :-1, :-1], square[..., :-1, -1], square[..., -1, -1]
     least = 1 + 4 * np.finfo(np.float64).eps * np.trace(H, axis1=-2, axis2=-1)
-    factor = np.linalg.cholesky(H + least[..., None, None] * np.eye(H.shape[-1]))
-    z = np.linalg.solve(factor, g[..., None])[..., 0]
-    volume = np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(axis=-1)
-    logarithm: Array = ((z**2).sum(axis=-1) - of_r) / 2 - volume
+    logarithm: Array = (integral(H, g, np.ones(H.shape[-1]), least) - of_r) / 2
     return logarithm
 
 
