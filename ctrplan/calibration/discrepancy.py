@@ -206,7 +206,8 @@ class Spectrum:
     precision: Array  # (P,) of the parameters' priors
     position: SizeSums
     tangent: SizeSums
-    columns: NDArray[np.int_]  # (P,) where the parameters are in the sums
+    columns: NDArray[np.int_]  # (P + M,) where the parameters are in the sums, and others that are moved
+    moved: Array = field(default_factory=lambda: np.zeros(0))  # (M,) by how much
     modes: int = 0  # last parameters of the sums, of unit priors: the amounts of a process, over which is integrated
     _known: dict[tuple[int, int], System] = field(default_factory=dict)  # beside the process, by numbers of sizes
 
@@ -232,13 +233,18 @@ class Spectrum:
         """
         sums = SizeSums.over(fit, position, sizes[0]), SizeSums.over(fit, tangent, sizes[1])
         own = len(fit.precision) - modes
-        return cls(fit.precision[:own], *sums, np.arange(own), modes)
+        return cls(fit.precision[:own], *sums, np.arange(own), modes=modes)
 
-    def of(self, columns: Sequence[int], precision: Array | None = None) -> Spectrum:
-        """The linearised fit in some of the parameters, the others being where they do nothing; with other priors."""
+    def of(self, columns: Sequence[int], precision: Array | None = None, moved: Array | None = None) -> Spectrum:
+        """The linearised fit in some of the parameters, with other priors.
+
+        The others stay where they do nothing, or are moved from there by (P,), which is zero for those of the fit.
+        """
         kept = np.array(columns, dtype=np.int_)
         priors = self.precision[kept] if precision is None else precision
-        return replace(self, precision=priors, columns=self.columns[kept])
+        some = np.flatnonzero(moved) if moved is not None else kept[:0]
+        amount = moved[some] if moved is not None else self.moved
+        return replace(self, precision=priors, columns=self.columns[[*kept, *some]], moved=amount)
 
     def of_residuals(self, r: Array, position: Sequence[Numbered], tangent: Sequence[Numbered]) -> Spectrum:
         """The spectrum of a fit with other residuals (K, 5), whose numbers have the same blocks."""
@@ -273,6 +279,10 @@ class Spectrum:
         """(S,) twice their logarithms, up to a constant, at numbers of the sizes; one of each is a single number."""
         p, t = np.arange(len(self.position.size))[position], np.arange(len(self.tangent.size))[tangent]
         H, g, likelihood = self._beside_process(p, t) if self.modes else self._systems(p, t, self.columns)
+        if count := len(self.moved):  # residuals r become r + J moved
+            of_moved = H[..., -count:] @ self.moved
+            likelihood = likelihood - (2 * g + of_moved)[..., -count:] @ self.moved
+            H, g = H[..., :-count, :-count], (g + of_moved)[..., :-count]
         evidences: Array = likelihood + integral(H, g, self.precision)
         return evidences
 

@@ -307,7 +307,9 @@ class _Comparison:
             else:  # what all variants have in common is worked out once
                 if panel not in wide:
                     wide[panel] = mine.peak.beside(panel.whole.centred(self.bench.noise, self.root))
-                of_fit = wide[panel].of(screened.places, fit.precision).highest()[0] / 2
+                moved = -panel.whole.offset  # others stay where they were linearised
+                moved[screened.places] = 0.0
+                of_fit = wide[panel].of(screened.places, fit.precision, moved).highest()[0] / 2
             beside = mine.beside + mine.cost + of_fit - of_peak - cost
             yield added, _Set(names, cost, alone, beside, mine.peak)
 

@@ -113,15 +113,16 @@ def test_what_sets_have_in_common_is_integrated_out_once() -> None:
         numbers, block = np.arange(r.size).reshape(r.shape), block_of(np.arange(8), shared(8, 0.8))
         error = SmoothError("configuration", ((numbers[:, POSITION], block),), ((numbers[:, TANGENT], block),))
         peak, some = Peak(error, 0.0, 0.0, modes), [4, 0, 3]
+        moved = np.array([0.0, 0.3, 0.0, 0.0, 0.0, -0.2]) / scale
         precision = whole.precision[some] * 10.0 ** rng.uniform(-2, 2, 3)
         alone = Peak(error, 0.0, 0.0).beside(
             Linearised(
-                whole.r,
+                whole.r + whole.J @ moved,
                 np.concatenate([whole.J[:, :, some], modes.reshape(8, 5, 5)], axis=2),
                 np.append(precision, np.ones(5)),
             )
         )
-        together = peak.beside(whole).of(some, precision)
+        together = peak.beside(whole).of(some, precision, moved)
         assert together.highest() == pytest.approx(alone.highest(), rel=1e-9)
         pair = (slice(None, None, 5), 7)
         np.testing.assert_allclose(together.evidences(*pair), alone.evidences(*pair), rtol=1e-8)
