@@ -122,12 +122,15 @@ def _most_probable(
     memories: Array,
     correlation: Callable[[NDArray[np.int_], float], Array],
 ) -> Discrepancy:
-    """The best of all memories and sizes, by the likelihood with the parameters integrated out over their priors."""
+    """The best of all memories and sizes, by the likelihood with the parameters integrated out over their priors.
+
+    An error that is not there has no memory, and the first stands for all: rounding would choose among them.
+    """
     best, highest = None, -np.inf
     for memory in memories.tolist():
         blocks = tuple(block_of(poses, correlation(poses, memory)) for poses in rows)
         value, position, tangent = Spectrum.at(fit, blocks).highest()
-        if value > highest:
+        if best is None or (value > highest and max(position, tangent) > 0):
             best, highest = Discrepancy(position, tangent, memory, blocks), value
     assert best is not None
     return best

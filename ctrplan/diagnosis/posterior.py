@@ -80,7 +80,7 @@ def compared(bench: Workbench, chosen: Scored, known: Candidates, search: bool =
     if search:
         comparison.climb()
         if comparison.best is not chosen:  # poses count as they do in the most probable set
-            likely = {comparison.as_known(base), comparison.as_known(chosen), *comparison.likely}
+            likely = dict.fromkeys([comparison.as_known(base), comparison.as_known(chosen), *comparison.likely])
             comparison = _Comparison(bench, known, base, comparison.best, likely)
     for here in (base, chosen, comparison.best):
         comparison.compare_neighbours(comparison.as_known(here))

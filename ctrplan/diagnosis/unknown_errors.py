@@ -397,11 +397,13 @@ def _over_sizes(error: SmoothError, spectrum: Spectrum) -> tuple[float, Peak, fl
 def _smooth(data: Measurements, axes: Array, ends: Sequence[Linearised]) -> list[SmoothError]:
     """Errors of tips, of poses at rest with as much in common of a configuration's approaches as either set says.
 
-    axes (K, 2, 3) are those about which rotations are the two numbers of a tangent.
+    A set that leaves none says nothing of that. axes (K, 2, 3) are those about which rotations are the two numbers of a
+    tangent.
     """
     if data.is_stream:
         return of_motion(data, axes)
-    shares = sorted({of_configurations(fit, data.configuration).memory for fit in ends})
+    said = [of_configurations(fit, data.configuration) for fit in ends]
+    shares = sorted({rest.memory for rest in said if rest.is_there} or {said[0].memory})
     first, *others = (at_rest(data, share, axes) for share in shares)
     return first + [error for more in others for error in more if error.along != "time"]
 
