@@ -291,11 +291,11 @@ class Spectrum:
 
     def _systems(self, position: NDArray[np.int_], tangent: NDArray[np.int_], columns: NDArray[np.int_]) -> System:
         """Normal systems of some parameters, and twice the log-likelihoods, at numbers of the sizes."""
-        first, second = (self.position, position), (self.tangent, tangent)
+        first, second = self.position, self.tangent
         return (
-            sum(part.H(at, columns) for part, at in (first, second)),
-            sum(part.g[at][..., columns] for part, at in (first, second)),
-            sum(part.likelihood[at] for part, at in (first, second)),
+            first.H(position, columns) + second.H(tangent, columns),
+            first.g[position][..., columns] + second.g[tangent][..., columns],
+            first.likelihood[position] + second.likelihood[tangent],
         )
 
     def _beside_process(self, position: NDArray[np.int_], tangent: NDArray[np.int_]) -> System:
@@ -305,10 +305,10 @@ class Spectrum:
         """
         from scipy.linalg import solve_triangular  # slow to import
 
-        pairs, m = np.broadcast(position, tangent), self.modes
+        pairs, m, every = np.broadcast(position, tangent), self.modes, np.arange(self.position.g.shape[1])
         for pair in pairs:
             if pair not in self._known:
-                H, g, likelihood = self._systems(*map(np.array, pair), np.arange(self.position.g.shape[1]))
+                H, g, likelihood = self._systems(np.array(pair[0]), np.array(pair[1]), every)
                 factor = np.linalg.cholesky(H[-m:, -m:] + np.eye(m))
                 seen = solve_triangular(factor, np.column_stack([H[-m:, :-m], g[-m:]]), lower=True, check_finite=False)
                 taken = seen.T @ seen

@@ -49,10 +49,11 @@ from ctrplan.calibration.discrepancy import (
     of_configurations,
 )
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
+from ctrplan.diagnosis.remainder import LEAST_MODE, LENGTHS, input_distances, kernel_modes, square_distances
 from ctrplan.diagnosis.term_pieces import TermPiece, pieces, wide_linearisation
 from ctrplan.diagnosis.workbench import Scored, Workbench
 from ctrplan.effects.learned.inputs import Target
-from ctrplan.measurement.approach import clock, friction_state, last_directions
+from ctrplan.measurement.approach import clock
 from ctrplan.measurement.measurements import Measurements
 
 IN_WORDS = {
@@ -61,25 +62,11 @@ IN_WORDS = {
     "time": "goes along with the time",
     "history": "goes along with the way poses were reached",
 }
-ROOM_M = 0.05  # of translation, that counts as much as a radian, or as a friction state or direction
-QUARTERS = 4.0  # of the experiment, or of a quantity's range, that count as much as a radian each
-LENGTHS = (0.4, 1.0)  # [rad] over which a process changes: three waves a turn, and one
 SENSOR = Target("sensor")
 RECENT = 8  # peaks beside which processes are remembered, a budget of memory (5 MB each): like sets share theirs
-LEAST_MODE = 0.02  # of the largest: modes of a process that are smaller are left out
 
 
 JOINT_LENGTHS = (0.3, 0.6, 1.0, 1.5, 2.5)  # [rad]; longer ones are what frames and offsets are
-
-
-def square_distances(data: Measurements, poses: Sequence[int]) -> Array:
-    """(B, B) [rad^2] of configurations, each given by a pose: a chord for a rotation, 50 mm count as a radian."""
-    rows = data.rows[list(poses)]
-    theta, l = data.theta_commanded[rows], data.l_commanded[rows]  # noqa: E741
-    turns = np.hstack([theta[:, :1], np.diff(theta, axis=1)])
-    place = np.hstack([np.sin(turns), np.cos(turns), l / ROOM_M])
-    square: Array = ((place[:, None] - place[None]) ** 2).sum(axis=2)
-    return square
 
 
 SMOOTH = (0.7, 1.0)  # share of what configurations differ by that goes along with the joints
@@ -447,24 +434,3 @@ def _since_each_configuration(data: Measurements) -> list[NDArray[np.bool_]]:
     number, first = np.unique(data.configuration, return_index=True)
     later = [] if data.is_stream else sorted(first.tolist())[1:]
     return [np.arange(data.count) >= pose for pose in later]
-
-
-def input_distances(data: Measurements) -> Iterator[tuple[str, Array]]:
-    """Squares (K, K) of distances of poses in the inputs of a process, in radians or what counts as much."""
-    joints, time = square_distances(data, range(data.count)), clock(data)
-    yield "joints", joints
-    history = np.hstack([friction_state(data), last_directions(data)])
-    yield "history", joints + ((history[:, None] - history) ** 2).sum(axis=2)
-    yield "time", (QUARTERS * (time[:, None] - time) / max(float(np.ptp(time)), 1e-9)) ** 2
-    theta, l = data.theta_commanded[data.rows], data.l_commanded[data.rows]  # noqa: E741
-    for i in range(data.n):
-        yield f"theta_{i + 1}", 4 * np.sin((theta[:, i, None] - theta[:, i]) / 2) ** 2
-        yield f"l_{i + 1}", ((l[:, i, None] - l[:, i]) / ROOM_M) ** 2
-
-
-def kernel_modes(square: Array) -> Array:
-    """(K, m) of a process that changes over a radian, or what counts as much."""
-    values, vectors = np.linalg.eigh(np.exp(-square / 2))
-    kept = values > LEAST_MODE * values[-1]
-    modes: Array = vectors[:, kept] * np.sqrt(values[kept])
-    return modes
