@@ -8,7 +8,8 @@ Position and tangent have sizes s of their own. Multiplying by (I + s^2 R)^(-1/2
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -121,12 +122,15 @@ def _most_probable(
     memories: Array,
     correlation: Callable[[NDArray[np.int_], float], Array],
 ) -> Discrepancy:
-    """The best of all memories and sizes, by the likelihood with the parameters integrated out over their priors."""
+    """The best of all memories and sizes, by the likelihood with the parameters integrated out over their priors.
+
+    An error that is not there has no memory, and the first stands for all: rounding would choose among them.
+    """
     best, highest = None, -np.inf
     for memory in memories.tolist():
         blocks = tuple(block_of(poses, correlation(poses, memory)) for poses in rows)
         value, position, tangent = Spectrum.at(fit, blocks).highest()
-        if value > highest:
+        if best is None or (value > highest and max(position, tangent) > 0):
             best, highest = Discrepancy(position, tangent, memory, blocks), value
     assert best is not None
     return best
@@ -137,40 +141,65 @@ class SizeSums:
     """Sums over one part of the poses' numbers at S sizes of the discrepancy: normal systems and likelihoods."""
 
     size: Array  # (S,)
-    H: Array  # (S, P, P)
+    along: Array  # (N, P) derivatives along the eigenvectors whose weights the sizes change apart
+    weight: Array  # (S, N) these weights
+    same: Array  # (M, P) along all others
+    of_all: Array  # (S,) their weight
+    alike: NDArray[np.bool_]  # (N + M,) which these are
     g: Array  # (S, P)
     likelihood: Array  # (S,) twice the log-likelihood at the priors' centres, up to a constant
+    _known: dict[int, Array] = field(default_factory=dict)
 
     @classmethod
     def over(cls, fit: Linearised, blocks: Sequence[Numbered], sizes: Array) -> SizeSums:
         """The sums of the numbers of some blocks; without blocks there is one size, 0, and no sum."""
-        count = len(fit.precision)
         if not blocks:
-            return cls(np.zeros(1), np.zeros((1, count, count)), np.zeros((1, count)), np.zeros(1))
-        r, J = fit.r.ravel(), fit.J.reshape(fit.r.size, -1)
-        along_r = np.concatenate([(b.vectors.T @ r[numbers]).ravel() for numbers, b in blocks])
-        along_J = np.concatenate(
-            [np.tensordot(b.vectors.T, J[numbers], axes=1).reshape(-1, count) for numbers, b in blocks]
-        )
-        values = np.concatenate([np.repeat(b.values, numbers.shape[1]) for numbers, b in blocks])
-        usual = np.median(values)
+            sizes = np.zeros(1)
+        J = _along(fit.J.reshape(fit.r.size, -1), blocks)
+        values = np.concatenate([np.zeros(0), *(np.repeat(b.values, numbers.shape[1]) for numbers, b in blocks)])
+        usual = np.median(values) if len(values) else 0.0
         alike = np.isclose(values, usual, rtol=0, atol=1e-9)  # approaches of one configuration, among them
-        flat, y = along_J[~alike], along_r[~alike]
-        same, of_same = along_J[alike], along_r[alike]
-        weight = 1 / (1 + sizes[:, None] ** 2 * values[~alike])
-        of_all = 1 / (1 + sizes**2 * usual)
-        weighted = (weight[:, :, None] * flat).transpose(0, 2, 1)
-        return cls(
-            sizes,
-            weighted @ flat + of_all[:, None, None] * (same.T @ same),
-            weighted @ y + of_all[:, None] * (same.T @ of_same),
-            np.log(weight).sum(axis=1) - weight @ y**2 + len(of_same) * np.log(of_all) - of_all * (of_same @ of_same),
+        weight, of_all = 1 / (1 + sizes[:, None] ** 2 * values[~alike]), 1 / (1 + sizes**2 * usual)
+        none = np.zeros((len(sizes), J.shape[1])), np.zeros(len(sizes))
+        return cls(sizes, J[~alike], weight, J[alike], of_all, alike, *none).of_residuals(fit.r, blocks)
+
+    def of_residuals(self, r: Array, blocks: Sequence[Numbered]) -> SizeSums:
+        """The sums with other residuals (K, 5) of the same numbers."""
+        along_r = _along(r.reshape(-1, 1), blocks)[:, 0]
+        y, of_same, of_all = along_r[~self.alike], along_r[self.alike], self.of_all
+        volume = np.log(self.weight).sum(axis=1) + len(of_same) * np.log(of_all)
+        return replace(
+            self,
+            g=(self.weight * y) @ self.along + of_all[:, None] * (of_same @ self.same),
+            likelihood=volume - self.weight @ y**2 - of_all * (of_same @ of_same),
         )
 
-    def of(self, columns: Sequence[int]) -> SizeSums:
-        """The sums of some of the parameters."""
-        kept = np.array(columns, dtype=np.int_)
-        return SizeSums(self.size, self.H[:, kept[:, None], kept], self.g[:, kept], self.likelihood)
+    def H(self, numbers: NDArray[np.int_], columns: NDArray[np.int_]) -> Array:
+        """(..., P, P) the normal matrices of some parameters at numbers (...) of the sizes."""
+        for number in numbers.ravel().tolist():
+            if number not in self._known:
+                weighted = np.sqrt(self.weight[number])[:, None] * self.along
+                self._known[number] = weighted.T @ weighted + self.of_all[number] * self._of_same
+        at = columns[:, None], columns
+        return np.array([self._known[k][at] for k in numbers.ravel().tolist()]).reshape(
+            *numbers.shape, *2 * columns.shape
+        )
+
+    @cached_property
+    def _of_same(self) -> Array:
+        """(P, P) the normal matrix of what all sizes weigh alike."""
+        squares: Array = self.same.T @ self.same
+        return squares
+
+
+def _along(values: Array, blocks: Sequence[Numbered]) -> Array:
+    """(N, ...) the numbers (5 K, ...) of some blocks along their eigenvectors."""
+    count = values.shape[1]
+    parts = (np.tensordot(b.vectors.T, values[numbers], axes=1).reshape(-1, count) for numbers, b in blocks)
+    return np.concatenate([np.zeros((0, count)), *parts])
+
+
+System = tuple[Array, Array, Array]  # normal matrices (..., P, P), right sides (..., P), twice the log-likelihoods
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,6 +209,10 @@ class Spectrum:
     precision: Array  # (P,) of the parameters' priors
     position: SizeSums
     tangent: SizeSums
+    columns: NDArray[np.int_]  # (P + M,) where the parameters are in the sums, and others that are moved
+    moved: Array = field(default_factory=lambda: np.zeros(0))  # (M,) by how much
+    modes: int = 0  # last parameters of the sums, of unit priors: the amounts of a process, over which is integrated
+    _known: dict[tuple[int, int], System] = field(default_factory=dict)  # beside the process, by numbers of sizes
 
     @classmethod
     def at(cls, fit: Linearised, blocks: Sequence[Block]) -> Spectrum:
@@ -195,13 +228,31 @@ class Spectrum:
         position: Sequence[Numbered],
         tangent: Sequence[Numbered],
         sizes: tuple[Array, Array] = (SIZES, SIZES),
+        modes: int = 0,
     ) -> Spectrum:
-        """The linearised fit whose positions and tangents have blocks of their own; sizes: those required, of each."""
-        return cls(fit.precision, SizeSums.over(fit, position, sizes[0]), SizeSums.over(fit, tangent, sizes[1]))
+        """The linearised fit whose positions and tangents have blocks of their own; sizes: those required, of each.
 
-    def of(self, columns: Sequence[int]) -> Spectrum:
-        """The linearised fit in some of the parameters, the others being where they do nothing."""
-        return Spectrum(self.precision[columns], self.position.of(columns), self.tangent.of(columns))
+        modes: how many of the last parameters are the amounts of a process.
+        """
+        sums = SizeSums.over(fit, position, sizes[0]), SizeSums.over(fit, tangent, sizes[1])
+        own = len(fit.precision) - modes
+        return cls(fit.precision[:own], *sums, np.arange(own), modes=modes)
+
+    def of(self, columns: Sequence[int], precision: Array | None = None, moved: Array | None = None) -> Spectrum:
+        """The linearised fit in some of the parameters, with other priors.
+
+        The others stay where they do nothing, or are moved from there by (P,), which is zero for those of the fit.
+        """
+        kept = np.array(columns, dtype=np.int_)
+        priors = self.precision[kept] if precision is None else precision
+        some = np.flatnonzero(moved) if moved is not None else kept[:0]
+        amount = moved[some] if moved is not None else self.moved
+        return replace(self, precision=priors, columns=self.columns[[*kept, *some]], moved=amount)
+
+    def of_residuals(self, r: Array, position: Sequence[Numbered], tangent: Sequence[Numbered]) -> Spectrum:
+        """The spectrum of a fit with other residuals (K, 5), whose numbers have the same blocks."""
+        sums = self.position.of_residuals(r, position), self.tangent.of_residuals(r, tangent)
+        return replace(self, position=sums[0], tangent=sums[1], _known={})
 
     def highest(self) -> tuple[float, float, float]:
         """The highest evidence, and the sizes of position and tangent that it has: one by one, until both stay.
@@ -225,23 +276,64 @@ class Spectrum:
     @property
     def without_error(self) -> float:
         """Twice the logarithm of the evidence beside noise alone, up to a constant."""
-        return float(self.evidences(slice(0, 1), 0)[0])
+        return float(self.evidences(0, 0))
 
     def evidences(self, position: Chosen, tangent: Chosen) -> Array:
-        """(S,) twice their logarithms, up to a constant, at numbers of the sizes; one of each is a single number.
-
-        g^T H^-1 g is what the last pivot lacks of the corner of [H, g; g^T, corner].
-        """
-        first, second, scale = self.position, self.tangent, 1 / np.sqrt(self.precision)
-        H = (first.H[position] + second.H[tangent]) * np.outer(scale, scale) + np.eye(len(scale))
-        g = (first.g[position] + second.g[tangent]) * scale
-        corner = 1.0 + (g**2).sum(axis=-1)  # H is no smaller than 1
-        whole = np.concatenate([H, g[..., None, :]], axis=-2)
-        column = np.concatenate([g, corner[..., None]], axis=-1)
-        pivots = np.diagonal(
-            np.linalg.cholesky(np.concatenate([whole, column[..., None]], axis=-1)), axis1=-2, axis2=-1
-        )
-        fitted = corner - pivots[..., -1] ** 2
-        volume = np.log(pivots[..., :-1]).sum(axis=-1)
-        evidences: Array = first.likelihood[position] + second.likelihood[tangent] + fitted - 2 * volume
+        """(S,) twice their logarithms, up to a constant, at numbers of the sizes; one of each is a single number."""
+        p, t = np.arange(len(self.position.size))[position], np.arange(len(self.tangent.size))[tangent]
+        H, g, likelihood = self._beside_process(p, t) if self.modes else self._systems(p, t, self.columns)
+        if count := len(self.moved):  # residuals r become r + J moved
+            of_moved = H[..., -count:] @ self.moved
+            likelihood = likelihood - (2 * g + of_moved)[..., -count:] @ self.moved
+            H, g = H[..., :-count, :-count], (g + of_moved)[..., :-count]
+        evidences: Array = likelihood + integral(H, g, self.precision)
         return evidences
+
+    def _systems(self, position: NDArray[np.int_], tangent: NDArray[np.int_], columns: NDArray[np.int_]) -> System:
+        """Normal systems of some parameters, and twice the log-likelihoods, at numbers of the sizes."""
+        first, second = self.position, self.tangent
+        return (
+            first.H(position, columns) + second.H(tangent, columns),
+            first.g[position][..., columns] + second.g[tangent][..., columns],
+            first.likelihood[position] + second.likelihood[tangent],
+        )
+
+    def _beside_process(self, position: NDArray[np.int_], tangent: NDArray[np.int_]) -> System:
+        """The same beside the process, which has taken what it explains out of the system of all other parameters.
+
+        That is done once at a pair of sizes, whichever of the others are asked.
+        """
+        from scipy.linalg import solve_triangular  # slow to import
+
+        pairs, m, every = np.broadcast(position, tangent), self.modes, np.arange(self.position.g.shape[1])
+        for pair in pairs:
+            if pair not in self._known:
+                H, g, likelihood = self._systems(np.array(pair[0]), np.array(pair[1]), every)
+                factor = np.linalg.cholesky(H[-m:, -m:] + np.eye(m))
+                seen = solve_triangular(factor, np.column_stack([H[-m:, :-m], g[-m:]]), lower=True, check_finite=False)
+                taken = seen.T @ seen
+                likelihood = likelihood + taken[-1, -1] - 2 * np.log(np.diag(factor)).sum()
+                self._known[pair] = H[:-m, :-m] - taken[:-1, :-1], g[:-m] - taken[:-1, -1], likelihood
+        pairs.reset()
+        systems, kept = [self._known[pair] for pair in pairs], self.columns
+        H = np.array([H[kept[:, None], kept] for H, _, _ in systems]).reshape(*pairs.shape, *2 * kept.shape)
+        g = np.array([g[kept] for _, g, _ in systems]).reshape(*pairs.shape, -1)
+        return H, g, np.array([likelihood for *_, likelihood in systems]).reshape(pairs.shape)
+
+
+def integral(H: Array, g: Array, precision: Array, least: Array | float = 1.0) -> Array:
+    """(...) what parameters with normal systems (..., P, P), (..., P) and priors (P,) add to twice the logarithm.
+
+    With g below H in one matrix, the last row of its factor squares to g^T (H + prior)^-1 g. The corner is larger than
+    that, for H over the priors is no smaller than 1, or than what `least` (...) rounding leaves it.
+    """
+    scale, count = 1 / np.sqrt(precision), len(precision)
+    whole = np.empty((*H.shape[:-2], count + 1, count + 1))
+    whole[..., :-1, :-1] = H * np.outer(scale, scale)
+    whole[..., range(count), range(count)] += np.asarray(least)[..., None]
+    whole[..., -1, :-1] = g * scale
+    whole[..., -1, -1] = 2 * (1.0 + (whole[..., -1, :-1] ** 2).sum(axis=-1))
+    factor = np.linalg.cholesky(whole)
+    pivots = np.diagonal(factor, axis1=-2, axis2=-1)[..., :-1]
+    added: Array = (factor[..., -1, :-1] ** 2).sum(axis=-1) - 2 * np.log(pivots).sum(axis=-1)
+    return added

@@ -146,7 +146,7 @@ def _ranked(table: WideLinearisation, whole: Linearised, peak: Peak, choice: flo
     spectrum, own = peak.error.at(whole, peak.position, peak.tangent), list(range(table.own))
 
     def evidence(columns: list[int]) -> float:
-        return float(spectrum.of(columns).evidences(slice(0, 1), 0)[0]) / 2
+        return float(spectrum.of(columns).evidences(0, 0)) / 2
 
     plain = evidence(own)
     gains = [(piece, evidence([*own, *places]) - plain - choice) for piece, places in table.places.items()]

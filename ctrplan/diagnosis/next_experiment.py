@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtrc
 
 from ctrplan.base.arrays import Array
 from ctrplan.calibration.least_squares import Fit
@@ -178,8 +179,6 @@ def decision(
 
 def _predictive(fit: Fit, data: Measurements, noise: Noise) -> tuple[float, float]:
     """Log-density of new poses as a fit predicts them, and the chance of such a misfit by noise and its parameters."""
-    from scipy.stats import chi2  # slow to import
-
     chain = ParametricChain(fit.chain.robot, data, fit.chain.terms)
     chain.correction = friction_correction(chain, fit.p)
     parts = residuals(data, chain.predict(fit.p), noise, data.configuration)
@@ -188,7 +187,7 @@ def _predictive(fit: Fit, data: Measurements, noise: Noise) -> tuple[float, floa
     covariance = np.eye(len(r)) + J @ fit.covariance @ J.T
     root = np.linalg.cholesky(covariance)
     white = np.linalg.solve(root, r)
-    return float(-(white @ white) / 2 - np.log(np.diag(root)).sum()), float(chi2.sf(white @ white, len(r)))
+    return float(-(white @ white) / 2 - np.log(np.diag(root)).sum()), float(chdtrc(len(r), white @ white))
 
 
 def next_experiment(

@@ -19,14 +19,14 @@ What something unknown may be, `unknown_errors.py` has.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
 from scipy.special import logsumexp
 
-from ctrplan.calibration.discrepancy import Linearised
+from ctrplan.calibration.discrepancy import Linearised, Spectrum
 from ctrplan.calibration.least_squares import Fit
 from ctrplan.calibration.residuals import Noise
 from ctrplan.diagnosis.correlated_bench import FRAMES
@@ -34,7 +34,7 @@ from ctrplan.diagnosis.linear_fit import STATED, Linear, Width, widths_of
 from ctrplan.diagnosis.term_pieces import is_built, pieces
 from ctrplan.diagnosis.unknown_errors import Peak, UnknownErrors, without_error
 from ctrplan.diagnosis.verdict import ACTS, UNKNOWN_ACTS, Posterior, log_odds, normalised
-from ctrplan.diagnosis.workbench import Candidates, Scored, Workbench, linear
+from ctrplan.diagnosis.workbench import Candidates, Linearisation, Scored, Workbench, linear
 from ctrplan.pipeline.term import Term
 
 MOST_EFFECTS = 4  # of a set
@@ -80,7 +80,7 @@ def compared(bench: Workbench, chosen: Scored, known: Candidates, search: bool =
     if search:
         comparison.climb()
         if comparison.best is not chosen:  # poses count as they do in the most probable set
-            likely = {comparison.as_known(base), comparison.as_known(chosen), *comparison.likely}
+            likely = dict.fromkeys([comparison.as_known(base), comparison.as_known(chosen), *comparison.likely])
             comparison = _Comparison(bench, known, base, comparison.best, likely)
     for here in (base, chosen, comparison.best):
         comparison.compare_neighbours(comparison.as_known(here))
@@ -186,11 +186,14 @@ class _Comparison:
         terms, (widths, owners) = self._named(scored), self._of_fit(scored)
         built = [t for t in scored.terms if is_built(t)]
         of_built = len(built) * self.of_piece
+        whole = self._linearised(linear(scored.fit), scored.fit.noise, owners, widths)
+        spectra = self.errors.spectra(whole)
         for gone in self._frames(scored):
             names = frozenset(t.name for t in terms) - gone
             cost = self._cost(names, widths) + of_built
-            fit = self._linearised(linear(scored.fit), scored.fit.noise, owners, widths, gone)
-            beside, peak = self.errors.evidence(fit)
+            kept = [k for k, name in enumerate(owners) if name not in gone]
+            fit = Linearised(whole.r, whole.J[:, :, kept], whole.precision[kept])
+            beside, peak = self.errors.evidence(fit, [spectrum.of(kept) for spectrum in spectra])
             alone = -np.inf if built else without_error(fit) - cost
             result = _Set(names, cost, alone, beside - cost, peak)
             _note(self._evidence, [t for t in terms if t.name not in gone], result)
@@ -290,7 +293,7 @@ class _Comparison:
         others = [t for t in self.known.beside(here.terms) if t.name not in {*mine.names, *here.names}]
         if not others:
             return
-        of_peak = mine.peak.evidence(self.as_fitted(here))
+        of_peak, wide = mine.peak.evidence(self.as_fitted(here)), dict[Linearisation, Spectrum]()
         for screened in self.bench.screened(here, others, self.known.completed):
             terms = self.known.completed(here.terms, screened.term)
             added = [t for t in terms if t.name not in here.names]
@@ -299,7 +302,15 @@ class _Comparison:
             fit = self._linearised(screened.linear, self.bench.noise, screened.owners, widths)
             cost = self._cost(names, widths) + self.of_piece * sum(map(is_built, here.terms))
             alone = -np.inf if np.isneginf(mine.alone) else without_error(fit) - cost
-            beside = mine.beside + mine.cost + mine.peak.evidence(fit) - of_peak - cost
+            if (panel := screened.panel) is None:
+                of_fit = mine.peak.evidence(fit)
+            else:  # what all variants have in common is worked out once
+                if panel not in wide:
+                    wide[panel] = mine.peak.beside(panel.whole.centred(self.bench.noise, self.root))
+                moved = -panel.whole.offset  # others stay where they were linearised
+                moved[screened.places] = 0.0
+                of_fit = wide[panel].of(screened.places, fit.precision, moved).highest()[0] / 2
+            beside = mine.beside + mine.cost + of_fit - of_peak - cost
             yield added, _Set(names, cost, alone, beside, mine.peak)
 
     def by_names(self) -> dict[frozenset[str], tuple[float, float]]:
@@ -331,12 +342,10 @@ class _Comparison:
         noise: Noise,
         owners: Sequence[str],
         widths: Mapping[str, Width],
-        without: Collection[str] = (),
     ) -> Linearised:
-        """Residuals at the priors' centres over the noise alone, as poses count; without some effects' parameters."""
+        """Residuals at the priors' centres over the noise alone, as poses count."""
         precision = fit.precision / np.square([widths.get(name, STATED).over_stated for name in owners])
-        kept, centred = [k for k, name in enumerate(owners) if name not in without], fit.centred(noise, self.root)
-        return Linearised(centred.r, centred.J[:, :, kept], precision[kept])
+        return replace(fit.centred(noise, self.root), precision=precision)
 
     def _cost(self, names: Iterable[str], widths: Mapping[str, Width]) -> float:
         """Logarithm of what the choice of one variant of each effect and of its width cost."""

@@ -12,7 +12,7 @@ How much of a remainder belongs to each of several processes, their most probabl
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,16 +22,19 @@ from scipy.special import logsumexp
 
 from ctrplan.base.arrays import Array
 from ctrplan.calibration.discrepancy import SHARES, SIZES, decay
-from ctrplan.diagnosis.unknown_errors import LENGTHS, QUARTERS, input_distances, kernel_modes
 from ctrplan.diagnosis.usable_poses import thinning
 from ctrplan.diagnosis.verdict import shown
-from ctrplan.measurement.approach import clock, friction_state
+from ctrplan.measurement.approach import clock, friction_state, last_directions
 from ctrplan.measurement.measurements import Measurements
 
 ROUNDS = 100  # in which variances of a remainder's parts come nearer to the most probable ones: a budget
 WILD = 3.0  # times the median norm of residuals: longer ones are shortened to it, for a few wild poses are no trend
 ROUNDED_RAD = 1e-9  # by which an angle may fall short of zero without coming out as a full turn
 JOINTS = "joints together"
+ROOM_M = 0.05  # of translation, that counts as much as a radian, or as a friction state or direction
+QUARTERS = 4.0  # of the experiment, or of a quantity's range, that count as much as a radian each
+LENGTHS = (0.4, 1.0)  # [rad] over which a process changes: three waves a turn, and one
+LEAST_MODE = 0.02  # of the largest: modes of a process that are smaller are left out
 
 
 @dataclass(frozen=True)
@@ -238,3 +241,34 @@ def _bounded(r: Array) -> Array:
     norm = np.linalg.norm(r, axis=1)
     bounded: Array = r * np.minimum(1.0, WILD * np.median(norm) / np.maximum(norm, 1e-12))[:, None]
     return bounded
+
+
+def square_distances(data: Measurements, poses: Sequence[int]) -> Array:
+    """(B, B) [rad^2] of configurations, each given by a pose: a chord for a rotation, 50 mm count as a radian."""
+    rows = data.rows[list(poses)]
+    theta, l = data.theta_commanded[rows], data.l_commanded[rows]  # noqa: E741
+    turns = np.hstack([theta[:, :1], np.diff(theta, axis=1)])
+    place = np.hstack([np.sin(turns), np.cos(turns), l / ROOM_M])
+    square: Array = ((place[:, None] - place[None]) ** 2).sum(axis=2)
+    return square
+
+
+def input_distances(data: Measurements) -> Iterator[tuple[str, Array]]:
+    """Squares (K, K) of distances of poses in the inputs of a process, in radians or what counts as much."""
+    joints, time = square_distances(data, range(data.count)), clock(data)
+    yield "joints", joints
+    history = np.hstack([friction_state(data), last_directions(data)])
+    yield "history", joints + ((history[:, None] - history) ** 2).sum(axis=2)
+    yield "time", (QUARTERS * (time[:, None] - time) / max(float(np.ptp(time)), 1e-9)) ** 2
+    theta, l = data.theta_commanded[data.rows], data.l_commanded[data.rows]  # noqa: E741
+    for i in range(data.n):
+        yield f"theta_{i + 1}", 4 * np.sin((theta[:, i, None] - theta[:, i]) / 2) ** 2
+        yield f"l_{i + 1}", ((l[:, i, None] - l[:, i]) / ROOM_M) ** 2
+
+
+def kernel_modes(square: Array) -> Array:
+    """(K, m) of a process that changes over a radian, or what counts as much."""
+    values, vectors = np.linalg.eigh(np.exp(-square / 2))
+    kept = values > LEAST_MODE * values[-1]
+    modes: Array = vectors[:, kept] * np.sqrt(values[kept])
+    return modes

@@ -24,6 +24,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import product
 from typing import Literal
 
@@ -44,13 +45,15 @@ from ctrplan.calibration.discrepancy import (
     Spectrum,
     block_of,
     decay,
+    integral,
     of_configurations,
 )
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
+from ctrplan.diagnosis.remainder import LEAST_MODE, LENGTHS, input_distances, kernel_modes, square_distances
 from ctrplan.diagnosis.term_pieces import TermPiece, pieces, wide_linearisation
 from ctrplan.diagnosis.workbench import Scored, Workbench
 from ctrplan.effects.learned.inputs import Target
-from ctrplan.measurement.approach import clock, friction_state, last_directions
+from ctrplan.measurement.approach import clock
 from ctrplan.measurement.measurements import Measurements
 
 IN_WORDS = {
@@ -59,25 +62,11 @@ IN_WORDS = {
     "time": "goes along with the time",
     "history": "goes along with the way poses were reached",
 }
-ROOM_M = 0.05  # of translation, that counts as much as a radian, or as a friction state or direction
-QUARTERS = 4.0  # of the experiment, or of a quantity's range, that count as much as a radian each
-LENGTHS = (0.4, 1.0)  # [rad] over which a process changes: three waves a turn, and one
 SENSOR = Target("sensor")
 RECENT = 8  # peaks beside which processes are remembered, a budget of memory (5 MB each): like sets share theirs
-LEAST_MODE = 0.02  # of the largest: modes of a process that are smaller are left out
 
 
 JOINT_LENGTHS = (0.3, 0.6, 1.0, 1.5, 2.5)  # [rad]; longer ones are what frames and offsets are
-
-
-def square_distances(data: Measurements, poses: Sequence[int]) -> Array:
-    """(B, B) [rad^2] of configurations, each given by a pose: a chord for a rotation, 50 mm count as a radian."""
-    rows = data.rows[list(poses)]
-    theta, l = data.theta_commanded[rows], data.l_commanded[rows]  # noqa: E741
-    turns = np.hstack([theta[:, :1], np.diff(theta, axis=1)])
-    place = np.hstack([np.sin(turns), np.cos(turns), l / ROOM_M])
-    square: Array = ((place[:, None] - place[None]) ** 2).sum(axis=2)
-    return square
 
 
 SMOOTH = (0.7, 1.0)  # share of what configurations differ by that goes along with the joints
@@ -94,9 +83,9 @@ class SmoothError:
     position: tuple[Numbered, ...]
     tangent: tuple[Numbered, ...]
 
-    def spectrum(self, fit: Linearised) -> Spectrum:
-        """The spectrum of a fit of these poses beside the error, at every size."""
-        return Spectrum.apart(fit, self.position, self.tangent)
+    def spectrum(self, fit: Linearised, modes: int = 0) -> Spectrum:
+        """The spectrum of a fit of these poses beside the error, at every size; its last `modes` are of a process."""
+        return Spectrum.apart(fit, self.position, self.tangent, modes=modes)
 
     def at(self, fit: Linearised, position: float, tangent: float) -> Spectrum:
         """The fit beside the error at one size of each, over the noise."""
@@ -198,9 +187,13 @@ class Peak:
 
     def evidence(self, fit: Linearised) -> float:
         """Logarithm of the evidence beside an error of this kind, of the sizes that are most probable there."""
-        if self.process is not None:
-            fit = _with_process(fit, self.process)
-        return self.error.spectrum(fit).highest()[0] / 2
+        return self.beside(fit).highest()[0] / 2
+
+    def beside(self, fit: Linearised) -> Spectrum:
+        """A fit beside errors of this kind, of every size, and beside the process."""
+        if self.process is None:
+            return self.error.spectrum(fit)
+        return self.error.spectrum(_with_process(fit, self.process), self.process.shape[1])
 
     def around(self, fit: Linearised) -> Spectrum:
         """The fit beside this error at sizes within a factor of three of its own."""
@@ -213,11 +206,20 @@ class Peak:
     def over_covariance(self, values: Array) -> Array:
         """(5 K, ...) numbers of a fit over the covariance of noise and smooth error."""
         new = np.array(values)
-        for numbered, size in ((self.error.position, self.position), (self.error.tangent, self.tangent)):
-            for numbers, block in numbered if size else ():
-                inverse = (block.vectors / (1 + size**2 * block.values)) @ block.vectors.T
-                new[numbers] = np.tensordot(inverse, values[numbers], axes=1)
+        for numbers, inverse in self._inverses:
+            new[numbers] = np.tensordot(inverse, values[numbers], axes=1)
         return new
+
+    @cached_property
+    def _inverses(self) -> list[tuple[NDArray[np.int_], Array]]:
+        """Numbers of a fit that go together, and the inverse of their covariance."""
+        sized = ((self.error.position, self.position), (self.error.tangent, self.tangent))
+        return [
+            (numbers, (block.vectors / (1 + size**2 * block.values)) @ block.vectors.T)
+            for numbered, size in sized
+            if size
+            for numbers, block in numbered
+        ]
 
 
 def _with_process(fit: Linearised, modes: Array) -> Linearised:
@@ -251,15 +253,20 @@ class UnknownErrors:
         processes = list(_processes(bench, base, counts)) if with_stages else []
         self.inputs = [name for name, _ in processes]  # of each process
         self.processes = [modes for _, modes in processes]
-        self._known: dict[object, list[tuple[Array, Array]]] = {}  # processes apart from each other, by peak
+        self._known: dict[object, list[tuple[Array, Array | None]]] = {}  # processes apart from each other, by peak
 
-    def evidence(self, fit: Linearised) -> tuple[float, Peak]:
+    def spectra(self, fit: Linearised) -> list[Spectrum]:
+        """A fit beside every smooth error, of every size; whoever asks for some of its parameters shares their sums."""
+        return [error.spectrum(fit) for error in self.smooth]
+
+    def evidence(self, fit: Linearised, spectra: Sequence[Spectrum] | None = None) -> tuple[float, Peak]:
         """Logarithm of the evidence averaged over kinds and sizes of errors, and the most probable one.
 
         An error of tips, one of a stage, and both are as probable a priori. Both are sought from either side: the
         process beside the most probable smooth error, and the smooth error beside the most probable process.
         """
-        smooth, peak = self._of_tips(fit)
+        spectra = self.spectra(fit) if spectra is None else spectra
+        smooth, peak, _ = self._of_tips(spectra)
         if not self.processes:
             return smooth, peak
         gains = self._gains(fit)
@@ -267,31 +274,36 @@ class UnknownErrors:
         beside = self._gains(fit, peak)
         both = smooth + float(_averaged(beside.ravel(), axis=0))
         k, s = np.unravel_index(int(gains.argmax()), gains.shape)
-        other, there = self._beside(_leading(SIZES[s] * self.processes[k]), fit)
+        other, there = self._beside(_leading(SIZES[s] * self.processes[k]), fit, spectra)
         other += float(_averaged(gains.ravel(), axis=0)) - float(gains.max())
         peaks = [(smooth, peak), (both, peak), (other, there)]
         best = max(peaks, key=lambda pair: pair[0])[1]
         return float(logsumexp([smooth, alone, max(both, other)]) - np.log(3)), best
 
-    def _of_tips(self, fit: Linearised) -> tuple[float, Peak]:
-        """Logarithm of the evidence averaged over smooth errors, and the most probable one."""
-        averaged = [_over_sizes(error, fit) for error in self.smooth]
-        values = np.array([value for value, _ in averaged])
-        return float(_averaged(values, axis=0)), averaged[int(values.argmax())][1]
+    def _of_tips(self, spectra: Sequence[Spectrum]) -> tuple[float, Peak, float]:
+        """Logarithm of the evidence averaged over smooth errors, and the most probable one with the logarithm of its
+        own, at its peak.
+        """
+        averaged = [_over_sizes(*pair) for pair in zip(self.smooth, spectra, strict=True)]
+        values = np.array([value for value, *_ in averaged])
+        return float(_averaged(values, axis=0)), *averaged[int(values.argmax())][1:]
 
-    def _beside(self, modes: Array, fit: Linearised) -> tuple[float, Peak]:
+    def _beside(self, modes: Array, fit: Linearised, spectra: Sequence[Spectrum]) -> tuple[float, Peak]:
         """Log evidence and peak beside a process (5 K, m), for the likeliest kind of error in what its mean leaves."""
         wide = _with_process(fit, modes)
         J = wide.J.reshape(fit.r.size, -1)
         mean = np.linalg.solve(J.T @ J + np.diag(wide.precision), J.T @ fit.r.ravel())[len(fit.precision) :]
-        rest = replace(fit, r=(fit.r.ravel() - modes @ mean).reshape(fit.r.shape))
-        averaged, near = self._of_tips(rest)
+        r = (fit.r.ravel() - modes @ mean).reshape(fit.r.shape)
+        of_errors = zip(self.smooth, spectra, strict=True)
+        rest = [spectrum.of_residuals(r, error.position, error.tangent) for error, spectrum in of_errors]
+        averaged, near, own = self._of_tips(rest)
         highest, position, tangent = near.around(wide).highest()
-        return highest / 2 + averaged - near.evidence(rest), Peak(near.error, position, tangent, modes)
+        return highest / 2 + averaged - own, Peak(near.error, position, tangent, modes)
 
     def along(self, fit: Linearised) -> dict[str, float]:
         """How probable it is that an unknown error goes along with each input, if it is one of tips or of a stage."""
-        smooth = [_over_sizes(error, fit)[0] - np.log(len(self.smooth)) for error in self.smooth]
+        of_errors = zip(self.smooth, self.spectra(fit), strict=True)
+        smooth = [_over_sizes(*pair)[0] - np.log(len(self.smooth)) for pair in of_errors]
         of_size = self._gains(fit)
         gains = _averaged(of_size, axis=1) - np.log(len(self.inputs) or 1) if len(of_size) else np.zeros(0)
         weights = np.array([*smooth, *(without_error(fit) + gains)])
@@ -306,20 +318,25 @@ class UnknownErrors:
         whole, gains = own.T @ over, list[Array]()
         square = SIZES[:, None] ** 2
         for B, (values, vectors) in zip(self.processes, self._apart(peak), strict=True):
-            along, spread = vectors.T @ (B.T @ over), np.log1p(square * values).sum(axis=1)
+            along, spread = B.T @ over, np.log1p(square * values).sum(axis=1)
+            along = along if vectors is None else vectors.T @ along
             taken = (along.T * (square / (1 + square * values))[:, None]) @ along
             gains.append(_marginal(whole - taken) - spread / 2)
         of_sizes = np.array(gains).reshape(-1, len(SIZES))
         return of_sizes - of_sizes[:, :1]  # of size zero there is no process
 
-    def _apart(self, peak: Peak | None) -> list[tuple[Array, Array]]:
-        """Eigenvalues (m,) and vectors (m, m) of every process over the noise, and over the smooth error of a peak."""
-        key = peak and (peak.error, peak.position, peak.tangent)
+    def _apart(self, peak: Peak | None) -> list[tuple[Array, Array | None]]:
+        """Eigenvalues (m,) and vectors (m, m) of every process over the noise and the smooth error of a peak.
+
+        Beside noise alone modes are their own.
+        """
+        if peak is None:
+            return [((B**2).sum(axis=0), None) for B in self.processes]
+        key = peak.error, peak.position, peak.tangent
         if key not in self._known:
-            over = ((B, peak.over_covariance(B) if peak else B) for B in self.processes)
-            squares = [np.linalg.eigh(B.T @ weighed) for B, weighed in over]
-            if len(self._known) > RECENT:  # the oldest peak makes room; without one they are always kept
-                del self._known[next(filter(None, self._known))]
+            squares = [np.linalg.eigh(B.T @ peak.over_covariance(B)) for B in self.processes]
+            if len(self._known) >= RECENT:
+                del self._known[next(iter(self._known))]  # the oldest
             self._known[key] = [(np.maximum(values, 0.0), vectors) for values, vectors in squares]
         return self._known[key]
 
@@ -336,10 +353,7 @@ def _marginal(square: Array) -> Array:
     """
     H, g, of_r = square[..., :-1, :-1], square[..., :-1, -1], square[..., -1, -1]
     least = 1 + 4 * np.finfo(np.float64).eps * np.trace(H, axis1=-2, axis2=-1)
-    factor = np.linalg.cholesky(H + least[..., None, None] * np.eye(H.shape[-1]))
-    z = np.linalg.solve(factor, g[..., None])[..., 0]
-    volume = np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(axis=-1)
-    logarithm: Array = ((z**2).sum(axis=-1) - of_r) / 2 - volume
+    logarithm: Array = (integral(H, g, np.ones(H.shape[-1]), least) - of_r) / 2
     return logarithm
 
 
@@ -350,31 +364,33 @@ def _averaged(logarithms: Array, axis: int) -> Array:
 
 
 def _leading(modes: Array) -> Array:
-    """(5 K, m) the modes of a process that are more than a part of the noise, apart from each other."""
-    values, vectors = np.linalg.eigh(modes.T @ modes)
-    leading: Array = modes @ vectors[:, values > LEAST_MODE]
+    """(5 K, m) the modes of a process, apart from each other, that are more than a part of the noise."""
+    leading: Array = modes[:, (modes**2).sum(axis=0) > LEAST_MODE]
     return leading
 
 
-def _over_sizes(error: SmoothError, fit: Linearised) -> tuple[float, Peak]:
-    """Logarithm of the evidence averaged over sizes, as if those of position and tangent were apart; and its peak."""
-    spectrum = error.spectrum(fit)
+def _over_sizes(error: SmoothError, spectrum: Spectrum) -> tuple[float, Peak, float]:
+    """Logarithm of the evidence averaged over sizes, as if those of position and tangent were apart; its peak, and the
+    logarithm of the evidence there.
+    """
     highest, position, tangent = spectrum.highest()
     p = int(np.abs(spectrum.position.size - position).argmin())
     t = int(np.abs(spectrum.tangent.size - tangent).argmin())
     lines = spectrum.evidences(slice(None), t), np.atleast_1d(spectrum.evidences(p, slice(None)))
     spread = sum(float(logsumexp((line - highest) / 2)) - np.log(len(line)) for line in lines)
-    return highest / 2 + spread, Peak(error, position, tangent)
+    return highest / 2 + spread, Peak(error, position, tangent), highest / 2
 
 
 def _smooth(data: Measurements, axes: Array, ends: Sequence[Linearised]) -> list[SmoothError]:
     """Errors of tips, of poses at rest with as much in common of a configuration's approaches as either set says.
 
-    axes (K, 2, 3) are those about which rotations are the two numbers of a tangent.
+    A set that leaves none says nothing of that. axes (K, 2, 3) are those about which rotations are the two numbers of a
+    tangent.
     """
     if data.is_stream:
         return of_motion(data, axes)
-    shares = sorted({of_configurations(fit, data.configuration).memory for fit in ends})
+    said = [of_configurations(fit, data.configuration) for fit in ends]
+    shares = sorted({rest.memory for rest in said if rest.is_there} or {said[0].memory})
     first, *others = (at_rest(data, share, axes) for share in shares)
     return first + [error for more in others for error in more if error.along != "time"]
 
@@ -406,9 +422,10 @@ def _processes(bench: Workbench, base: Scored, counts: Array) -> Iterator[tuple[
 
 
 def _modes_of_one_size(B: Array) -> Array:
-    """(5 K, m) of modes (K, 5, ...), with mean square 1."""
+    """(5 K, m) of modes (K, 5, ...), with mean square 1, turned to where they are apart from each other."""
     flat = B.reshape(B.shape[0] * B.shape[1], -1)
-    modes: Array = flat / np.sqrt((flat**2).sum() / len(flat))
+    flat = flat / np.sqrt((flat**2).sum() / len(flat))
+    modes: Array = flat @ np.linalg.eigh(flat.T @ flat)[1]
     return modes
 
 
@@ -417,24 +434,3 @@ def _since_each_configuration(data: Measurements) -> list[NDArray[np.bool_]]:
     number, first = np.unique(data.configuration, return_index=True)
     later = [] if data.is_stream else sorted(first.tolist())[1:]
     return [np.arange(data.count) >= pose for pose in later]
-
-
-def input_distances(data: Measurements) -> Iterator[tuple[str, Array]]:
-    """Squares (K, K) of distances of poses in the inputs of a process, in radians or what counts as much."""
-    joints, time = square_distances(data, range(data.count)), clock(data)
-    yield "joints", joints
-    history = np.hstack([friction_state(data), last_directions(data)])
-    yield "history", joints + ((history[:, None] - history) ** 2).sum(axis=2)
-    yield "time", (QUARTERS * (time[:, None] - time) / max(float(np.ptp(time)), 1e-9)) ** 2
-    theta, l = data.theta_commanded[data.rows], data.l_commanded[data.rows]  # noqa: E741
-    for i in range(data.n):
-        yield f"theta_{i + 1}", 4 * np.sin((theta[:, i, None] - theta[:, i]) / 2) ** 2
-        yield f"l_{i + 1}", ((l[:, i, None] - l[:, i]) / ROOM_M) ** 2
-
-
-def kernel_modes(square: Array) -> Array:
-    """(K, m) of a process that changes over a radian, or what counts as much."""
-    values, vectors = np.linalg.eigh(np.exp(-square / 2))
-    kept = values > LEAST_MODE * values[-1]
-    modes: Array = vectors[:, kept] * np.sqrt(values[kept])
-    return modes

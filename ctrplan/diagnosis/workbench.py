@@ -96,32 +96,27 @@ class Scored:
 
 
 @dataclass(frozen=True, eq=False)
-class Screened:
-    """A variant beside a fit, linearised there."""
-
-    term: Term
-    linear: Linear  # of the columns of base, fit and variant
-    owners: tuple[str, ...]  # (P,) the effect of each column
-
-
-@dataclass(frozen=True, eq=False)
 class Linearisation:
     """A linearisation in the parameters of many effects, (effect, parameter), of which any set can be asked."""
 
     keys: tuple[tuple[str, str], ...]
     whole: Linear
 
-    def of(self, terms: Sequence[Term]) -> Linear:
-        """The linearisation in the parameters of some terms; the others stay where they are."""
-        return self.whole.columns(self._places(terms))
-
-    def owners(self, terms: Sequence[Term]) -> tuple[str, ...]:
-        """The effect of each of these parameters."""
-        return tuple(self.keys[k][0] for k in self._places(terms))
-
-    def _places(self, terms: Sequence[Term]) -> list[int]:
+    def places(self, terms: Sequence[Term]) -> list[int]:
+        """Where the parameters of some terms are; the others stay where they are."""
         wanted = {(t.name, q.name) for t in terms for q in t.parameters}
         return [k for k, key in enumerate(self.keys) if key in wanted]
+
+
+@dataclass(frozen=True, eq=False)
+class Screened:
+    """A variant beside a fit, linearised there."""
+
+    term: Term
+    linear: Linear  # of the columns of base, fit and variant
+    owners: tuple[str, ...]  # (P,) the effect of each column
+    panel: Linearisation | None = None  # of all variants that act in proportion, if it is among them
+    places: Sequence[int] = ()  # (P,) of the columns there
 
 
 class Workbench:
@@ -267,8 +262,9 @@ class Workbench:
                 continue
             same = [t for t in here.terms if t.name != other.name]
             together = [*self.basis([*same, other]), *same, other]
-            columns = panel.of(together).refitted()
-            screened.append(Screened(other, columns, panel.owners(together)))
+            places = panel.places(together)
+            owners = tuple(panel.keys[k][0] for k in places)
+            screened.append(Screened(other, panel.whole.columns(places).refitted(), owners, panel, places))
         self._screened[key] = screened
         return screened
 

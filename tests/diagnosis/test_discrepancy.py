@@ -41,6 +41,15 @@ def test_noise_has_none() -> None:
     assert max(found.position, found.tangent) < 0.4
 
 
+def test_what_is_not_there_has_no_memory_that_rounding_would_choose() -> None:
+    """Residuals too small for noise: every share that approaches may have in common is as probable."""
+    configuration, rng = np.repeat(np.arange(12), 5), np.random.default_rng(1)
+    for _ in range(20):
+        J = 10.0 ** rng.uniform(-3, 6, 4) * rng.standard_normal((60, 5, 4))
+        found = of_configurations(Linearised(0.3 * rng.standard_normal((60, 5)), J, np.ones(4)), configuration)
+        assert not found.is_there and found.memory == 0.0
+
+
 def test_whitening_makes_residuals_white_and_can_be_undone() -> None:
     correlation = decay(TIME_S, 5.0)
     found = estimate(drawn(correlation, 4.0, seed=3))

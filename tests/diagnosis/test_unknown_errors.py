@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -12,13 +10,13 @@ from measured_data import SIGMA_M, SIGMA_RAD, measured, pair_robot, waypoints
 from scipy.stats import multivariate_normal
 
 from ctrplan.base.arrays import Array
-from ctrplan.calibration.discrepancy import SIZES, Linearised, Spectrum, block_of, shared
+from ctrplan.calibration.discrepancy import POSITION, SIZES, TANGENT, Linearised, Spectrum, block_of, shared
 from ctrplan.calibration.residuals import Noise
 from ctrplan.diagnosis import CATALOGUE, partial_diagnosis
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
 from ctrplan.diagnosis.posterior import Compared, compared
 from ctrplan.diagnosis.term_pieces import built_term
-from ctrplan.diagnosis.unknown_errors import Peak
+from ctrplan.diagnosis.unknown_errors import Peak, SmoothError
 from ctrplan.diagnosis.usable_poses import block_split, blocks
 from ctrplan.diagnosis.verdict import Posterior, normalised, standing_for
 from ctrplan.diagnosis.workbench import candidates
@@ -96,13 +94,38 @@ def test_a_process_in_the_covariance_is_the_same_as_one_among_the_parameters() -
     rng = np.random.default_rng(1)
     r, J, precision, whole = small()
     modes = rng.standard_normal((r.size, 4))
-    error: Any
-    error = SimpleNamespace(spectrum=lambda fit: Spectrum.at(fit, (block_of(np.arange(6), np.zeros((6, 6))),)))
+    numbers, none = np.arange(r.size).reshape(r.shape), block_of(np.arange(6), np.zeros((6, 6)))
+    error = SmoothError("configuration", ((numbers[:, POSITION], none),), ((numbers[:, TANGENT], none),))
     plain = Peak(error, 0.0, 0.0, modes).evidence(whole) - Peak(error, 0.0, 0.0).evidence(whole)
     flat = J.reshape(-1, J.shape[2])
     covariance = np.eye(r.size) + flat @ np.diag(1 / precision) @ flat.T
     densities = [multivariate_normal.logpdf(r.ravel(), cov=C) for C in (covariance + modes @ modes.T, covariance)]
     assert plain == pytest.approx(densities[0] - densities[1], abs=1e-9)
+
+
+def test_what_sets_have_in_common_is_integrated_out_once() -> None:
+    """Some parameters of a wide fit beside a process and an error, with priors of their own, are a fit of their own."""
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        r, J, scale = rng.standard_normal((8, 5)), rng.standard_normal((8, 5, 6)), 10.0 ** rng.uniform(-4, 4, 6)
+        whole = Linearised(100 * r, J * scale, scale**2)
+        modes = 10.0 ** rng.uniform(-2, 2) * rng.standard_normal((r.size, 5))
+        numbers, block = np.arange(r.size).reshape(r.shape), block_of(np.arange(8), shared(8, 0.8))
+        error = SmoothError("configuration", ((numbers[:, POSITION], block),), ((numbers[:, TANGENT], block),))
+        peak, some = Peak(error, 0.0, 0.0, modes), [4, 0, 3]
+        moved = np.array([0.0, 0.3, 0.0, 0.0, 0.0, -0.2]) / scale
+        precision = whole.precision[some] * 10.0 ** rng.uniform(-2, 2, 3)
+        alone = Peak(error, 0.0, 0.0).beside(
+            Linearised(
+                whole.r + whole.J @ moved,
+                np.concatenate([whole.J[:, :, some], modes.reshape(8, 5, 5)], axis=2),
+                np.append(precision, np.ones(5)),
+            )
+        )
+        together = peak.beside(whole).of(some, precision, moved)
+        assert together.highest() == pytest.approx(alone.highest(), rel=1e-9)
+        pair = (slice(None, None, 5), 7)
+        np.testing.assert_allclose(together.evidences(*pair), alone.evidences(*pair), rtol=1e-8)
 
 
 def test_evidence_is_the_density_of_the_measurements() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from ctrplan.robot.robot import Robot
 
 MONOMIALS = tuple("".join(m) or "1" for k in range(4) for m in itertools.combinations_with_replacement("xyz", k))
 FACTORS = np.array([["1xyz".index(axis) for axis in monomial.rjust(3, "1")] for monomial in MONOMIALS])
+PLACES = {f"{axis}_{m}_mm": (row, column) for row, m in enumerate(MONOMIALS) for column, axis in enumerate("xyz")}
 CENTRE_M, SPAN_M = np.array([0.0, 0.0, 0.15]), 0.1  # where the polynomials are centred and how far one unit is
 AHEAD_M = 1e-4  # along the tangent, for the slope of the field
 
@@ -61,16 +63,21 @@ class SensorDistortion(Effect):
         amounts = np.zeros((len(MONOMIALS), 3))
         for name, amount in values.items():
             if name != "tangent_share":
-                axis, monomial, _ = name.split("_")
-                amounts[MONOMIALS.index(monomial), "xyz".index(axis)] = amount
-        shift = _monomials(poses.position) @ amounts
+                amounts[PLACES[name]] = amount
+        here, further = _seen(poses)
+        shift = here @ amounts
         share = values.get("tangent_share", 0.0)
         if not share:
             return Poses(poses.position + shift, poses.frame)
-        ahead = _monomials(poses.position + AHEAD_M * poses.frame[:, :, 2]) @ amounts
-        tangent = poses.frame[:, :, 2] + share * (ahead - shift) / AHEAD_M
+        tangent = poses.frame[:, :, 2] + share * (further @ amounts - shift) / AHEAD_M
         tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
         return Poses(poses.position + shift, frames_along(tangent, poses.frame[:, :, 0]))
+
+
+@lru_cache(1)  # a fit asks for the same poses once a parameter
+def _seen(poses: Poses) -> tuple[Array, Array]:
+    """(K, M) monomials of poses, and a little further along their tangents."""
+    return _monomials(poses.position), _monomials(poses.position + AHEAD_M * poses.frame[:, :, 2])
 
 
 def _monomials(position: Array) -> Array:
