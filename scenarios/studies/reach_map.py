@@ -17,7 +17,8 @@ from typing import Any
 import ctrplan
 from ctrplan.anatomy.clearance_grid import content_key
 from ctrplan.files.robot_file import robot_from_dict
-from ctrplan.motion.checker import MotionChecker, path_limits
+from ctrplan.motion.checker import MotionChecker
+from ctrplan.motion.limits import path_limits
 from ctrplan.planning.goal_states import descended
 from ctrplan.planning.reach import Configuration
 from ctrplan.scenario.scenario import Goal
