@@ -299,9 +299,10 @@ class Spectrum:
         )
 
     def _beside_process(self, position: NDArray[np.int_], tangent: NDArray[np.int_]) -> System:
-        """The same beside the process, which has taken what it explains out of the system of all other parameters.
+        """Systems and log-likelihoods as of `_systems`, beside the process, over whose amounts is integrated.
 
-        That is done once at a pair of sizes, whichever of the others are asked.
+        What it explains is taken out of the system of all other parameters once at a pair of sizes, whichever of those
+        are wanted.
         """
         from scipy.linalg import solve_triangular  # slow to import
 

@@ -25,7 +25,7 @@ ROOM_M = 1.5e-3  # of the passed place from the bodies in the sign corners, and 
 
 
 def passed_place(scenario: Scenario, q: Array) -> tuple[Array, float]:
-    """Of the body in the state between, the point (3,) that is farthest [m] from all solved bodies; anatomy's frame."""
+    """The point (3,) of the body in the state between that is farthest [m] from all solved ones; anatomy's frame."""
     states = scenario.robot.mechanics.friction_states(*scenario.robot.drive.collars(q))
     bodies = states.bodies(np.vstack([BETWEEN, np.zeros(2), corner_signs(2)])).point_m
     apart = np.linalg.norm(bodies[0][:, None, None] - bodies[None, 1:], axis=3).min(axis=(1, 2))
