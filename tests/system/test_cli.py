@@ -223,7 +223,8 @@ def test_ctrl_c_at_any_moment(tmp_path: Path, seconds: float) -> None:
     _, err = process.communicate(timeout=60)
     assert process.returncode == 130 and "Traceback" not in err, err
     written = sorted(p.name for p in (tmp_path / "out").iterdir()) if (tmp_path / "out").exists() else []
-    assert written in ([], ["SHA256SUMS", "plan.json", "plan.png", "report.html", "trajectory.csv", "trajectory.yaml"])
+    files = ["SHA256SUMS", "inputs.zip", "plan.json", "plan.png", "report.html", "trajectory.csv", "trajectory.yaml"]
+    assert written in ([], files)
 
 
 def test_ctrl_c_that_an_import_makes_another_error_of(
