@@ -57,7 +57,8 @@ def breach(samples: PathSamples, limits: PathLimits) -> str:
         return f"strain {100 * samples.max_strain[-1]:.2f} % is above {100 * limits.max_strain:g} %"
     if samples.clearance_m[-1] < limits.clearance_m:
         short = (limits.clearance_m - samples.clearance_m[-1]) * MM_PER_M
-        return f"a corner shape comes {short:.2f} mm too close to the anatomy"
+        is_between = samples.nearest_phi.size > 0 and bool(np.isfinite(samples.nearest_phi[-1]).all())
+        return f"{'a shape that friction allows' if is_between else 'a corner shape'} comes {short:.2f} mm {TOO_CLOSE}"
     return ""
 
 

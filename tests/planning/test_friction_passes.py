@@ -109,6 +109,7 @@ def test_a_motion_whose_states_between_touch_is_refused(passing: tuple[Scenario,
     blind.density = replace(blind.density, between_corners=False)
     assert free.along(way).valid and blind.along(way).valid
     assert not refusing.along(way).valid
+    assert refusing.along(way).reason.startswith("a shape that friction allows comes")
 
 
 def test_solved_states_refuse_what_interpolated_ones_leave(passing: tuple[Scenario, Array]) -> None:
