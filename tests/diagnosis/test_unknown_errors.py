@@ -10,9 +10,18 @@ from measured_data import SIGMA_M, SIGMA_RAD, measured, pair_robot, waypoints
 from scipy.stats import multivariate_normal
 
 from ctrplan.base.arrays import Array
-from ctrplan.calibration.discrepancy import POSITION, SIZES, TANGENT, Linearised, Spectrum, block_of, shared
+from ctrplan.calibration.discrepancy import (
+    POSITION,
+    SIZES,
+    TANGENT,
+    Discrepancy,
+    Linearised,
+    Spectrum,
+    block_of,
+    shared,
+)
 from ctrplan.calibration.residuals import Noise
-from ctrplan.diagnosis import CATALOGUE, partial_diagnosis
+from ctrplan.diagnosis import CATALOGUE, partial_diagnosis, unknown_errors
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
 from ctrplan.diagnosis.posterior import Compared, compared
 from ctrplan.diagnosis.term_pieces import built_term
@@ -165,3 +174,15 @@ def log_density(r: Array, J: Array, precision: Array, position: float, tangent: 
         rows = np.arange(6) * 5 + k
         covariance[np.ix_(rows, rows)] += (position if k < 3 else tangent) ** 2 * correlation
     return float(multivariate_normal.logpdf(r.ravel(), cov=covariance))
+
+
+def test_a_set_that_leaves_no_error_says_nothing_of_its_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its shares of approaches all have one evidence, and rounding chose which errors were compared."""
+    none, there = Discrepancy(0.0, 0.0, 0.9, ()), Discrepancy(2.0, 1.0, 0.5, ())
+    said, shares = {"none": none, "there": there}, list[float]()
+    monkeypatch.setattr(unknown_errors, "of_configurations", lambda fit, _: said[fit])
+    monkeypatch.setattr(unknown_errors, "at_rest", lambda _, share, __: shares.append(share) or [])
+    for sets, wanted in ((["none", "there"], [0.5]), (["none", "none"], [0.9])):
+        shares.clear()
+        unknown_errors._smooth(rippled({}, 0.0), np.zeros((24, 2, 3)), sets)  # type: ignore[arg-type]
+        assert shares == wanted

@@ -112,10 +112,17 @@ def test_a_motion_whose_states_between_touch_is_refused(passing: tuple[Scenario,
     assert refusing.along(way).reason.startswith("a shape that friction allows comes")
 
 
-def test_solved_states_refuse_what_interpolated_ones_leave(passing: tuple[Scenario, Array]) -> None:
+def test_solved_states_refuse_what_interpolated_ones_leave(
+    passing: tuple[Scenario, Array], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """An interpolated shape says where to look; solved ones beside it say what is left there."""
     scenario, q = passing
     checker = MotionChecker(scenario)
+    way = np.array([q, q + np.radians(0.5) * scenario.robot.drive.is_rotation])
+    walked = checker.walk(way, checker.density, PathLimits())
+    enough = replace(walked, clearance_m=np.full_like(walked.clearance_m, checker.limits.clearance_m))
+    monkeypatch.setattr(checker, "_walked", lambda _: enough)
+    assert "friction allows" in checker.along(way).reason
     samples = checker.walk(q[None], checker.density, PathLimits())
     sample = replace(samples.at_end(), clearance_m=np.array([checker.limits.clearance_m]))  # interpolated: just enough
     assert "friction allows" in checker._too_close_between(q, sample)
