@@ -52,17 +52,32 @@ class Polish:
         self.corners = merge_legs(corners)
         self.cost_mm = self._cost_mm(self.corners)
         self._rng = np.random.default_rng(seed)
+        self._work = self._steps()
 
     def run(self, is_over: Callable[[], bool]) -> None:
-        """Steps of all levels together, then of each, until none is worth while or it is over."""
-        self._leave_out(is_over)
+        """Goes on, a step a time, until none is worth while or it is over."""
+        for _ in self._work:
+            if is_over():
+                return
+
+    def run_round(self, is_over: Callable[[], bool]) -> None:
+        """Goes on until every level was moved downhill once, or it is over: what the path is worth can be told then."""
+        for is_round in self._work:
+            if is_round or is_over():
+                return
+
+    def _steps(self) -> Iterator[bool]:
+        """Levels left out and legs divided, then steps of all levels together and of each; yields before each of these
+        whether it was a round.
+        """
+        yield from self._leave_out()
+        yield from self._divide()
         levels = self._levels()
         step_mm, at_random = np.full(len(levels) + 1, FIRST_MM), False
         while len(levels) and (step_mm > LEAST_MM).any():
             down = self._downhill(levels)
             for k in np.flatnonzero(step_mm > LEAST_MM).tolist():
-                if is_over():
-                    return
+                yield False
                 chosen = range(len(levels)) if k == len(levels) else range(k, k + 1)
                 way = self._random(levels, down) if at_random else down
                 moved = self._moved(levels, [way[i] * step_mm[k] if i in chosen else None for i in range(len(levels))])
@@ -71,6 +86,7 @@ class Polish:
                     down = self._downhill(levels) if chosen[-1] == len(levels) - 1 else down
                 elif at_random:
                     step_mm[k] *= SHORTER
+            yield True
             if len(merge_legs(self.corners)) < len(self.corners):
                 self.corners = merge_legs(self.corners)
                 levels = self._levels()
@@ -103,19 +119,29 @@ class Polish:
             levels.append(Level(ends, begins, count))
         return levels
 
-    def _leave_out(self, is_over: Callable[[], bool]) -> None:
+    def _leave_out(self) -> Iterator[bool]:
         """Leaves out every level that the path does not need: a leg less, and its way."""
         k = 0
         while k < len(levels := [level for level in self._levels() if level.last < len(self.corners)]):
             for beside in (levels[k].first - 1, levels[k].last):
-                if is_over():
-                    return
+                yield False
                 corners = self.corners.copy()
                 corners[levels[k].first : levels[k].last, levels[k].joints] = corners[beside, levels[k].joints]
                 if self._takes(merge_legs(corners)):
                     break
             else:
                 k += 1
+
+    def _divide(self) -> Iterator[bool]:
+        """Lets half of the last leg but one follow the last, and half of the second precede the first, where that pays.
+
+        That is a level more at either end; between them there is one behind every leg.
+        """
+        for first, is_end in ((len(self.corners) - 3, True), (0, False)) if len(self.corners) > 2 else ():
+            yield False
+            a, b, c = self.corners[first : first + 3]
+            between = [(a + b) / 2, (a + b) / 2 + c - b] if is_end else [a + (c - b) / 2, (b + c) / 2]
+            self._takes(merge_legs(np.concatenate([self.corners[: first + 1], between, self.corners[first + 2 :]])))
 
     def _downhill(self, levels: list[Level]) -> list[Array]:
         """For each level the motion (m,) by which the cost falls fastest, 1 mm long; zero where it can't fall."""

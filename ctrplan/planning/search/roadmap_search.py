@@ -6,7 +6,7 @@ Zero-clearance shapes, some thirty times cheaper than a bound, tell which states
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from functools import partial
 from typing import NamedTuple, TypeVar
@@ -281,12 +281,15 @@ class RoadmapSearch:
 
     def known_path(self) -> KnownPath | None:
         """The cheapest path of motions known to be valid and to leave enough room; None without one."""
-        nodes = self._shortest(np.where(self.known & ~self._is_tight, self.cost, np.inf), self.left)
-        if nodes is None:
-            return None
-        motions = self._motions(nodes)
-        cost_mm = float(self.cost[motions].sum() + self.left[motions[-1]])
-        return KnownPath(self.joints[nodes], cost_mm)
+        return next(self.known_paths(), None)
+
+    def known_paths(self) -> Iterator[KnownPath]:
+        """Known paths, the cheapest first; none shares a state but the start with those before it."""
+        cost = np.where(self.known & ~self._is_tight, self.cost, np.inf)
+        while nodes := self._shortest(cost, self.left):
+            motions = self._motions(nodes)
+            yield KnownPath(self.joints[nodes], float(self.cost[motions].sum() + self.left[motions[-1]]))
+            cost[np.isin(self.edges[:, 1], nodes)] = np.inf
 
     def needs_more(self, path: Array, short_m: float) -> None:
         """Takes in what a certificate found missing [m] of clearance on a path (K, m) of states, whose motions hold."""

@@ -131,38 +131,64 @@ class StageSearch:
             self._cheapest_of(roadmap)
         if self.best is not None and not self.best.reordered and not self._is_enough():
             self._tidied(self.checker, self.best.corners, self.best.found_by)
-        self._polish()
+        self._polish(roadmap)
         self._sample()
         return self._answer()
 
-    def _polish(self) -> None:
-        """Improves the best path as it will be driven; certified again, or else half of the way there."""
+    def _polish(self, roadmap: RoadmapSearch) -> None:
+        """Improves the best path and known ones to other goal states as they will be driven.
+
+        The cheapest of them that is certified is kept, or else the best path moved half of its way.
+        """
         if self.best is None or self._is_enough():
             return
-        before = self.best
-        checker, corners = before.checker, before.result.after
-        if self.is_compensated:
-            checker, corners = aimed(checker, corners)
-        until = self.clock.now() + POLISH_SHARE * self.budget
+        before, until = self.best, self.clock.now() + POLISH_SHARE * self.budget
         if self.clock.timed:
             until = min(until, self.budget)
-        work = Polish(checker, corners, self.seed, moves_goal=self.moves_goal)
-        begun_mm = work.cost_mm
+        racers = [self._racer(before.checker, before.result.after)]
+        begun_mm = racers[0].cost_mm if np.isfinite(racers[0].cost_mm) else before.cost_mm
         with self._ending(until):
-            work.run(lambda: self._is_over(until))
-        polished, cost_mm, reached_mm = work.corners, None, work.cost_mm
-        if checker is not before.checker and begun_mm - reached_mm > WORTH_A_CERTIFICATE * begun_mm:
-            back = brought_to_goal(before.checker, work.corners)
-            if back is None:
+            self._race(racers, before.result.after, roadmap, until)
+        for racer in sorted(racers, key=lambda racer: racer.cost_mm):
+            checker = before.checker if racer is racers[0] else roadmap.checker
+            polished, cost_mm, reached_mm = racer.corners, None, racer.cost_mm
+            if racer.checker is not checker and begun_mm - reached_mm > WORTH_A_CERTIFICATE * begun_mm:
+                back = brought_to_goal(checker, racer.corners)
+                if back is None:
+                    continue
+                polished, (there, moved) = back, aimed(checker, back)  # from there compensation goes another way
+                reached_mm = there.cost_mm(there.along(moved), ends_at_goal=True)
+                cost_mm = before.cost_mm - (begun_mm - reached_mm)
+            if not begun_mm - reached_mm > WORTH_A_CERTIFICATE * begun_mm:
+                continue
+            failed = self._tidied(checker, polished, before.found_by, as_driven_mm=cost_mm)
+            if failed and racer is racers[0] and len(polished) == len(before.result.after):
+                failed = self._tidied(checker, (polished + before.result.after) / 2, before.found_by)
+            if not failed or self._is_over(self.budget):
                 return
-            polished, (there, moved) = back, aimed(before.checker, back)  # from there compensation goes another way
-            reached_mm = there.cost_mm(there.along(moved), ends_at_goal=True)
-            cost_mm = before.cost_mm - (begun_mm - reached_mm)
-        if not begun_mm - reached_mm > WORTH_A_CERTIFICATE * begun_mm:
-            return
-        failed = self._tidied(before.checker, polished, before.found_by, as_driven_mm=cost_mm)
-        if failed and len(polished) == len(before.result.after):
-            self._tidied(before.checker, (polished + before.result.after) / 2, before.found_by)
+
+    def _racer(self, checker: MotionChecker, corners: Array) -> Polish:
+        """A path (K, m) to be polished, as it will be driven."""
+        if self.is_compensated:
+            checker, corners = aimed(checker, corners)
+        return Polish(checker, corners, self.seed, moves_goal=self.moves_goal)
+
+    def _race(self, racers: list[Polish], before: Array, roadmap: RoadmapSearch, until: float) -> None:
+        """Polishes the path that is there and known ones of a roadmap for a round each, then the cheapest to its end.
+
+        Half of the time is for the rounds.
+        """
+        half = (self.clock.now() + until) / 2
+        racers[0].run_round(lambda: self._is_over(until))
+        for path in roadmap.known_paths():
+            if self._is_over(half):
+                break
+            corners = self._expanded(path.states)
+            if not np.array_equal(corners[-1], before[-1]):
+                racers.append(self._racer(roadmap.checker, corners))
+                racers[-1].run_round(lambda: self._is_over(until))
+        for racer in sorted(racers, key=lambda racer: racer.cost_mm):
+            racer.run(lambda: self._is_over(until))
 
     def _without_reserve(self) -> None:
         """No path keeps more clearance than the certificate asks for: what keeps no more is looked for."""
