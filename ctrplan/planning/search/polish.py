@@ -49,7 +49,7 @@ class Polish:
         """The cost is infinite where the checker refuses the path: then the first valid one is an improvement."""
         self.checker, self.space, self.moves_goal = checker, checker.space, moves_goal
         self.solver = TipSolver(checker.space, checker.mechanics, checker.watch)
-        self.corners = merge_legs(corners)
+        self.corners, self.cost_mm = merge_legs(corners), np.inf
         self.cost_mm = self._cost_mm(self.corners)
         self._rng = np.random.default_rng(seed)
         self._work = self._steps()
@@ -94,8 +94,17 @@ class Polish:
             at_random = not at_random
 
     def _cost_mm(self, corners: Array) -> float:
+        if self.checker.refusal(self._new_legs(corners)):
+            return np.inf
         motion = self.checker.along(corners, remembers=True)
         return self.checker.cost_mm(motion, ends_at_goal=True) if motion.valid else np.inf
+
+    def _new_legs(self, corners: Array) -> Array:
+        """The polyline (L, m) of a path's legs without those that begin or end the best path so far."""
+        least = min(len(corners), len(self.corners))
+        first = int((corners[:least] == self.corners[:least]).all(axis=1).cumprod().sum())
+        last = int((corners[-least:] == self.corners[-least:]).all(axis=1)[::-1].cumprod().sum())
+        return corners[max(0, first - 1) : max(first, len(corners) - last) + 1]
 
     def _takes(self, corners: Array) -> bool:
         """Whether a path is valid and costs less; then it is the path."""

@@ -87,7 +87,7 @@ class RoadmapSearch:
         a, b = edges.T
         delta = space.difference(self.joints[a], self.joints[b])
         length = space.lengths_mm(delta)
-        least = weights.path * length + weights.stop * space.legs(delta) + 1e-6
+        least = self._least_mm(delta) + 1e-6
         left_m = np.array([self.left_m.get(int(node), np.inf) for node in b])
         left = np.where(np.isfinite(left_m), weights.error_goal * np.nan_to_num(left_m, posinf=0.0) * MM_PER_M, np.inf)
         self.row |= {(int(i), int(j)): k for k, (i, j) in enumerate(edges, len(self.edges))}
@@ -101,6 +101,12 @@ class RoadmapSearch:
         self.narrowest = np.concatenate([self.narrowest, self.place[b]])
         self.jumps = np.concatenate([self.jumps, np.zeros(len(edges), dtype=bool)])
         self._weigh()
+
+    def _least_mm(self, delta: Array) -> Array:
+        """(K,) [mm] length and stops of motions by delta (K, m)."""
+        weights, space = self.checker.scenario.cost, self.checker.space
+        least_mm: Array = weights.path * space.lengths_mm(delta) + weights.stop * space.legs(delta)
+        return least_mm
 
     def _weigh(self) -> None:
         """Puts the hopes of motions to what is known of clearances now."""
@@ -279,17 +285,39 @@ class RoadmapSearch:
     def _check_ahead(self, k: int) -> None:
         self.checker.look_ahead(*self.joints[self.edges[k]])
 
-    def known_path(self) -> KnownPath | None:
-        """The cheapest path of motions known to be valid and to leave enough room; None without one."""
-        return next(self.known_paths(), None)
-
-    def known_paths(self) -> Iterator[KnownPath]:
-        """Known paths, the cheapest first; none shares a state but the start with those before it."""
+    def known_path(self, goal: int | None = None) -> KnownPath | None:
+        """The cheapest path, to one goal if it is given, of motions that are valid and leave enough room, or None."""
         cost = np.where(self.known & ~self._is_tight, self.cost, np.inf)
-        while nodes := self._shortest(cost, self.left):
-            motions = self._motions(nodes)
-            yield KnownPath(self.joints[nodes], float(self.cost[motions].sum() + self.left[motions[-1]]))
-            cost[np.isin(self.edges[:, 1], nodes)] = np.inf
+        nodes = self._shortest(cost, self._left_at(goal, self.left))
+        if nodes is None:
+            return None
+        motions = self._motions(nodes)
+        cost_mm = float(self.cost[motions].sum() + self.left[motions[-1]])
+        return KnownPath(self.joints[nodes], cost_mm)
+
+    def promising_goals(self) -> Iterator[int]:
+        """Goals, first what promises most of those with a known path, then what does of all others.
+
+        Detours can be shortened, what is left at a goal state stays: a goal promises the mean of what the path there
+        likely costs and the least that a straight one does.
+        """
+        weights, goals, tried = self.checker.scenario.cost, self.goals, np.zeros(len(self.goals), dtype=bool)
+        straight_mm = self._least_mm(self.checker.space.difference(self.joints[0], self.joints[goals]))
+        least_mm = straight_mm + weights.error_goal * MM_PER_M * np.array([self.left_m[k] for k in goals.tolist()])
+        cost, left = np.where(self.known & ~self._is_tight, self.cost, np.inf), self.left
+        while True:
+            distance, _ = self._tree(cost, left)
+            promise_mm = np.where(tried, np.inf, least_mm + distance[goals + len(self.joints)])
+            best = int(np.argmin(promise_mm))
+            if not np.isfinite(promise_mm[best]):
+                return
+            tried[best] = True
+            yield int(goals[best])
+            cost, left = self._likely_cost(1.0)
+
+    def path_to(self, goal: int, stop: Callable[[], bool]) -> Array | None:
+        """(K, m) states of the path to a goal that is likely the cheapest; None without a way, or if `stop` came."""
+        return self._path(stop, lambda: self._likely_cost(1.0, goal))
 
     def needs_more(self, path: Array, short_m: float) -> None:
         """Takes in what a certificate found missing [m] of clearance on a path (K, m) of states, whose motions hold."""
@@ -325,15 +353,22 @@ class RoadmapSearch:
         cost = np.where(self.known & ~self._is_tight, SURE, 1 / hope) * self.length + 1e-6
         return np.where(is_open, cost, np.inf), np.where(np.isfinite(self.left), 0.0, np.inf)
 
-    def _likely_cost(self, doubt: float) -> tuple[Array, Array]:
-        """What motions cost and leave; not checked, as far above the least as others on average, and by their hope."""
+    def _likely_cost(self, doubt: float, goal: int | None = None) -> tuple[Array, Array]:
+        """What motions cost and leave, at a single goal only if one is given.
+
+        Those that are not checked cost as far above the least as others on average, and by their hope.
+        """
         valid, ends = self.known & np.isfinite(self.cost), self.known & np.isfinite(self.cost + self.left)
         dearer = self.cost[valid].sum() / self.least[valid].sum() if valid.any() else 1.0
         worse = self.left[ends].sum() / self.least_left[ends].sum() if self.least_left[ends].any() else 1.0
         worse = max(worse, 1e-9)  # infinity stays, where nothing was left at those that are known
         cost = self.cost * (dearer / self.hope) ** doubt
         cost = np.where(self.known, np.where(self._is_tight, np.inf, self.cost), cost)
-        return cost, np.where(self.known, self.left, self.left * worse**doubt)
+        return cost, self._left_at(goal, np.where(self.known, self.left, self.left * worse**doubt))
+
+    def _left_at(self, goal: int | None, left: Array) -> Array:
+        """What is left by motions that end at a goal, inf for others; as it is without one."""
+        return left if goal is None else np.where(self.edges[:, 1] == goal, left, np.inf)
 
     def _refuses_a_state(self, nodes: list[int]) -> bool:
         """Looks at the states themselves; whether any of them is not valid, with all motions from and to it."""
@@ -372,10 +407,13 @@ class RoadmapSearch:
         self.known[k] = True
 
     def _shortest(self, cost: Array, left: Array) -> list[int] | None:
-        """Nodes of the cheapest path from node 0 to a goal, given what motions cost and, as the last one, leave.
+        """Nodes of the cheapest path from node 0 to a goal, given what motions cost and, as the last one, leave."""
+        distance, before = self._tree(cost, left)
+        goal = int(self.goals[np.argmin(distance[self.goals + len(self.joints)])])
+        return self._nodes(before, goal) if np.isfinite(distance[goal + len(self.joints)]) else None
 
-        A goal is two nodes, one to pass and one to end at.
-        """
+    def _tree(self, cost: Array, left: Array) -> tuple[Array, NDArray[np.int_]]:
+        """Costs of the cheapest paths from node 0 to all, twice: to pass there and to end there; and the nodes before."""
         self.checker.meter.add(EDGE_NS * len(cost))
         is_open, count = np.isfinite(cost), len(self.joints)
         last = is_open & np.isfinite(left)
@@ -384,10 +422,11 @@ class RoadmapSearch:
         ways = np.concatenate([a, a_last]), np.concatenate([b, b_last + count])
         graph = csr_array((costs, ways), shape=(2 * count, 2 * count))
         distance, before = dijkstra(graph, indices=0, return_predecessors=True)
-        goal = int(self.goals[np.argmin(distance[self.goals + count])])
-        if not np.isfinite(distance[goal + count]):
-            return None
-        nodes = [goal, int(before[goal + count])]
+        return distance, before
+
+    def _nodes(self, before: NDArray[np.int_], goal: int) -> list[int]:
+        """The nodes of the cheapest path that ends at a goal."""
+        nodes = [goal, int(before[goal + len(self.joints)])]
         while nodes[-1] != 0:
             nodes.append(int(before[nodes[-1]]))
         return nodes[::-1]

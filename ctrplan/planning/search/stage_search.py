@@ -32,9 +32,9 @@ from ctrplan.planning.search.roadmap_search import RoadmapSearch
 from ctrplan.scenario.tip_solver import GoalState
 
 # Shares of the time by which the cheapest path of the roadmap is sought, and another where it failed its certificate
-ROADMAP_SHARE, RETRY_SHARE = 0.6, 0.85
+ROADMAP_SHARE, RETRY_SHARE = 0.4, 0.85
 WORTH_A_CERTIFICATE = 5e-3  # of the cost: less gain than that is not worth a certificate, which takes longer
-POLISH_SHARE = 0.3  # of the time, whenever polish begins: a first path that took all of it is where it gains most
+POLISH_SHARE = 0.6  # of the time, whenever polish begins: a first path that took all of it is where it gains most
 # Share of a time by the clock that L-shaped motions have where they lead to no path; and that of simultaneous ones,
 # which a counted search has beside its budget
 L_SHAPED_SHARE, FALLBACK_SHARE = 0.9, 0.18
@@ -131,41 +131,42 @@ class StageSearch:
             self._cheapest_of(roadmap)
         if self.best is not None and not self.best.reordered and not self._is_enough():
             self._tidied(self.checker, self.best.corners, self.best.found_by)
-        self._polish(roadmap)
         self._sample()
         return self._answer()
 
-    def _polish(self, roadmap: RoadmapSearch) -> None:
-        """Improves the best path and known ones to other goal states as they will be driven.
+    def _polish(self, roadmap: RoadmapSearch) -> bool:
+        """Improves known paths to different goal states as they will be driven; the cheapest that is certified is kept.
 
-        The cheapest of them that is certified is kept, or else the best path moved half of its way.
+        Whether there is one.
         """
-        if self.best is None or self._is_enough():
-            return
+        assert self.best is not None
         before, until = self.best, self.clock.now() + POLISH_SHARE * self.budget
         if self.clock.timed:
             until = min(until, self.budget)
-        racers = [self._racer(before.checker, before.result.after)]
-        begun_mm = racers[0].cost_mm if np.isfinite(racers[0].cost_mm) else before.cost_mm
+        racers, begun_mm = list[Polish](), before.cost_mm
         with self._ending(until):
-            self._race(racers, before.result.after, roadmap, until)
+            if self.is_compensated:
+                checker, corners = aimed(before.checker, before.corners)
+                begun_mm = checker.cost_mm(checker.along(corners), ends_at_goal=True)
+            self._race(racers, roadmap, until)
         for racer in sorted(racers, key=lambda racer: racer.cost_mm):
-            checker = before.checker if racer is racers[0] else roadmap.checker
-            polished, cost_mm, reached_mm = racer.corners, None, racer.cost_mm
-            if racer.checker is not checker and begun_mm - reached_mm > WORTH_A_CERTIFICATE * begun_mm:
+            checker, polished, cost_mm, reached_mm = roadmap.checker, racer.corners, None, racer.cost_mm
+            if self._is_enough() or not begun_mm - reached_mm > WORTH_A_CERTIFICATE * begun_mm:
+                break
+            if racer.checker is not checker:
                 back = brought_to_goal(checker, racer.corners)
                 if back is None:
                     continue
                 polished, (there, moved) = back, aimed(checker, back)  # from there compensation goes another way
                 reached_mm = there.cost_mm(there.along(moved), ends_at_goal=True)
                 cost_mm = before.cost_mm - (begun_mm - reached_mm)
-            if not begun_mm - reached_mm > WORTH_A_CERTIFICATE * begun_mm:
-                continue
-            failed = self._tidied(checker, polished, before.found_by, as_driven_mm=cost_mm)
-            if failed and racer is racers[0] and len(polished) == len(before.result.after):
-                failed = self._tidied(checker, (polished + before.result.after) / 2, before.found_by)
-            if not failed or self._is_over(self.budget):
-                return
+                if not begun_mm - reached_mm > WORTH_A_CERTIFICATE * begun_mm:
+                    continue
+            if not self._tidied(checker, polished, ROADMAP, as_driven_mm=cost_mm):
+                return True
+            if self._is_over(self.budget):
+                break
+        return False
 
     def _racer(self, checker: MotionChecker, corners: Array) -> Polish:
         """A path (K, m) to be polished, as it will be driven."""
@@ -173,20 +174,24 @@ class StageSearch:
             checker, corners = aimed(checker, corners)
         return Polish(checker, corners, self.seed, moves_goal=self.moves_goal)
 
-    def _race(self, racers: list[Polish], before: Array, roadmap: RoadmapSearch, until: float) -> None:
-        """Polishes the path that is there and known ones of a roadmap for a round each, then the cheapest to its end.
+    def _race(self, racers: list[Polish], roadmap: RoadmapSearch, until: float) -> None:
+        """Polishes paths to promising goals, and puts them into `racers`.
 
-        Half of the time is for the rounds.
+        Half of the time is for a round of each, and for seeking the next no longer than a round took; the rest
+        for the cheapest then.
         """
-        half = (self.clock.now() + until) / 2
-        racers[0].run_round(lambda: self._is_over(until))
-        for path in roadmap.known_paths():
+        round_s = half = latest = (self.clock.now() + until) / 2
+        for goal in roadmap.promising_goals():
+            known = roadmap.known_path(goal)
+            states = known.states if known else roadmap.path_to(goal, lambda latest=latest: self._is_over(latest))
             if self._is_over(half):
                 break
-            corners = self._expanded(path.states)
-            if not np.array_equal(corners[-1], before[-1]):
-                racers.append(self._racer(roadmap.checker, corners))
+            began = self.clock.now()
+            if states is not None:
+                racers.append(self._racer(roadmap.checker, self._expanded(states)))
                 racers[-1].run_round(lambda: self._is_over(until))
+                round_s = self.clock.now() - began
+            latest = min(half, self.clock.now() + round_s)
         for racer in sorted(racers, key=lambda racer: racer.cost_mm):
             racer.run(lambda: self._is_over(until))
 
@@ -263,17 +268,19 @@ class StageSearch:
         self.has_chains = True
 
     def _cheapest_of(self, search: RoadmapSearch) -> None:
-        """The cheapest path found on a roadmap that grows further, put in order and certified.
+        """Cheap paths on a roadmap that grows further, polished and certified.
 
-        Where it fails, friction states between the corners, or the finer mesh, take more room than the search keeps:
-        another is sought that leaves as much, for as long as a first path would be.
+        Where that fails, friction states between the corners, or the finer mesh, take more room than the search keeps:
+        the cheapest is certified as it is, and another is sought that leaves as much, for as long as a first path
+        would be.
         """
         until, latest = ROADMAP_SHARE * self.budget, RETRY_SHARE * self.budget
         with self._ending(until):
             self._prepare(search, until)
+            self._grow_cheaper(search, until)
+        if self._is_enough() or self._polish(search):
+            return
         while not self._is_enough():
-            with self._ending(until):
-                self._grow_cheaper(search, until)
             cheapest = search.known_path()
             if cheapest is None or (self.best is not None and cheapest.cost_mm >= self.best.cost_mm):
                 break
@@ -282,7 +289,8 @@ class StageSearch:
                 break
             search.needs_more(cheapest.states, self._short_m)
             search.forbid(cheapest.states, failed)
-            until = latest
+            with self._ending(latest):
+                self._grow_cheaper(search, latest)
 
     def _prepare(self, search: RoadmapSearch, until: float) -> None:
         """Adds chains and goal states of less error to a roadmap."""
