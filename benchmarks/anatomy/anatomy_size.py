@@ -58,7 +58,4 @@ def print_spheres(counts: list[str]) -> None:
 
 
 def main() -> None:
-    parser = common.parser(__doc__)
-    parser.add_argument("section", choices=["spheres"])
-    parser.add_argument("counts", nargs="*")
-    print_spheres(parser.parse_args().counts)
+    print_spheres(common.arguments(__doc__, ("section", ["spheres"]), "counts*").counts)

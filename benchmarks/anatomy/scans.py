@@ -170,10 +170,8 @@ def _memory() -> None:
 
 
 def main() -> None:
-    parser = common.parser(__doc__)
-    parser.add_argument("sections", nargs="*", metavar="SECTION")
+    known = {"phantoms": phantom_errors, "mesh": large_mesh, "volume": large_volume}
+    given = common.arguments(__doc__, ("sections*", known))
     with tempfile.TemporaryDirectory() as name:
         os.environ["CTRPLAN_CACHE_DIR"] = name
-        known = {"phantoms": phantom_errors, "mesh": large_mesh, "volume": large_volume}
-        bound = {section: partial(work, Path(name)) for section, work in known.items()}
-        common.sections(parser.parse_args().sections, bound, parser.error)
+        common.sections(given.sections, {section: partial(work, Path(name)) for section, work in known.items()})

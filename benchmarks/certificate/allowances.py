@@ -200,10 +200,6 @@ def between(given: argparse.Namespace) -> None:
 
 
 def main() -> None:
-    parser = common.parser(__doc__)
-    parser.add_argument("section", choices=["meshes", "uneven", "between"])
-    parser.add_argument("--count", type=int, default=40)
-    parser.add_argument("--clearances-mm", type=float, nargs="*", default=[0.3, 1.0, 3.0])
-    parser.add_argument("--legs", type=int, default=12)
-    given = parser.parse_args()
-    {"meshes": meshes, "uneven": uneven, "between": between}[given.section](given)
+    known = {"meshes": meshes, "uneven": uneven, "between": between}
+    given = common.arguments(__doc__, ("section", known), count=40, clearances_mm=[0.3, 1.0, 3.0], legs=12)
+    known[given.section](given)

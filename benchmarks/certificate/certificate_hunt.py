@@ -38,7 +38,7 @@ from typing import Any
 import common
 import numpy as np
 import trimesh
-from common import ROBOTS, ROOT, table
+from common import ROBOTS, ROOT, table, tube
 
 from ctrplan.anatomy.parts import AnatomyPart
 from ctrplan.anatomy.shape import PartShape
@@ -91,20 +91,9 @@ def robots() -> dict[str, Robot]:
 def _four_tubes() -> Robot:
     """Each curved in its last 60 mm, the inner ones more; clearances of 0.05 mm."""
     tubes = []
-    for k, curvature in enumerate((3.0, 5.0, 8.0, 14.0)):
-        outer = 2.9 - 0.45 * k
-        tubes.append(
-            {
-                "outer_diameter_mm": outer,
-                "inner_diameter_mm": outer - 0.35,
-                "bending_stiffness_Nm2": (0.08, 0.05, 0.025, 0.01)[k],
-                "poisson_ratio": 0.3,
-                "section": [
-                    {"length_mm": 60 + 40 * k, "curvature_x_per_m": 0, "curvature_y_per_m": 0},
-                    {"length_mm": 60, "curvature_x_per_m": 0, "curvature_y_per_m": curvature},
-                ],
-            }
-        )
+    for k, (curvature, stiffness) in enumerate(((3.0, 0.08), (5.0, 0.05), (8.0, 0.025), (14.0, 0.01))):
+        outer, sections = 2.9 - 0.45 * k, ((60 + 40 * k, 0, 0), (60, 0, curvature))
+        tubes.append(tube(outer, outer - 0.35, stiffness, sections))
     return robot_from_dict({"name": "four tubes", "tube": tubes, "contact": [{"friction_coefficient": 0.2}] * 3})
 
 
@@ -351,14 +340,7 @@ def broken(results: list[Result]) -> Iterator[str]:
 
 
 def main() -> None:
-    parser = common.parser(__doc__)
-    parser.add_argument("--scenes", type=int, default=1000)
-    parser.add_argument("--first", type=int, default=0, help="leave out the scenes before this one")
-    parser.add_argument("--processes", type=int, default=2)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--only", type=int)
-    parser.add_argument("--file", type=Path, default=RESULTS)
-    given = parser.parse_args()
+    given = common.arguments(__doc__, scenes=1000, first=0, processes=2, seed=1, only=int, file=RESULTS)
     if given.only is not None:
         print(json.dumps(asdict(judged(given.only, given.seed)), indent=2))
         return

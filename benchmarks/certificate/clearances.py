@@ -95,12 +95,7 @@ def meshes(names: list[str]) -> None:
 
 
 def main() -> None:
-    parser = common.parser(__doc__)
-    parser.add_argument("section", choices=["claims", "meshes"])
-    parser.add_argument("scenarios", nargs="*")
-    parser.add_argument("--robots", type=int, default=60, help="random configurations (60)")
-    parser.add_argument("--seed", type=int, default=0)
-    given = parser.parse_args()
+    given = common.arguments(__doc__, ("section", ("claims", "meshes")), "scenarios*", robots=60, seed=0)
     if given.section == "claims":
         print_claims(given.robots, given.seed)
     else:

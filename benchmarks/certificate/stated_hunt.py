@@ -395,13 +395,7 @@ def _descended(w: World, case: Scenario, joints: Array, draw: Draw, rows: Array,
 
 
 def main() -> None:
-    parser = common.parser(__doc__)
-    parser.add_argument("kinds", nargs="*")
-    parser.add_argument("--scenes", type=int, default=300)
-    parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--only", type=int)
-    given = parser.parse_args()
+    given = common.arguments(__doc__, "kinds*", scenes=300, first=0, seed=1, only=int)
     kinds = tuple(given.kinds) or KINDS
     if given.only is not None:
         print(json.dumps(scene(given.only, given.seed, kinds), indent=1))

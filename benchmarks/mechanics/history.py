@@ -328,13 +328,8 @@ def windings(count: int) -> None:
 
 
 def main() -> None:
-    parser = common.parser(__doc__)
-    parser.add_argument("sections", nargs="*", metavar="SECTION")
-    parser.add_argument("--histories", type=int, default=COUNT, help="random histories of each robot")
-    parser.add_argument("--robots", type=int, default=ROBOTS_DRAWN, help="drawn ones, beside the independent simulator")
-    parser.add_argument("--configurations", type=int, default=500, help="of each robot that was wound up")
-    given = parser.parse_args()
     known = {"section_v": section_v, "loop": loop, "erasure": erasure, "release": release, "numerics": numerics}
-    counted = {"bound": lambda: bound(given.histories), "simulator": lambda: simulator(given.robots)}
-    counted["windings"] = lambda: windings(given.configurations)
-    common.sections(given.sections, {**known, **counted}, parser.error)
+    known |= {"bound": lambda: bound(given.histories), "simulator": lambda: simulator(given.robots)}
+    known["windings"] = lambda: windings(given.configurations)
+    given = common.arguments(__doc__, ("sections*", known), histories=COUNT, robots=ROBOTS_DRAWN, configurations=500)
+    common.sections(given.sections, known)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from common import ROBOTS, table
+from common import ROBOTS, table, tube
 
 from ctrplan.base.arrays import Array
 from ctrplan.files.robot_file import load_robot, robot_from_dict
@@ -230,26 +230,13 @@ def drawn(n: int, rng: np.random.Generator) -> Drawn | None:
         tuple(Tube(*row) for row in zip(outer_m, inner_m, stiff.tolist(), poisson.tolist(), sections, strict=True)),
         tuple(pairs),
     )
-    robot = robot_from_dict(
-        {
-            "name": "drawn",
-            "tube": [
-                {
-                    "outer_diameter_mm": 2e3 * tube.outer_radius_m,
-                    "inner_diameter_mm": 2e3 * tube.inner_radius_m,
-                    "bending_stiffness_Nm2": tube.bending_stiffness_Nm2,
-                    "poisson_ratio": tube.poisson_ratio,
-                    "section": [
-                        {"length_mm": 1e3 * s.length_m, "curvature_x_per_m": x, "curvature_y_per_m": y}
-                        for s in tube.sections
-                        for x, y in [s.curvature_per_m]
-                    ],
-                }
-                for tube in world.tubes
-            ],
-            "contact": [{"friction_coefficient": p.friction, "clearance_mm": 1e3 * p.clearance_m} for p in pairs],
-        }
-    )
+    tubes = []
+    for tube_of in world.tubes:
+        bends = ((1e3 * s.length_m, *s.curvature_per_m) for s in tube_of.sections)
+        sizes = 2e3 * tube_of.outer_radius_m, 2e3 * tube_of.inner_radius_m, tube_of.bending_stiffness_Nm2
+        tubes.append(tube(*sizes, bends, poisson_ratio=tube_of.poisson_ratio))
+    contacts = [{"friction_coefficient": p.friction, "clearance_mm": 1e3 * p.clearance_m} for p in pairs]
+    robot = robot_from_dict({"name": "drawn", "tube": tubes, "contact": contacts})
     theta = np.cumsum(rng.uniform(-np.pi, np.pi, n))
     bound = robot.bound(theta, l_b, accuracy="certificate")
     each = (bound.frictionless, *bound.corners)

@@ -7,12 +7,12 @@ import time
 from dataclasses import dataclass
 
 import numpy as np
-from common import panels, save, table
+from common import finer, panels, save, table
 from history_bound import LABELLED, PAIR, PAIR_L_M, THREE, norm_mm, random_path
 from matplotlib import colormaps
 
 from ctrplan.base.arrays import Array
-from ctrplan.mechanics.shapes import Accuracy, HistoryOptions
+from ctrplan.mechanics.shapes import Accuracy
 from ctrplan.reports import looks
 from ctrplan.robot.robot import Robot
 
@@ -115,11 +115,6 @@ def release() -> None:
 PATHS = 20  # of each robot, for the energy
 HALVED_PATHS: dict[Accuracy, int] = {"search": 20, "certificate": 8}
 STEPS = 500  # for the speed
-HALVED = HistoryOptions(
-    rotation_rad=HistoryOptions.rotation_rad / 2,
-    translation_m=HistoryOptions.translation_m / 2,
-    state_change=HistoryOptions.state_change / 2,
-)
 
 
 def numerics() -> None:
@@ -139,7 +134,7 @@ def halving() -> None:
             for number in range(paths):
                 waypoints = random_path(robot, np.random.default_rng((number, robot.n, 8)))
                 one = robot.history(accuracy=accuracy).follow(*waypoints)
-                other = robot.history(accuracy=accuracy, options=HALVED).follow(*waypoints)
+                other = robot.history(accuracy=accuracy, options=finer(2)).follow(*waypoints)
                 if one.snaps.sum() + other.snaps.sum():
                     snapped += 1
                 else:

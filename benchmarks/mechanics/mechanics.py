@@ -385,10 +385,7 @@ def clearance_rows(name: str) -> list[Row]:
 
 
 def main() -> None:
-    parser = common.parser(__doc__)
-    parser.add_argument("section", nargs="*")
-    parser.add_argument("--count", type=int, default=1000)
-    given = parser.parse_args()
     known = {"references": references, "pairs": pairs, "order": order, "gradients": gradients, "speed": speed}
     counted = {"meshes": lambda: meshes(given.count), "fineness": lambda: fineness(given.count)}
-    common.sections(given.section, {**known, **counted}, parser.error)
+    given = common.arguments(__doc__, ("sections*", [*known, *counted]), count=1000)
+    common.sections(given.sections, {**known, **counted})

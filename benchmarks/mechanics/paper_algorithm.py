@@ -56,9 +56,7 @@ def ascent(problem: Any, tip_m: Any, limit_s: float) -> dict[str, Any]:
 
 
 def main() -> None:
-    parser = common.parser(__doc__)
-    parser.add_argument("--limit", type=float, default=110.0, help="seconds after which the ascent is cut short")
-    limit_s = parser.parse_args().limit
+    limit_s = common.arguments(__doc__, limit=110.0).limit
     robot = load_robot(ROOT / "scenarios" / "robots" / "three_tube.toml")
     nodes = paper.mesh(robot.tubes, L_B, SPACING_M)
     friction = [mu for _, mu in robot.friction]

@@ -422,7 +422,5 @@ TABLES: dict[str, Callable[[], Rows]] = {
 
 
 def main() -> None:
-    parser = common.parser(__doc__)
-    parser.add_argument("names", nargs="*", metavar="TABLE", help=", ".join(TABLES))
-    for name in parser.parse_args().names or TABLES:
+    for name in common.arguments(__doc__, ("names*", TABLES)).names or TABLES:
         table(name, *TABLES[name]())

@@ -189,13 +189,9 @@ def run(chosen: list[PublicCase], root: Path, out: Path) -> None:
 
 
 def main() -> None:
-    parser = common.parser(__doc__)
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("out", type=Path, nargs="?")
-    parser.add_argument("cases", nargs="*")
-    for option in ("page", "table", "commands", "measure"):
-        parser.add_argument(f"--{option}", action="store_true")
-    given, cases = parser.parse_args(), all_cases()
+    switches = dict.fromkeys(("page", "table", "commands", "measure"), False)
+    given, cases = common.arguments(__doc__, "folder", "out?", "cases*", **switches), all_cases()
+    given.folder, given.out = Path(given.folder), Path(given.out or ".")
     if given.measure:
         print(json.dumps(_figures(given.folder)))
     elif given.commands:

@@ -78,6 +78,4 @@ def drawn_back(plan: Measurements) -> Array:
 
 
 def main() -> None:
-    parser = common.parser(__doc__)
-    parser.add_argument("--configurations", type=int, default=12)
-    intervals(parser.parse_args().configurations)
+    intervals(common.arguments(__doc__, configurations=12).configurations)

@@ -3,8 +3,6 @@
 python benchmarks/run.py friction_sensitivity FOLDER            # 1,152 bounds of as many robots, some 15 s of a core
 """
 
-from pathlib import Path
-
 import common
 import matplotlib.pyplot as plt
 import numpy as np
@@ -54,9 +52,7 @@ def draw(table: ctrplan.StudyTable, found: Sensitivity) -> None:
 
 
 def main() -> None:
-    parser = common.parser(__doc__)
-    parser.add_argument("folder", type=Path)
-    asked = parser.parse_args()
+    asked = common.arguments(__doc__, "folder")
     study = ctrplan.Study.read(STUDY)
     table = study.run(asked.folder, workers=1)
     found = sensitivity(study, table, "bound_mm")

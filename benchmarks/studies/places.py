@@ -210,12 +210,7 @@ def poses_of_study(folder: Path, read: bool) -> None:
 
 
 def main() -> None:
-    parser = common.parser(__doc__)
-    parser.add_argument("section", choices=["reach", "entry", "poses"])
-    parser.add_argument("names", nargs="*", help="a folder, or scenarios")
-    parser.add_argument("--read", action="store_true", help="compute nothing")
-    parser.add_argument("--candidates", type=int, default=128)
-    given = parser.parse_args()
+    given = common.arguments(__doc__, ("section", ("reach", "entry", "poses")), "names*", read=False, candidates=128)
     if given.section == "entry":
         entry(given.names or ["ventricle", "airway", "ribs"], given.candidates)
     else:

@@ -14,7 +14,6 @@ times: that of the loop to that of workers, client and scheduler together, times
 
 from __future__ import annotations
 
-import argparse
 import os
 import subprocess
 import sys
@@ -194,13 +193,8 @@ def print_rates(what: str, times: np.ndarray) -> None:
 
 
 def main() -> None:
-    parser = common.parser(__doc__)
-    parser.add_argument("--bounds", type=int, default=8000)
-    parser.add_argument("--plans", type=int, default=48)
-    parser.add_argument("--rounds", type=int, default=3, help="of loop, two loops and study")
-    parser.add_argument("--serve-loop", nargs=2, metavar=("NAME", "COUNT"), help=argparse.SUPPRESS)
-    asked = parser.parse_args()
-    if asked.serve_loop:
+    asked = common.arguments(__doc__, bounds=8000, plans=48, rounds=3, serve_loop=[""])
+    if any(asked.serve_loop):
         return serve_loop(asked.serve_loop[0], int(asked.serve_loop[1]))
     print(f"load of the machine {os.getloadavg()[0]:.1f}, {os.cpu_count()} cores, {WORKERS} workers")
     with tempfile.TemporaryDirectory() as name:

@@ -149,12 +149,8 @@ def print_plans(folder: Path) -> None:
 
 
 def main() -> None:
-    parser = common.parser(__doc__)
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("--trials", type=int, default=120)
-    parser.add_argument("--workers", type=int, default=1)
-    parser.add_argument("--plans", action="store_true")
-    asked = parser.parse_args()
+    asked = common.arguments(__doc__, "folder", trials=120, workers=1, plans=False)
+    asked.folder = Path(asked.folder)
     ours, blind = searches(asked.folder, asked.trials, asked.workers, asked.plans)
     first, theirs = ours.entries()[0], max(blind.entries(), key=lambda row: (row["reach"], row["stability"]))
     for name, found in (("with friction", ours), ("literature", blind)):

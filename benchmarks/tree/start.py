@@ -87,13 +87,7 @@ def plans(scenario: str, search_s: float, runs: int) -> None:
 
 
 def main() -> None:
-    parser = common.parser(__doc__)
-    parser.add_argument("--plan", type=float, metavar="S")
-    parser.add_argument("--pictures")
-    parser.add_argument("--runs", type=int, default=9)
-    parser.add_argument("--robot", default="three_tube")
-    parser.add_argument("--scenario", default="vessel")
-    given = parser.parse_args()
+    given = common.arguments(__doc__, plan=float, pictures=str, runs=9, robot="three_tube", scenario="vessel")
     if given.pictures:
         pictures(given.pictures)
         return
