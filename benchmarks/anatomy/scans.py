@@ -7,6 +7,7 @@ phantoms: tubes along a line and a circle, askew to the voxels, as label maps an
 largest that the process ever had, so give one word to learn one of them.
 """
 
+import itertools
 import os
 import resource
 import tempfile
@@ -17,7 +18,7 @@ from pathlib import Path
 import common
 import numpy as np
 import phantoms
-from common import SCENARIOS
+from common import ROBOTS, table
 from scipy.spatial.transform import Rotation
 
 import ctrplan
@@ -28,7 +29,7 @@ SPACINGS_MM = [(0.5, 0.5, 0.5), (1.0, 1.0, 1.0), (0.7, 0.7, 1.4), (2.0, 2.0, 2.0
 RADII_MM = (1.0, 3.0, 5.0, 9.0)
 DRAWS = 3
 REACH_M = 0.12
-ROBOT = SCENARIOS / "robots" / "three_tube_insertion.toml"
+ROBOT = ROBOTS / "three_tube_insertion.toml"
 LUMEN = """robot = "{robot}"
 [start]
 "rotate outer" = 0
@@ -48,18 +49,17 @@ margin_mm = 0.3
 
 
 def phantom_errors(folder: Path) -> None:
-    print("| voxels (mm) | radius (mm) | of | rms (voxel) | mean | 99 % | largest |")
-    print("|---|---|---|---|---|---|---|")
-    for spacing in SPACINGS_MM:
-        for radius in RADII_MM:
-            if radius < 0.9 * max(spacing):
-                continue
-            for grey in (False, True):
-                off = np.concatenate([_errors(folder, spacing, radius, grey, seed) for seed in range(DRAWS)])
-                numbers = np.sqrt(np.mean(off**2)), np.mean(off), np.quantile(np.abs(off), 0.99), np.abs(off).max()
-                shown = " | ".join(f"{x:.3f}" for x in numbers)
-                size = " x ".join(f"{s:g}" for s in spacing)
-                print(f"| {size} | {radius:g} | {'grey' if grey else 'labels'} | {shown} |")
+    rows = (
+        _row(folder, *of) for of in itertools.product(SPACINGS_MM, RADII_MM, (False, True)) if of[1] >= 0.9 * max(of[0])
+    )
+    table("phantoms", "voxels (mm) | radius (mm) | of | rms (voxel) | mean | 99 % | largest", rows)
+
+
+def _row(folder: Path, spacing: tuple[float, ...], radius: float, grey: bool) -> tuple[str, ...]:
+    off = np.concatenate([_errors(folder, spacing, radius, grey, seed) for seed in range(DRAWS)])
+    numbers = np.sqrt(np.mean(off**2)), np.mean(off), np.quantile(np.abs(off), 0.99), np.abs(off).max()
+    size = " x ".join(f"{s:g}" for s in spacing)
+    return size, f"{radius:g}", "grey" if grey else "labels", *(f"{x:.3f}" for x in numbers)
 
 
 def _errors(folder: Path, spacing: tuple[float, ...], radius: float, grey: bool, seed: int) -> phantoms.Array:

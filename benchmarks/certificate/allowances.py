@@ -19,29 +19,25 @@ robots: samples between those that certificates solve are taken from their neigh
 comparison. Samples where a state has no equilibrium, or another one than its neighbours, are counted by themselves.
 """
 
-import argparse
 import itertools
 from collections.abc import Iterator
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
 import common
 import numpy as np
 from common import ROBOTS, SCENARIOS, table
 
 import ctrplan
+from ctrplan import Robot, Scenario, load_robot, scenario_from_dict
 from ctrplan.base.arrays import Array
 from ctrplan.certificate.anatomy_distance import AnatomyDistance
 from ctrplan.certificate.friction_states import LOOK_EVERY, UNEVEN_FRICTION_M, bound_allowance_m, mesh_allowance_m
 from ctrplan.certificate.sample_states import SampleStates, StatesBetween
 from ctrplan.certificate.uneven_friction import PARTS, worst_uneven_friction
 from ctrplan.certificate.walked_piece import walked
-from ctrplan.files.robot_file import load_robot
-from ctrplan.files.scenario_file import scenario_from_dict
 from ctrplan.mechanics.shapes import Accuracy, FrictionBodies
-from ctrplan.robot.robot import Robot
 from ctrplan.scenario.joint_space import JointSpace
-from ctrplan.scenario.scenario import Scenario
 
 NAMES = ("three_tube", "table_1_pair", "table_4_pair", "table_5_pair")
 BRANCH_M = 5e-3
@@ -74,8 +70,10 @@ def errors(robot: Robot, mesh: Accuracy, count: int) -> Array:
     return np.array(rows).reshape(-1, 2)
 
 
-def meshes(given: argparse.Namespace) -> None:
-    rows = []
+Rows = Iterator[tuple[object, ...]]
+
+
+def meshes(given: Any) -> Rows:
     for name, clearance_mm in itertools.product(NAMES, [None, *given.clearances_mm]):
         plain = load_robot(ROBOTS / f"{name}.toml")
         wider = [] if clearance_mm is None else [f"contact.{k}.clearance_mm={clearance_mm}" for k in range(1, plain.n)]
@@ -86,17 +84,7 @@ def meshes(given: argparse.Namespace) -> None:
             apart, short = same.max(axis=0, initial=0.0) * 1e3
             allowed = mesh_allowance_m(robot, mesh) * 1e3, bound_allowance_m(robot, mesh) * 1e3
             cells = f"{apart:.2f} ({allowed[0]:.2f})", f"{short:.2f} ({allowed[1]:.2f})"
-            rows.append((name, str(clearance_mm or "own"), mesh, len(found), len(found) - len(same), *cells))
-    head = (
-        "robot",
-        "clearance, mm",
-        "mesh",
-        "solved",
-        "other equilibria",
-        "bodies, mm (allowed)",
-        "bounds short, mm (allowed)",
-    )
-    table("meshes", head, rows)
+            yield name, str(clearance_mm or "own"), mesh, len(found), len(found) - len(same), *cells
 
 
 def obstacle(rng: np.random.Generator, near_mm: Array) -> dict[str, object]:
@@ -131,19 +119,15 @@ def nearer_mm(robot: Robot, count: int) -> Array:
     return np.array(found)
 
 
-def uneven(given: argparse.Namespace) -> None:
-    rows = []
+def uneven(given: Any) -> Rows:
     for name in NAMES:
         found = nearer_mm(load_robot(ROBOTS / f"{name}.toml"), given.count)
         most = (f"{np.percentile(found, p):.3f}" for p in (50, 90, 95, 100))
-        rows.append((name, *most, f"{100 * np.mean(found > UNEVEN_FRICTION_M * 1e3):.1f} %"))
-    head = ("robot", "nearer by, mm: median", "90 %", "95 %", "largest", f"beyond {UNEVEN_FRICTION_M * 1e3:g} mm")
-    table("uneven friction", head, rows)
+        yield name, *most, f"{100 * np.mean(found > UNEVEN_FRICTION_M * 1e3):.1f} %"
 
 
 STATES = 12  # random ones of every sample
 GRANTED_M = 5e-6
-BRANCH_M = 5e-3
 TURN_DEG, PUSH_MM = 20.0, 5.0  # of a leg at most
 
 
@@ -185,8 +169,7 @@ def of_different_robots() -> Iterator[Scenario]:
             yield scenario
 
 
-def between(given: argparse.Namespace) -> None:
-    rows = []
+def between(given: Any) -> Rows:
     for scenario, accuracy in itertools.product(of_different_robots(), ("search", "certificate")):
         rng = np.random.default_rng(0)
         found = np.array([row for _ in range(given.legs) for row in of_leg(scenario, rng, accuracy)]).reshape(-1, 2)
@@ -194,12 +177,20 @@ def between(given: argparse.Namespace) -> None:
         error, beyond = found[same].max(axis=0) * 1e3
         name, share = Path(scenario.robot.path or "").stem, 100 * np.mean(found[same, 1] > GRANTED_M)
         counts = int(same.sum()), int(np.sum(~same))
-        rows.append((name, accuracy, *counts, f"{error:.3f}", f"{beyond:.3f}", f"{share:.1f} %"))
-    head = ("robot", "mesh", "samples", "other equilibria", "error, mm", "beyond what is taken off, mm", "of samples")
-    table("friction states between samples", head, rows)
+        yield name, accuracy, *counts, f"{error:.3f}", f"{beyond:.3f}", f"{share:.1f} %"
 
 
 def main() -> None:
-    known = {"meshes": meshes, "uneven": uneven, "between": between}
+    of_bodies = (
+        "robot | clearance, mm | mesh | solved | other equilibria | bodies, mm (allowed) | bounds short, mm (allowed)"
+    )
+    beyond = f"beyond {UNEVEN_FRICTION_M * 1e3:g} mm"
+    of_states = "robot | mesh | samples | other equilibria | error, mm | beyond what is taken off, mm | of samples"
+    known = {
+        "meshes": ("meshes", of_bodies, meshes),
+        "uneven": ("uneven friction", f"robot | nearer by, mm: median | 90 % | 95 % | largest | {beyond}", uneven),
+        "between": ("friction states between samples", of_states, between),
+    }
     given = common.arguments(__doc__, ("section", known), count=40, clearances_mm=[0.3, 1.0, 3.0], legs=12)
-    known[given.section](given)
+    title, head, rows = known[given.section]
+    table(title, head, rows(given))

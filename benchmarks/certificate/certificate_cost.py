@@ -7,8 +7,6 @@ A checkout needs its compiled core in ctrplan/. The certificate as it is stated 
 the walk alone as a search asks for it. The first of a run is not counted: grids and friction laws are kept then.
 """
 
-from __future__ import annotations
-
 import json
 import time
 from collections.abc import Callable, Iterator

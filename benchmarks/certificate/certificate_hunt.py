@@ -24,8 +24,6 @@ table is of all scenes there. --only solves one scene again and prints all that 
 the seed and its number alone.
 """
 
-from __future__ import annotations
-
 import itertools
 import json
 from collections.abc import Iterator
@@ -40,20 +38,14 @@ import numpy as np
 import trimesh
 from common import ROBOTS, ROOT, table, tube
 
+from ctrplan import Capsule, CtrplanError, Mesh, Robot, Scenario, Sphere, load_robot, robot_from_dict
 from ctrplan.anatomy.parts import AnatomyPart
 from ctrplan.anatomy.shape import PartShape
-from ctrplan.anatomy.shapes.capsule import Capsule
-from ctrplan.anatomy.shapes.mesh import Mesh
-from ctrplan.anatomy.shapes.sphere import Sphere
 from ctrplan.audit.body import RawAnatomy, body_of
 from ctrplan.base.arrays import Array
 from ctrplan.certificate.certify import certify
-from ctrplan.errors import CtrplanError
-from ctrplan.files.robot_file import load_robot, robot_from_dict
 from ctrplan.mechanics.shapes import Accuracy
-from ctrplan.robot.robot import Robot
 from ctrplan.scenario.joint_space import JointSpace, bare_scenario
-from ctrplan.scenario.scenario import Scenario
 
 RESULTS = ROOT / "build" / "certificate_hunt.jsonl"
 GRID = {1: 401, 2: 41, 3: 9}  # states along a pair
@@ -67,8 +59,6 @@ BEYOND_M, BEYOND_SHARE = 0.3e-3, 0.02
 TURN_RAD, SLIDE_M = 0.2, 3e-3
 CLEAR_M = {"between": 0.2e-3, "random": 1e-3}  # of frictionless and corner shapes, in the middle of the motion
 MOST_DRAWN = 200  # obstacles, until one leaves these shapes so much
-
-
 JUDGES = ("grid", "contacts", "histories", "branches")
 
 
@@ -326,8 +316,9 @@ def print_table(results: list[Result]) -> None:
         share = f"{100 * sum(r.certified for r in clear) / len(clear):.1f} %" if clear else "-"
         excess = max((r.claimed_mm - min(r.least_mm.values()) for r in sure if r.least_mm), default=np.nan)
         rows.append((name, kind, len(mine), len(sure), *hits, beyond, len(clear), share, f"{excess:.2f}"))
-    head = ["robot", "kind", "scenes", "certified", *(f"hit by {judge}" for judge in JUDGES), "beyond the bound"]
-    table("scenes", (*head, "1 mm clear", "of these certified", "largest excess, mm"), rows)
+    hit = " | ".join(f"hit by {judge}" for judge in JUDGES)
+    head = f"robot | kind | scenes | certified | {hit} | beyond the bound | 1 mm clear | of these certified"
+    table("scenes", f"{head} | largest excess, mm", rows)
 
 
 def broken(results: list[Result]) -> Iterator[str]:

@@ -18,12 +18,11 @@ import numpy as np
 from common import ROBOTS, SCENARIOS, table
 
 import ctrplan
+from ctrplan import Scenario, scenario_from_dict
 from ctrplan.base.arrays import Array
 from ctrplan.certificate.certificate import Certificate
 from ctrplan.certificate.certify import certify
 from ctrplan.certificate.walked_legs import walk_legs
-from ctrplan.files.scenario_file import scenario_from_dict
-from ctrplan.scenario.scenario import Scenario
 
 ROBOT = ctrplan.load_robot(ROBOTS / "three_tube.toml")
 STATES = np.array(list(itertools.product(np.linspace(-1, 1, 17), repeat=2)))
@@ -84,14 +83,11 @@ def clearances_mm(certificate: Certificate) -> list[float]:
     return [1e3 * value for value in found]
 
 
-def meshes(names: list[str]) -> None:
-    rows = []
+def meshes(names: list[str]) -> Iterator[tuple[str, ...]]:
     for name in names or NAMES:
         plan = ctrplan.plan(ctrplan.load_scenario(SCENARIOS / f"{name}.toml"))
         both = [clearances_mm(certify(plan.scenario, plan.waypoints, accuracy=on)) for on in ("search", "certificate")]
-        rows.append((name, *(f"{coarse:.2f}, {fine:.2f}" for coarse, fine in zip(*both, strict=True))))
-    head = ("scenario", "frictionless, mm: coarse, fine", "any friction state", "certified")
-    table("clearances on both meshes", head, rows)
+        yield name, *(f"{coarse:.2f}, {fine:.2f}" for coarse, fine in zip(*both, strict=True))
 
 
 def main() -> None:
@@ -99,4 +95,5 @@ def main() -> None:
     if given.section == "claims":
         print_claims(given.robots, given.seed)
     else:
-        meshes(given.scenarios)
+        head = "scenario | frictionless, mm: coarse, fine | any friction state | certified"
+        table("clearances on both meshes", head, meshes(given.scenarios))

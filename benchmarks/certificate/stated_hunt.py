@@ -18,8 +18,6 @@ Results are kept scene by scene in build/stated_hunt.jsonl; another run goes on 
 and its number alone.
 """
 
-from __future__ import annotations
-
 import copy
 import itertools
 import json
@@ -33,21 +31,14 @@ import trimesh
 from common import ROBOTS, ROOT, table
 from scipy.spatial import cKDTree
 
+from ctrplan import Capsule, CtrplanError, Mesh, Registration, Robot, Scenario, Sphere, Status, robot_from_dict
 from ctrplan.anatomy.parts import AnatomyPart
 from ctrplan.anatomy.shape import PartShape
-from ctrplan.anatomy.shapes.capsule import Capsule
-from ctrplan.anatomy.shapes.mesh import Mesh
-from ctrplan.anatomy.shapes.sphere import Sphere
 from ctrplan.audit.body import RawAnatomy
 from ctrplan.base.arrays import Array
 from ctrplan.certificate.certify import certify
 from ctrplan.drive.trajectory import time_parameterise
-from ctrplan.errors import CtrplanError
-from ctrplan.files.robot_file import robot_from_dict
-from ctrplan.mechanics.shapes import Status
-from ctrplan.robot.robot import Robot
 from ctrplan.scenario.joint_space import JointSpace, bare_scenario
-from ctrplan.scenario.scenario import Registration, Scenario
 from ctrplan.storage.toml_document import read_document
 
 RESULTS = ROOT / "build" / "stated_hunt.jsonl"
@@ -226,25 +217,26 @@ def obstacle(center: Array, outward: Array, rng: np.random.Generator) -> PartSha
         middle, half = center + 0.1e-3 * outward, rng.uniform(1e-3, 30e-3)
         return Capsule(middle - half * across, middle + half * across, 0.1e-3)
     box = trimesh.creation.box(extents=[8e-3, 8e-3, 1e-3])
-    up = np.cross(outward, across)
-    turned = np.eye(4)
-    turned[:3, :3], turned[:3, 3] = np.stack([across, up, outward], axis=1), center + 0.5e-3 * outward
-    box.apply_transform(turned)
-    return Mesh(np.array(box.vertices), np.array(box.faces))
+    axes = np.stack([across, np.cross(outward, across), outward], axis=1)
+    return Mesh(box.vertices @ axes.T + center + 0.5e-3 * outward, np.array(box.faces))
 
 
-def scene(number: int, seed: int, kinds: tuple[str, ...]) -> dict[str, Any] | None:
+def scene(number: int, seed: int, kinds: tuple[str, ...]) -> dict[str, Any]:
     rng = np.random.default_rng([seed, number])
     kind = kinds[number % len(kinds)]
     w = world(kind, rng)
+
+    def skipped(why: str) -> dict[str, Any]:
+        return {"number": number, "kind": kind, "skipped": why}
+
     try:
         robot = w.robot
     except CtrplanError as error:
-        return {"number": number, "kind": kind, "skipped": str(error)}
+        return skipped(str(error))
     bare = replace(bare_scenario(robot), registration=w.registration)
     corners = path(JointSpace.of(bare), robot, rng)
     if corners is None:
-        return {"number": number, "kind": kind, "skipped": "no path"}
+        return skipped("no path")
     rows = places(robot, driven(w, robot, corners))
     bodies, radii, owner = [], [], []
     every = draws(w, rng)
@@ -253,16 +245,16 @@ def scene(number: int, seed: int, kinds: tuple[str, ...]) -> dict[str, Any] | No
             try:
                 body, radius = draw.body(w, joints)
             except CtrplanError:
-                return {"number": number, "kind": kind, "skipped": "no equilibrium"}
+                return skipped("no equilibrium")
             if not np.isfinite(body).all():
-                return {"number": number, "kind": kind, "skipped": "no equilibrium"}
+                return skipped("no equilibrium")
             bodies.append(body)
             radii.append(radius)
             owner.append(np.full((len(body), 2), (k, d)))
     cloud, radius, own = np.concatenate(bodies), np.concatenate(radii), np.concatenate(owner)
     placed = _placed(w, cloud, radius, own, rng)
     if placed is None:
-        return {"number": number, "kind": kind, "skipped": "no place beside the bodies"}
+        return skipped("no place beside the bodies")
     is_clear, shape = placed
     part = AnatomyPart(shape, "avoid", 0.0)
     case = replace(bare, start=corners[0], goal=replace(bare.goal, joints=corners[-1], tip_m=None), anatomy=(part,))
@@ -406,9 +398,8 @@ def main() -> None:
         if (number, given.seed) in done:
             continue
         result = scene(number, given.seed, kinds)
-        if result is not None:
-            known.append({**result, "seed": given.seed})
-            common.keep(RESULTS, known[-1])
+        known.append({**result, "seed": given.seed})
+        common.keep(RESULTS, known[-1])
     rows = []
     for kind in kinds:
         own = [row for row in known if row["kind"] == kind and "skipped" not in row]
@@ -418,8 +409,4 @@ def main() -> None:
         passed = sum(row["certified"] for row in clear)
         seconds = float(np.median([row["spent_s"] for row in own])) if own else np.nan
         rows.append((kind, len(own), len(certified), len(hit), f"{passed} of {len(clear)}", f"{seconds:.1f} s"))
-    table("scenes", ("kind", "scenes", "certified", "hit", "clear by 1 mm and certified", "processor"), rows)
-
-
-if __name__ == "__main__":
-    main()
+    table("scenes", "kind | scenes | certified | hit | clear by 1 mm and certified | processor", rows)

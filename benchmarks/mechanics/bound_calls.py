@@ -19,9 +19,7 @@ import numpy as np
 from common import ROBOTS, SCENARIOS, tube
 
 import ctrplan
-from ctrplan.errors import CtrplanError
-from ctrplan.files.robot_file import robot_from_dict
-from ctrplan.robot.robot import Robot
+from ctrplan import CtrplanError, Robot, robot_from_dict
 
 MOST_TUBES = 12
 CONFIGURATIONS = 40  # per number of tubes, for what extremes miss

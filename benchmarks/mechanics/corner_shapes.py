@@ -14,8 +14,8 @@ from matplotlib.patches import Circle
 from scipy.interpolate import CubicSpline
 
 import ctrplan
+from ctrplan import Bound, Shape
 from ctrplan.base.arrays import Array
-from ctrplan.mechanics.shapes import Bound, Shape
 from ctrplan.reports import looks
 
 ROBOT = ROBOTS / "three_tube.toml"

@@ -1,9 +1,6 @@
 """Is the friction bound a bound? Random histories against the corners at every configuration they visit."""
 
-from __future__ import annotations
-
 import itertools
-import sys
 import time
 from collections import Counter
 from collections.abc import Iterator
@@ -13,10 +10,9 @@ from typing import Any
 import numpy as np
 from common import ROBOTS, table, tube
 
+from ctrplan import Robot, Status, load_robot, robot_from_dict
 from ctrplan.base.arrays import Array
-from ctrplan.files.robot_file import load_robot, robot_from_dict
-from ctrplan.mechanics.shapes import Accuracy, Status
-from ctrplan.robot.robot import Robot
+from ctrplan.mechanics.shapes import Accuracy
 
 PAIR, THREE = (load_robot(ROBOTS / f"{name}.toml") for name in ("table_5_pair", "three_tube"))
 PAIR_L_M = np.array([0.0, -0.0604])  # curved part of the inner tube half extended
@@ -160,10 +156,8 @@ def examine(label: str, robot: Robot, count: int) -> tuple[Row, list[Row]]:
             print(f"{label}: {tally}, {dict(found)}, {time.perf_counter() - began:.0f} s", flush=True)
     kinds = ", ".join(f"{number} {cause}" for cause, number in found.most_common()) or "none"
     faults, held = found["beyond the corners"] + found["discretisation"], found["branch held by friction"]
-    shares = (
-        f"{100 * (1 - tally.beyond / tally.configurations):.3f} %",
-        f"{100 * (1 - faults / (tally.configurations - held)):.3f} %",
-    )
+    off = tally.beyond / tally.configurations, faults / (tally.configurations - held)
+    shares = [f"{100 * (1 - share):.3f} %" for share in off]
     given = (label, tally.histories, tally.configurations, tally.failed, tally.snaps)
     return (*given, *shares, kinds, tally.without_bound), listed
 
@@ -171,21 +165,15 @@ def examine(label: str, robot: Robot, count: int) -> tuple[Row, list[Row]]:
 def bound(count: int = HISTORIES) -> None:
     """Random histories on both robots; every violation with its cause."""
     found = [examine(label, robot, count) for label, robot in LABELLED]
-    tell([row for row, _ in found], [row for _, listed in found for row in listed])
-
-
-def tell(rows: list[Row], listed: list[Row]) -> None:
-    head = ("robot", "histories", "configurations", "failed", "snaps", "within the bound",
-            "where their own branch has a bound", "causes of the rest", "without a bound")  # fmt: skip
-    table("bound", head, rows)
-    head = ("robot", "history", "sample", "cause", "deviation, mm", "bound, mm", "walked there")
-    table("violations", head, listed)
-    kinds = Counter(
-        "missed" if "missed" in str(row[-1]) else "within" if "mm" in str(row[-1]) else "snaps" for row in listed
-    )
-    labels = ("the robot snaps without friction too", "within the bound walked there", "neither")
-    rows = [(label, kinds[kind]) for label, kind in zip(labels, ("snaps", "within", "missed"), strict=True)]
-    table("walked", ("a walk along the path says", "violations"), rows)
+    rows, listed = [row for row, _ in found], [row for _, violations in found for row in violations]
+    head = "robot | histories | configurations | failed | snaps | within the bound | where their own branch has a bound"
+    table("bound", f"{head} | causes of the rest | without a bound", rows)
+    table("violations", "robot | history | sample | cause | deviation, mm | bound, mm | walked there", listed)
+    said = [str(row[-1]) for row in listed]
+    missed, told = sum("missed" in text for text in said), sum("mm" in text for text in said)
+    counts = {"the robot snaps without friction too": len(said) - told}
+    counts |= {"within the bound walked there": told - missed, "neither": missed}
+    table("walked", "a walk along the path says | violations", counts.items())
 
 
 ROBOTS_DRAWN, TURNS, STEP_RAD = 60, 2, np.radians(15.0)  # of the simulator; a robot's turns end at one configuration
@@ -244,9 +232,7 @@ def drawn(n: int, rng: np.random.Generator) -> Drawn | None:
     return (robot, world, theta, l_b) if sound else None
 
 
-def simulated(
-    robot: Robot, world: Any, theta: Array, l_b: Array, rng: np.random.Generator
-) -> Iterator[tuple[str, Array]]:
+def simulated(robot: Robot, world: Any, theta: Array, l_b: Array, rng: np.random.Generator) -> Iterator[Array]:
     """Tips of the independent rods: in friction states, and after turns whose slip they follow, each ended at theta."""
     from hidden_effects.equilibrium import CORNER_BARRIER, System, corner, tip_pose
     from hidden_effects.friction import SlipHistory
@@ -256,7 +242,7 @@ def simulated(
     corners = np.array(list(itertools.product((1.0, -1.0), repeat=pairs)))
     chosen = corners if len(corners) <= 4 else rng.permutation(corners)[:4]
     for phi in [*chosen, *rng.uniform(-1, 1, (2, pairs))]:
-        yield "states", solver.pose(theta, l_b, phi)[0]
+        yield solver.pose(theta, l_b, phi)[0]
     for _ in range(TURNS):
         away = rng.uniform(-FARTHEST_RAD, FARTHEST_RAD, pairs)
         way = np.linspace(away, 0.0, int(np.ceil(np.abs(away).max() / STEP_RAD)) + 1)
@@ -272,17 +258,17 @@ def simulated(
             history = history.moved(system)
             state = system.solve(middle, history)
             history = history.after(system, state)
-        yield "turns", tip_pose(system, state)[0]
+        yield tip_pose(system, state)[0]
 
 
 def simulator(count: int = ROBOTS_DRAWN) -> None:
     """Robots that nobody chose: do the tips of another simulator stay within the bound?"""
     from hidden_effects.equilibrium import NoEquilibrium
 
-    rng, tally, number = np.random.default_rng(47), dict[int, list[tuple[str, float, float]]](), 0
+    rng, tally = np.random.default_rng(47), dict[int, list[tuple[float, float]]]()
     refused, robots, off = Counter[int](), Counter[int](), Counter[int]()
     while sum(robots.values()) < count:
-        n, number = 2 + sum(robots.values()) % 4, number + 1
+        n = 2 + sum(robots.values()) % 4
         made = drawn(n, rng)
         if made is None:
             refused[n] += 1
@@ -291,20 +277,16 @@ def simulator(count: int = ROBOTS_DRAWN) -> None:
         robots[n] += 1
         bound = robot.bound(theta, l_b, accuracy="certificate")
         try:
-            for kind, tip_m in simulated(*made, rng):
+            for tip_m in simulated(*made, rng):
                 away_mm = float(norm_mm(tip_m - bound.frictionless.tip_m))
-                tally.setdefault(n, []).append((kind, away_mm, 1e3 * bound.position_m))
+                tally.setdefault(n, []).append((away_mm, 1e3 * bound.position_m))
         except (NoEquilibrium, np.linalg.LinAlgError):
             off[n] += 1
-        worst = max((away - most for _, away, most in tally.get(n, [])), default=np.nan)
-        said = f"robot {number}, {n} tubes, bound {1e3 * bound.position_m:.2f} mm: {worst:+.2f} mm"
-        print(said, file=sys.stderr, flush=True)
     rows = []
     for n, each in sorted(tally.items()):
-        excess = np.array([away - most for _, away, most in each])
+        excess = np.array([away - most for away, most in each])
         within = [f"{np.sum(excess <= limit)} of {len(excess)}" for limit in (0.0, 0.1)]
-        bounds_mm = sorted({most for *_, most in each})
+        bounds_mm = sorted({most for _, most in each})
         rows.append((n, robots[n], refused[n], off[n], f"{np.median(bounds_mm):.2f}", *within, f"{excess.max():+.2f}"))
-    head = ("tubes", "robots", "without a bound", "lost by the simulator", "median bound, mm", "tips within",
-            "or 0.1 mm beyond", "farthest, mm")  # fmt: skip
-    table("simulator", head, rows)
+    head = "tubes | robots | without a bound | lost by the simulator | median bound, mm | tips within"
+    table("simulator", f"{head} | or 0.1 mm beyond | farthest, mm", rows)

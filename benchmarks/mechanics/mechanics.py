@@ -8,8 +8,6 @@ are in tests/reference, each with its own uncertainty. Times are of one core unl
 because the machine may be doing other things.
 """
 
-from __future__ import annotations
-
 import itertools
 import json
 import os
@@ -26,13 +24,11 @@ from common import ROBOTS, ROOT, SCENARIOS, distance_mm, table
 from scipy.spatial.transform import Rotation
 from table_1_pair import table_1_pair
 
+from ctrplan import MotionChecker, Status, load_robot, load_scenario
 from ctrplan.base.arrays import Array
-from ctrplan.files.robot_file import load_robot
-from ctrplan.files.scenario_file import load_scenario
 from ctrplan.mechanics.core import kernel_name
-from ctrplan.mechanics.shapes import Accuracy, Status
+from ctrplan.mechanics.shapes import Accuracy
 from ctrplan.mechanics.walk import PathDensity
-from ctrplan.motion.checker import MotionChecker
 
 THREE_TUBES = load_robot(ROBOTS / "three_tube.toml")
 ACCURACIES: tuple[Accuracy, ...] = ("search", "certificate", "exact")

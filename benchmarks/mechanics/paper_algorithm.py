@@ -20,7 +20,7 @@ import numpy as np
 import paper_oracle as paper
 from common import ROOT
 
-from ctrplan.files.robot_file import load_robot
+from ctrplan import load_robot
 
 THETA_B, L_B = np.deg2rad([0, 0, 90]), np.array([0, -0.017, -0.0916])
 SPACING_M, MAX_INNER, NEAR_M = 2.5e-3, 1000, 5e-5

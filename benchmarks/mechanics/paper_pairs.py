@@ -1,7 +1,5 @@
 """The pair of Table I at the settings of Section IV, its contact regions, and what figures of the paper share."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from functools import cache
@@ -16,11 +14,10 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
+from ctrplan import Robot, Shape, load_robot
 from ctrplan.base.arrays import Array
-from ctrplan.files.robot_file import load_robot
-from ctrplan.mechanics.shapes import Shape, TubeShape
+from ctrplan.mechanics.shapes import TubeShape
 from ctrplan.reports import looks
-from ctrplan.robot.robot import Robot
 
 EXACT = json.loads((ROOT / "tests" / "reference" / "pair_values.json").read_text(encoding="utf-8"))["table_I_pair"]
 

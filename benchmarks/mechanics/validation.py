@@ -6,8 +6,6 @@ Figure and table numbers are those of Ha, Fagogenis, Dupont, IEEE T-RO 35(2), 20
 "exact" in the tables are values of an independent exact-geometry solver (tests/reference/pair_values.json).
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import cache
@@ -43,9 +41,8 @@ from paper_pairs import (
 )
 from scipy.interpolate import CubicHermiteSpline
 
+from ctrplan import Bound, Shape, Status, load_robot
 from ctrplan.base.arrays import Array
-from ctrplan.files.robot_file import load_robot
-from ctrplan.mechanics.shapes import Bound, Shape, Status
 from ctrplan.reports import looks
 
 Rows = tuple[Sequence[str], Sequence[Sequence[object]]]  # of a table, after its columns

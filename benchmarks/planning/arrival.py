@@ -27,16 +27,13 @@ import numpy as np
 from common import ROBOTS, SCENARIOS, finer, table, tube
 
 import ctrplan
+from ctrplan import CtrplanError, Goal, NoAnswerError, Robot, Scenario, robot_from_dict
 from ctrplan.base import long_work
 from ctrplan.base.arrays import Array
-from ctrplan.errors import CtrplanError, NoAnswerError
-from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.mechanics.history import HistoryState
 from ctrplan.mechanics.shapes import Accuracy
-from ctrplan.robot.robot import Robot
 from ctrplan.scenario.joint_space import JointSpace, bare_scenario
 from ctrplan.scenario.prediction import STEP_M, STEP_RAD, predict_end, rows_to_simulate, start_states, step_error
-from ctrplan.scenario.scenario import Goal, Scenario
 from ctrplan.storage.toml_document import read_document
 
 long_work.REAL_PER_COUNTED = np.inf  # searches end by work counted, however busy the machine is

@@ -9,8 +9,6 @@ its history is simulated along the plan. Every scenario has draws of its own, an
 scenario that has no plan with all this taken off its clearances is planned without the intervals, and judged with them.
 """
 
-from __future__ import annotations
-
 import multiprocessing
 import tempfile
 from collections.abc import Iterator
@@ -25,16 +23,12 @@ import tomli_w
 from common import ROBOTS, SCENARIOS, table
 
 import ctrplan
+from ctrplan import CtrplanError, History, NoAnswerError, Plan, Robot, Scenario, robot_from_dict, scenario_from_dict
 from ctrplan.base.arrays import Array
 from ctrplan.calibration.parameters import BaseParameters
-from ctrplan.errors import CtrplanError, NoAnswerError
-from ctrplan.files.robot_file import robot_from_dict
-from ctrplan.files.scenario_file import scenario_from_dict
-from ctrplan.mechanics.history import History
-from ctrplan.planning import Plan
-from ctrplan.robot.robot import Robot, StatedIntervals
+from ctrplan.robot.robot import StatedIntervals
 from ctrplan.scenario.prediction import rows_to_simulate, start_states
-from ctrplan.scenario.scenario import Scenario, anatomy_grid
+from ctrplan.scenario.scenario import anatomy_grid
 from ctrplan.storage.toml_document import read_document
 from ctrplan.uncertainty.parameters import uncertain_parameters
 from ctrplan.uncertainty.tip_slopes import clamped_collars

@@ -8,8 +8,6 @@ path is certified; at the end the median and 95th percentile of all. With --agai
 another checkout, whose compiled core is in its ctrplan/: nothing is planned beyond the first path.
 """
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Iterator

@@ -32,10 +32,9 @@ from arrival import robots
 from common import ROBOTS, SCENARIOS, spent, table
 
 import ctrplan
+from ctrplan import Goal, robot_from_dict
 from ctrplan.certificate.certify import certify
-from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.scenario.joint_space import JointSpace, bare_scenario
-from ctrplan.scenario.scenario import Goal
 
 NEAR = "goal.joints={'rotate outer' = 6, 'rotate inner' = 10, 'translate inner' = -27}"  # of pair_free.toml
 SEARCH_S = 0.1

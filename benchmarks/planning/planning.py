@@ -8,8 +8,6 @@ goes on where it was. For each certified plan one random history, friction at a 
 against the bound and the anatomy.
 """
 
-from __future__ import annotations
-
 import itertools
 import json
 import resource
@@ -23,10 +21,8 @@ from common import table
 from planning_queries import Query, queries
 
 import ctrplan
+from ctrplan import CtrplanError, MotionChecker, Plan
 from ctrplan.anatomy.parts import exact_clearance
-from ctrplan.errors import CtrplanError
-from ctrplan.motion.checker import MotionChecker
-from ctrplan.planning import Plan
 from ctrplan.planning.goal_states import goal_states
 
 BLIND = ["cost.error_along=0", "cost.error_goal=0"]

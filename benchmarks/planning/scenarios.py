@@ -27,15 +27,12 @@ from arrival import driven, pasts
 from common import ROOT, SCENARIOS, elsewhere, table
 
 import ctrplan
+from ctrplan import Capsule, Cost, MotionChecker, Plan, Scenario, load_scenario
 from ctrplan.anatomy.parts import AnatomyPart
-from ctrplan.anatomy.shapes.capsule import Capsule
 from ctrplan.base import long_work
-from ctrplan.files.scenario_file import load_scenario
-from ctrplan.motion.checker import MotionChecker
-from ctrplan.planning import Plan
 from ctrplan.planning.goal_states import goal_states
 from ctrplan.planning.search.stage_search import Progress
-from ctrplan.scenario.scenario import Cost, Scenario, path_cost_mm
+from ctrplan.scenario.scenario import path_cost_mm
 
 BLIND = ["cost.error_along=0", "cost.error_goal=0"]
 COLUMNS = "scenario | bound in the cost | first certified path | cost | joint length | worst bound | bound at the goal"

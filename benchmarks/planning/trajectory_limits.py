@@ -15,7 +15,8 @@ import numpy as np
 from common import table
 from numpy.typing import NDArray
 
-from ctrplan.drive.drive import Drive, Joint, Kind
+from ctrplan import Drive, Joint
+from ctrplan.drive.drive import Kind
 from ctrplan.drive.legs import merge_legs
 from ctrplan.drive.trajectory import QUANTITIES, distance_from_legs, time_parameterise, verify_limits
 

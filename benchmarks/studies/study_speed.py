@@ -12,8 +12,6 @@ Times of the clock mean something on an idle machine only. Where others work on 
 times: that of the loop to that of workers, client and scheduler together, times the number of workers.
 """
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
@@ -28,8 +26,9 @@ import numpy as np
 from common import ROBOTS, SCENARIOS, again
 
 import ctrplan
+from ctrplan import Study
 from ctrplan.base.long_work import one_core
-from ctrplan.studies.study.study import Doing, Study
+from ctrplan.studies.study.study import Doing
 
 ROBOT = str(ROBOTS / "three_tube.toml")
 SCENARIO = str(SCENARIOS / "pair_free.toml")
@@ -74,44 +73,21 @@ def loop_of_plans(study: Study) -> float:
 class Run:
     """A study on workers of this machine: from when they are there to the last row."""
 
-    def __init__(self, content: dict[str, Any], folder: Path, workers: int = WORKERS) -> None:
-        self.begun: tuple[int, float, float, float] | None = None
-        self.ended = (0, 0.0, 0.0, 0.0)
-        self.asked = time.monotonic()
+    def __init__(self, content: dict[str, Any], folder: Path) -> None:
+        self.told: list[tuple[int, float, float, float]] = []
         self.workers: list[str] = []
-        study = Study.of(content, folder)
-        self.table = study.run(folder / f"out-{len(list(folder.iterdir()))}", progress=self.told, workers=workers)
+        study, asked = Study.of(content, folder), time.monotonic()
+        self.table = study.run(folder / f"out-{len(list(folder.iterdir()))}", progress=self.tell, workers=WORKERS)
+        done, clock_s, client_s, workers_s = np.subtract(self.told[-1], self.told[0])
+        self.start_s = self.told[0][1] - asked  # of the clock, until all workers were there
+        self.clock_s = clock_s / max(done, 1)  # of a task, as the following ones
+        self.client_s, self.workers_s = client_s / max(done, 1), workers_s / max(done, 1)  # of a processor
 
-    def told(self, doing: Doing) -> None:
-        if doing.stage != "tasks":
-            return
-        self.workers = self.workers or children()  # looked for once: what this costs counts as the client's
-        now = (doing.done, time.monotonic(), time.process_time(), sum(map(processor_s, self.workers)))
-        self.begun, self.ended = self.begun or now, now
-
-    @property
-    def rate(self) -> float:
-        """Tasks a second of the clock."""
-        assert self.begun is not None
-        return (self.ended[0] - self.begun[0]) / max(self.ended[1] - self.begun[1], 1e-9)
-
-    @property
-    def client_s(self) -> float:
-        """Processor time of client and scheduler for each task, meanwhile."""
-        assert self.begun is not None
-        return (self.ended[2] - self.begun[2]) / max(self.ended[0] - self.begun[0], 1)
-
-    @property
-    def workers_s(self) -> float:
-        """Processor time of all workers for each task, work beside tasks included."""
-        assert self.begun is not None
-        return (self.ended[3] - self.begun[3]) / max(self.ended[0] - self.begun[0], 1)
-
-    @property
-    def start_s(self) -> float:
-        """Seconds of the clock until all workers were there."""
-        assert self.begun is not None
-        return self.begun[1] - self.asked
+    def tell(self, doing: Doing) -> None:
+        if doing.stage == "tasks":
+            self.workers = self.workers or children()  # looked for once: what this costs counts as the client's
+            used = time.process_time(), sum(map(processor_s, self.workers))
+            self.told.append((doing.done, time.monotonic(), *used))
 
 
 def processor_s(process: str) -> float:
@@ -169,7 +145,7 @@ def compare(name: str, count: int, folder: Path, rounds: int) -> None:
     for _ in range(rounds):
         one, both = loops_at_once(name, count, 1), loops_at_once(name, count, WORKERS)
         found = Run(LOOPS[name][0](count), folder)
-        times.append((*one, *both, 1 / found.rate, found.workers_s, found.client_s, found.start_s))
+        times.append((*one, *both, found.clock_s, found.workers_s, found.client_s, found.start_s))
     print_rates(f"{name}: {len(found.table)} tasks", np.array(times))
 
 
@@ -180,16 +156,11 @@ def print_rates(what: str, times: np.ndarray) -> None:
     seen += [("a study on two workers", clock / study, WORKERS * processor / (workers + client))]
     print(f"{what}, medians of {len(times)}; plain loop {1 / np.median(clock):.1f} a second of the clock")
     for name, by_clock, by_time in seen:
-        spread = f"{by_clock.min():.2f} to {by_clock.max():.2f}"
-        print(f"  {name}: {np.median(by_clock):.2f} times the loop by the clock ({spread}), "
-              f"{np.median(by_time):.2f} by processor time")  # fmt: skip
-    of_ceiling = np.median(both / study), np.median(of_both / (workers + client))
-    print(
-        f"  the study beside two loops at once: {of_ceiling[0]:.3f} by the clock, {of_ceiling[1]:.3f} by processor time"
-    )
-    own = 1e3 * np.median([workers - processor, workers - of_both, client], axis=1)
-    print(f"    overhead of a task: {own[0]:.3f} ms on its worker ({own[1]:.3f} beside two loops at once), "
-          f"{own[2]:.3f} of client and scheduler; {np.median(start):.1f} s to start workers", flush=True)  # fmt: skip
+        shown = f"{np.median(by_clock):.2f} times the loop by the clock ({by_clock.min():.2f} to {by_clock.max():.2f})"
+        print(f"  {name}: {shown}, {np.median(by_time):.2f} by processor time")
+    own = 1e3 * np.median([workers - processor, client], axis=1)
+    print(f"  overhead of a task: {own[0]:.3f} ms on its worker, {own[1]:.3f} of client and scheduler")
+    print(f"  {np.median(start):.1f} s to start workers", flush=True)
 
 
 def main() -> None:

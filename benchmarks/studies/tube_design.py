@@ -10,8 +10,6 @@ and the robot that the scenario has, are then looked at with friction from more 
 again.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -25,9 +23,9 @@ from common import SCENARIOS, STUDIES, save, table
 from matplotlib.axes import Axes
 
 import ctrplan
+from ctrplan import Goal
 from ctrplan.base.long_work import one_core
 from ctrplan.reports import looks
-from ctrplan.scenario.scenario import Goal
 from ctrplan.studies.target_set import Search, SetValue, set_value
 
 FILE = STUDIES / "design_ventricle.toml"

@@ -23,8 +23,7 @@ import common
 import numpy as np
 from common import ROBOTS, SCENARIOS, table
 
-from ctrplan import load_robot
-from ctrplan.files.plan_file import load_plan
+from ctrplan import load_plan, load_robot
 from ctrplan.reports.plan_scene import written_motion
 from ctrplan.reports.render.camera import VIEWS
 from ctrplan.reports.render.film import film
