@@ -1,18 +1,12 @@
-"""What certificates allow for, against what is found: meshes, uneven friction, friction states between samples.
+"""What certificates allow for, against what is found: meshes, friction states between samples.
 
     python benchmarks/run.py allowances meshes [--count 40] [--clearances-mm 0.3 1 3]
-    python benchmarks/run.py allowances uneven [--count 40]
     python benchmarks/run.py allowances between [--legs 12]
 
 meshes: how far bodies and bounds of both meshes are from the model of exact geometry, for random configurations of the
 shipped robots, with their own clearances between tubes and with wider ones: the largest distance of a body point
 (frictionless and corner shapes, at the tip where meshes have different points), the most that a bound is short, and
 the allowances of the certificate, in mm. Shapes more than BRANCH_M apart are other equilibria, counted by themselves.
-
-uneven: how much nearer to an obstacle a robot comes where friction differs along its contacts than in any uniform
-state, for random configurations with a sphere or a rod beside the body of a random uneven state. The worst uneven
-friction is looked for as certificates do it. Nearest uniform states are those of a grid of five along each pair, so
-that the numbers are rather too large.
 
 between: how far interpolated friction states are from solved ones. Random legs from random joints of the scenarios'
 robots: samples between those that certificates solve are taken from their neighbours, on both meshes, and solved for
@@ -29,12 +23,10 @@ import numpy as np
 from common import ROBOTS, SCENARIOS, table
 
 import ctrplan
-from ctrplan import Robot, Scenario, load_robot, scenario_from_dict
+from ctrplan import Robot, Scenario, load_robot
 from ctrplan.base.arrays import Array
-from ctrplan.certificate.anatomy_distance import AnatomyDistance
-from ctrplan.certificate.friction_states import LOOK_EVERY, UNEVEN_FRICTION_M, bound_allowance_m, mesh_allowance_m
+from ctrplan.certificate.friction_states import LOOK_EVERY, bound_allowance_m, mesh_allowance_m
 from ctrplan.certificate.sample_states import SampleStates, StatesBetween
-from ctrplan.certificate.uneven_friction import PARTS, worst_uneven_friction
 from ctrplan.certificate.walked_piece import walked
 from ctrplan.mechanics.shapes import Accuracy, FrictionBodies
 from ctrplan.scenario.joint_space import JointSpace
@@ -85,45 +77,6 @@ def meshes(given: Any) -> Rows:
             allowed = mesh_allowance_m(robot, mesh) * 1e3, bound_allowance_m(robot, mesh) * 1e3
             cells = f"{apart:.2f} ({allowed[0]:.2f})", f"{short:.2f} ({allowed[1]:.2f})"
             yield name, str(clearance_mm or "own"), mesh, len(found), len(found) - len(same), *cells
-
-
-def obstacle(rng: np.random.Generator, near_mm: Array) -> dict[str, object]:
-    """A small one whose surface is 1 to 4 mm from a point."""
-    side = rng.standard_normal(3)
-    side /= np.linalg.norm(side)
-    kind, away = rng.choice(["sphere", "capsule"]), rng.uniform(1, 4)
-    if kind == "sphere":
-        radius = rng.uniform(0.3, 4)
-        return {"kind": "sphere", "center_mm": (near_mm + (away + radius) * side).tolist(), "radius_mm": radius}
-    along = np.cross(side, rng.standard_normal(3))
-    along *= 15 / np.linalg.norm(along)
-    start, radius = near_mm + (away + 0.5) * side, 0.5
-    ends = {"from_mm": (start - along).tolist(), "to_mm": (start + along).tolist()}
-    return {"kind": "capsule", **ends, "radius_mm": radius}
-
-
-def nearer_mm(robot: Robot, count: int) -> Array:
-    """(count,) [mm]"""
-    rng, found = np.random.default_rng(4), []
-    for q in JointSpace.of_robot(robot).sample(rng, count):
-        theta_b, l_b = robot.drive.collars(q)
-        phi = rng.uniform(-1, 1, (1, PARTS, robot.n - 1))
-        body = robot.mechanics.friction_bodies(theta_b, l_b, phi).point_m[0]
-        near = body[-1 - rng.integers(len(body) // 2)] * 1e3
-        names = {j.name: v / j.si_per_unit for j, v in zip(robot.drive.joints, q.tolist(), strict=True)}
-        content = {"robot": robot.path, "start": names, "goal": {"joints": names}, "anatomy": [obstacle(rng, near)]}
-        scenario = scenario_from_dict(content, file="made_up.toml")
-        distance = AnatomyDistance.of(scenario)
-        assert distance is not None
-        found.append(worst_uneven_friction(distance, theta_b, l_b).nearer_m * 1e3)
-    return np.array(found)
-
-
-def uneven(given: Any) -> Rows:
-    for name in NAMES:
-        found = nearer_mm(load_robot(ROBOTS / f"{name}.toml"), given.count)
-        most = (f"{np.percentile(found, p):.3f}" for p in (50, 90, 95, 100))
-        yield name, *most, f"{100 * np.mean(found > UNEVEN_FRICTION_M * 1e3):.1f} %"
 
 
 STATES = 12  # random ones of every sample
@@ -181,14 +134,10 @@ def between(given: Any) -> Rows:
 
 
 def main() -> None:
-    of_bodies = (
-        "robot | clearance, mm | mesh | solved | other equilibria | bodies, mm (allowed) | bounds short, mm (allowed)"
-    )
-    beyond = f"beyond {UNEVEN_FRICTION_M * 1e3:g} mm"
+    of_bodies = "robot | clearance, mm | mesh | solved | other equilibria | bodies, mm (allowed)"
     of_states = "robot | mesh | samples | other equilibria | error, mm | beyond what is taken off, mm | of samples"
     known = {
-        "meshes": ("meshes", of_bodies, meshes),
-        "uneven": ("uneven friction", f"robot | nearer by, mm: median | 90 % | 95 % | largest | {beyond}", uneven),
+        "meshes": ("meshes", f"{of_bodies} | bounds short, mm (allowed)", meshes),
         "between": ("friction states between samples", of_states, between),
     }
     given = common.arguments(__doc__, ("section", known), count=40, clearances_mm=[0.3, 1.0, 3.0], legs=12)

@@ -8,8 +8,7 @@ state between the corners, up to 1.5 mm within it, and yet 0.2 mm clear of frict
 place is found; in the others, "random", it stands somewhere beside the frictionless body, farther off. `certify` walks
 the motion. Four judges look for a hit, with the distances of `ctrplan.audit`:
 
-- grid: bodies on a grid of friction states at 5 places of the motion; 401 states of one pair, 41 x 41 of two, 9 x 9 x 9
-  of three (coarser per pair);
+- grid: bodies at 5 places of the motion; 401 friction states of one pair, 41 x 41 of two, 9 x 9 x 9 of three;
 - contacts: friction that differs along the contacts of each pair, in 8 parts: at the same places 150 states of random
   extremes, and 150 with random parts of the worst state of the grid at an extreme;
 - histories: 10 simulations of small turns back and forth (1 to 30 deg) before the start, followed along the motion;
@@ -19,9 +18,8 @@ Everything is looked at on the coarse mesh; what comes within 1.5 mm of the obst
 solved again on the certificate mesh, which decides. A tip beyond the bound is one by more than 0.3 mm and 2 %, what
 meshes differ by. Scenes that are refused, and that a state of the grid comes within 1 mm of, are not simulated.
 
-Results are kept scene by scene in build/certificate_hunt.jsonl: another run goes on where the last one ended, and the
-table is of all scenes there. --only solves one scene again and prints all that is known of it. Every scene depends on
-the seed and its number alone.
+Results are kept scene by scene in build/certificate_hunt.jsonl, where another run goes on. --only prints all that is
+known of a scene. Every scene depends on the seed and its number alone.
 """
 
 import itertools
@@ -201,42 +199,45 @@ def judged(number: int, seed: int) -> Result:
 
 
 def _grid(given: Case, anatomy: RawAnatomy, result: Result) -> None:
-    robot = given.scenario.robot
-    grid = np.array(list(itertools.product(np.linspace(-1, 1, GRID[robot.n - 1]), repeat=robot.n - 1)))
-    least, unsolved = np.inf, False
-    for share in np.linspace(0, 1, PLACES):
-        collars = robot.drive.collars(given.way[0] + share * (given.way[1] - given.way[0]))
-        rooms, solved = _rooms(robot, collars, grid, anatomy, "search", 1e-3)
-        near = np.argsort(rooms)[:MOST_FINE]
-        near = near[solved[near] & (rooms[near] < NEAR_M)]
+    pairs = given.scenario.robot.n - 1
+    grid, unsolved = np.array(list(itertools.product(np.linspace(-1, 1, GRID[pairs]), repeat=pairs))), False
+    for share, rooms, solved, _ in _looked_at(given, anatomy, grid):
         unsolved |= not solved.all()
-        if len(near):
-            rooms[near], solved[near] = _rooms(robot, collars, grid[near], anatomy, "certificate", 0.3e-3)
-        rooms[~solved] = np.inf
         k = int(np.argmin(rooms))
-        if rooms[k] < least:
-            least = float(rooms[k])
-            result.least_mm["grid"] = 1e3 * least
-            result.where["grid"] = {"share": float(share), "phi": grid[k].tolist()}
-    result.true_mm = None if unsolved else 1e3 * least
+        if 1e3 * rooms[k] < result.least_mm.get("grid", np.inf):
+            result.least_mm["grid"], result.where["grid"] = (
+                1e3 * float(rooms[k]),
+                {"share": share, "phi": grid[k].tolist()},
+            )
+    result.true_mm = None if unsolved else result.least_mm.get("grid", np.inf)
 
 
 def _contacts(given: Case, anatomy: RawAnatomy, result: Result, rng: np.random.Generator) -> None:
-    robot, shape = given.scenario.robot, (UNEVEN, PARTS, given.scenario.robot.n - 1)
+    shape = (UNEVEN, PARTS, given.scenario.robot.n - 1)
     extremes = rng.choice((-1.0, 1.0), (2, *shape))
     worst = np.array(result.where["grid"]["phi"])
     phi = np.concatenate([extremes[0], np.where(rng.random(shape) < rng.random((UNEVEN, 1, 1)), extremes[1], worst)])
-    for share in np.linspace(0, 1, PLACES):
+    for share, rooms, _, near in _looked_at(given, anatomy, phi):
+        least = 1e3 * float(rooms[near].min(initial=np.inf))
+        if least < result.least_mm.get("contacts", np.inf):
+            result.least_mm["contacts"], result.where["contacts"] = least, {"share": share}
+
+
+def _looked_at(given: Case, anatomy: RawAnatomy, phi: Array) -> Iterator[tuple[float, Array, Array, Array]]:
+    """Share of the motion, least clearances (S,) [m] of states, inf without a solution, which are solved on the coarse
+    mesh, and rows of those that are solved on the fine one.
+    """
+    robot = given.scenario.robot
+    for share in np.linspace(0, 1, PLACES).tolist():
         collars = robot.drive.collars(given.way[0] + share * (given.way[1] - given.way[0]))
         rooms, solved = _rooms(robot, collars, phi, anatomy, "search", 1e-3)
+        everywhere = solved.copy()
         near = np.argsort(rooms)[:MOST_FINE]
         near = near[solved[near] & (rooms[near] < NEAR_M)]
-        if not len(near):
-            continue
-        fine, solved = _rooms(robot, collars, phi[near], anatomy, "certificate", 0.3e-3)
-        least = 1e3 * float(np.where(solved, fine, np.inf).min())
-        if least < result.least_mm.get("contacts", np.inf):
-            result.least_mm["contacts"], result.where["contacts"] = least, {"share": float(share)}
+        if len(near):
+            rooms[near], solved[near] = _rooms(robot, collars, phi[near], anatomy, "certificate", 0.3e-3)
+        rooms[~solved] = np.inf
+        yield share, rooms, everywhere, near
 
 
 def _rooms(

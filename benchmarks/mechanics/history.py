@@ -195,7 +195,7 @@ def loop() -> None:
             for at in (60, 120, 180, 240, 300):
                 k = at // 4
                 tips = norm_mm(steps[k].shape.tip_m - steps[180 - k].shape.tip_m)
-                rows.append((*(f"{x:.1f} deg" for x in (at, there[k], back[k], free[k])), f"{tips:.1f} mm"))
+                rows.append((f"{at} deg", *(f"{x:.1f} deg" for x in (there[k], back[k], free[k])), f"{tips:.1f} mm"))
     axes[0, 0].set_ylabel("relative angle at the tip of tube 1 (deg)")
     axes[0, 1].set_ylabel("tip angle - base angle (deg)")
     for ax in axes.flat:

@@ -163,8 +163,8 @@ def run(chosen: list[PublicCase], root: Path, out: Path) -> None:
             run_case(case, root, out)
             judged.append(judge.submit(judge_case, case, out))
             print(f"{time.perf_counter() - begun:4.0f} s  {case.name}", file=sys.stderr, flush=True)
-        for one in judged:
-            one.result()
+        for result in judged:
+            result.result()
 
 
 def main() -> None:

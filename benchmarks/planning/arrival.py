@@ -128,18 +128,12 @@ def way(robot: Robot, at: Array, rng: np.random.Generator) -> Array:
             turn = np.where(drive.is_rotation, turn, 0.0)
             points += [np.clip(q + (-0.7) ** k * turn, drive.lower, drive.upper) for k in range(6)]
         points.append(np.clip(q, drive.lower, drive.upper))
-    ways = [q for q in (*points, *_one_by_one(points[-1], at, rng)) if space.allowed(q)]
-    return np.array([*ways, at])
-
-
-def _one_by_one(a: Array, b: Array, rng: np.random.Generator) -> list[Array]:
-    """Joint after joint in random order."""
-    q, ways = a.copy(), []
-    for joint in rng.permutation(len(q)):
-        q = q.copy()
-        q[joint] = b[joint]
-        ways.append(q)
-    return ways if rng.random() < 0.6 else []
+    last = points[-1].copy()
+    for joint in rng.permutation(len(at)):  # back joint after joint in random order, or all at once
+        last[joint] = at[joint]
+        points.append(last.copy())
+    points = points if rng.random() < 0.6 else points[: -len(at)]
+    return np.array([*(q for q in points if space.allowed(q)), at])
 
 
 def executed(robot: Robot, waypoints: Array, rng: np.random.Generator) -> Array:

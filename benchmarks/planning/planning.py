@@ -1,18 +1,15 @@
 """Does the bound pay? Queries known to be feasible, planned with the bound in the cost and blind to it, several seeds.
 
-    python benchmarks/run.py planning [--seeds 5] [--count S] [--only SCENARIO ...] [--results FILE]
+    python benchmarks/run.py planning [--seeds 5] [--count S] [--only SCENARIO ...]
 
 A search ends by work counted, about what takes the scenario's planner.time_s, or the one given with --count, so that
-plans do not depend on the load of the machine. Results are kept in the file as they come, and a run that was broken off
-goes on where it was. For each certified plan one random history, friction at a random corner at its start, is simulated
-against the bound and the anatomy.
+plans do not depend on the load of the machine. For each certified plan one random history, friction at a random corner
+at its start, is simulated against the bound and the anatomy.
 """
 
 import itertools
-import json
 import resource
-import sys
-from pathlib import Path
+from collections.abc import Iterator
 from typing import Any
 
 import common
@@ -91,28 +88,12 @@ def has_choice(query: Query) -> bool:
     return len(bounds) > 1 and max(bounds) >= CHOICE * min(bounds)
 
 
-def results(chosen: list[Query], seeds: int, count_s: float | None, file: Path | None) -> list[dict[str, Any]]:
-    """Every query in both modes with every seed; those in the file are not run again."""
-    rows = common.kept(file)
-    done = {(row["query"], row["mode"], row["seed"]): row for row in rows}
-    choices = {row["query"]: row["choice"] for row in rows}
-    for seed, query, mode in itertools.product(range(seeds), in_turn(chosen), MODES):
-        if (query.name, mode, seed) in done:
-            continue
-        if query.name not in choices:
-            choices[query.name] = has_choice(query)
-        rows.append(run(query, mode, seed, count_s) | {"choice": choices[query.name]})
-        print(json.dumps(rows[-1]), file=sys.stderr, flush=True)
-        if file:
-            common.keep(file, rows[-1])
-    names = {query.name for query in chosen}
-    return [row for row in rows if row["query"] in names and row["seed"] < seeds]
-
-
-def in_turn(chosen: list[Query]) -> list[Query]:
-    """The scenarios' queries by turns, so that a run that is broken off says something about all of them."""
-    turns = [(sum(other.scenario == query.scenario for other in chosen[:k]), k) for k, query in enumerate(chosen)]
-    return [chosen[k] for _, k in sorted(turns)]
+def results(chosen: list[Query], seeds: int, count_s: float | None) -> Iterator[dict[str, Any]]:
+    """Every query in both modes with every seed."""
+    for query in chosen:
+        choice = has_choice(query)
+        for seed, mode in itertools.product(range(seeds), MODES):
+            yield run(query, mode, seed, count_s) | {"choice": choice}
 
 
 def print_table(rows: list[dict[str, Any]]) -> None:
@@ -139,12 +120,8 @@ def print_table(rows: list[dict[str, Any]]) -> None:
 
 def paired(rows: list[dict[str, Any]]) -> list[tuple[dict[str, Any], dict[str, Any]]]:
     """Aware and blind plans of the same query and seed."""
-    by_key = {(row["query"], row["seed"], row["mode"]): row for row in rows}
-    return [
-        (row, by_key[q, s, "blind"])
-        for (q, s, mode), row in by_key.items()
-        if mode == "aware" and (q, s, "blind") in by_key
-    ]
+    aware, blind = ({(row["query"], row["seed"]): row for row in rows if row["mode"] == mode} for mode in MODES)
+    return [(aware[key], blind[key]) for key in aware if key in blind]
 
 
 def ratio(pairs: list[tuple[dict[str, Any], dict[str, Any]]], key: str) -> str:
@@ -154,12 +131,10 @@ def ratio(pairs: list[tuple[dict[str, Any], dict[str, Any]]], key: str) -> str:
 
 def medians(pairs: list[tuple[dict[str, Any], dict[str, Any]]], key: str) -> str:
     """Medians of the aware plans and of the blind ones."""
-    if not pairs:
-        return "none"
-    return " / ".join(f"{np.median([pair[k][key] for pair in pairs]):.3f} mm" for k in (0, 1))
+    return " / ".join(f"{np.median([pair[k][key] for pair in pairs]):.3f} mm" for k in (0, 1)) if pairs else "none"
 
 
 def main() -> None:
-    given = common.arguments(__doc__, seeds=5, count=float, only=[""], results=Path)
+    given = common.arguments(__doc__, seeds=5, count=float, only=[""])
     chosen = [query for query in queries() if not any(given.only) or query.scenario in given.only]
-    print_table(results(chosen, given.seeds, given.count, given.results))
+    print_table(list(results(chosen, given.seeds, given.count)))

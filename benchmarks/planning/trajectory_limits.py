@@ -7,7 +7,6 @@ planner's legs are, from a thousandth of the workspace to all of it. Exits with 
 they are as short as they can be is shown by tests/drive/test_trajectory.py.
 """
 
-import time
 from dataclasses import dataclass, field
 
 import common
@@ -33,8 +32,6 @@ class Totals:
     ratio: dict[str, float] = field(default_factory=lambda: dict.fromkeys(QUANTITIES, 0.0))
     exceeded: int = 0
     deviation: float = 0.0
-    stops: int = 0
-    elapsed_s: float = 0.0
 
 
 def main() -> int:
@@ -72,15 +69,12 @@ def random_plan(rng: np.random.Generator, drive: Drive) -> FloatArray:
 
 
 def add_plan(totals: Totals, waypoints: FloatArray, drive: Drive) -> None:
-    begin = time.perf_counter()
     trajectory = time_parameterise(waypoints, drive)
-    totals.elapsed_s += time.perf_counter() - begin
     for joint in verify_limits(trajectory, drive).values():
         for quantity, ratio in joint.items():
             totals.ratio[quantity] = max(totals.ratio[quantity], ratio)
             totals.exceeded += ratio > 1 + 1e-9
     totals.deviation = max(totals.deviation, distance_from_legs(trajectory, merge_legs(waypoints)))
-    totals.stops += trajectory.stops
 
 
 def print_table(totals: Totals, legs: int) -> None:
@@ -88,7 +82,5 @@ def print_table(totals: Totals, legs: int) -> None:
         (f"limits exceeded, {legs} legs", f"{totals.exceeded}"),
         *((f"worst {name} / limit - 1", f"{totals.ratio[name] - 1:.1e}") for name in QUANTITIES),
         ("worst distance from the leg (rad, m)", f"{totals.deviation:.1e}"),
-        ("interior stops", f"{totals.stops}"),
-        ("time per leg, profile, samples and checks", f"{totals.elapsed_s / legs * 1e6:.0f} us"),
     ]
     table("random trajectories", ("", "found"), rows)

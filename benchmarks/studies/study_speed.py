@@ -5,8 +5,7 @@
     python benchmarks/run.py study_speed --bounds 8000 --plans 0             # bounds alone
 
 What it prints: tasks a second of a plain loop, of two plain loops in two processes at once without any engine (what the
-machine gives: caches and memory are shared), and of a study on two workers, in alternation, medians of all rounds;
-overhead of a task on its worker, and of client and scheduler, in ms.
+machine gives: caches and memory are shared), and of a study on two workers, in alternation, medians of all rounds.
 
 Times of the clock mean something on an idle machine only. Where others work on it, look at the ratio of processor
 times: that of the loop to that of workers, client and scheduler together, times the number of workers.
@@ -76,10 +75,9 @@ class Run:
     def __init__(self, content: dict[str, Any], folder: Path) -> None:
         self.told: list[tuple[int, float, float, float]] = []
         self.workers: list[str] = []
-        study, asked = Study.of(content, folder), time.monotonic()
+        study = Study.of(content, folder)
         self.table = study.run(folder / f"out-{len(list(folder.iterdir()))}", progress=self.tell, workers=WORKERS)
         done, clock_s, client_s, workers_s = np.subtract(self.told[-1], self.told[0])
-        self.start_s = self.told[0][1] - asked  # of the clock, until all workers were there
         self.clock_s = clock_s / max(done, 1)  # of a task, as the following ones
         self.client_s, self.workers_s = client_s / max(done, 1), workers_s / max(done, 1)  # of a processor
 
@@ -145,22 +143,19 @@ def compare(name: str, count: int, folder: Path, rounds: int) -> None:
     for _ in range(rounds):
         one, both = loops_at_once(name, count, 1), loops_at_once(name, count, WORKERS)
         found = Run(LOOPS[name][0](count), folder)
-        times.append((*one, *both, found.clock_s, found.workers_s, found.client_s, found.start_s))
+        times.append((*one, *both, found.clock_s, found.workers_s, found.client_s))
     print_rates(f"{name}: {len(found.table)} tasks", np.array(times))
 
 
 def print_rates(what: str, times: np.ndarray) -> None:
-    """times: (rounds, 8) as in `compare`, seconds a task but for the last."""
-    clock, processor, both, of_both, study, workers, client, start = times.T
+    """times: (rounds, 7) as in `compare`, seconds a task."""
+    clock, processor, both, of_both, study, workers, client = times.T
     seen = [("two loops at once", clock / both, WORKERS * processor / of_both)]
     seen += [("a study on two workers", clock / study, WORKERS * processor / (workers + client))]
     print(f"{what}, medians of {len(times)}; plain loop {1 / np.median(clock):.1f} a second of the clock")
     for name, by_clock, by_time in seen:
         shown = f"{np.median(by_clock):.2f} times the loop by the clock ({by_clock.min():.2f} to {by_clock.max():.2f})"
         print(f"  {name}: {shown}, {np.median(by_time):.2f} by processor time")
-    own = 1e3 * np.median([workers - processor, client], axis=1)
-    print(f"  overhead of a task: {own[0]:.3f} ms on its worker, {own[1]:.3f} of client and scheduler")
-    print(f"  {np.median(start):.1f} s to start workers", flush=True)
 
 
 def main() -> None:
