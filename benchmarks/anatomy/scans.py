@@ -23,7 +23,6 @@ from scipy.spatial.transform import Rotation
 
 import ctrplan
 from ctrplan.anatomy.clearance_grid import anatomy_field, field_bounds, shared_spacing_m
-from ctrplan.anatomy.parts import AnatomyPart
 
 SPACINGS_MM = [(0.5, 0.5, 0.5), (1.0, 1.0, 1.0), (0.7, 0.7, 1.4), (2.0, 2.0, 2.0)]
 RADII_MM = (1.0, 3.0, 5.0, 9.0)
@@ -85,20 +84,15 @@ def large_volume(folder: Path) -> None:
     part = phantoms.part_of(folder, kind="volume", file="tree.nii.gz", label=2, role="inside")
     read = _clock()
     base = np.array([0.0, 0.0, -0.5 * size[2] * spacing[2] * 1e-3 + 0.02])
-    _field(part, base)
+    lower, upper = field_bounds([part], REACH_M, base)
+    spacing_m = shared_spacing_m([part], REACH_M)
+    field = anatomy_field([part], lower, upper, spacing_m, base_position_m=base, reach_m=REACH_M)
+    print(f"field of {' x '.join(map(str, field.values_m.shape))} nodes, {field.spacing_m * 1e3:.2f} mm apart")
     done = _clock()
     shown = " x ".join(map(str, size))
     print(f"{shown} labels read, {len(part.shape.surface().faces)} triangles: {_took(before, read)}")
     print(f"field: {_took(read, done)}; together: {_took(before, done)}")
     _memory()
-
-
-def _field(part: AnatomyPart, base_m: phantoms.Array) -> None:
-    lower, upper = field_bounds([part], REACH_M, base_m)
-    field = anatomy_field(
-        [part], lower, upper, shared_spacing_m([part], REACH_M), base_position_m=base_m, reach_m=REACH_M
-    )
-    print(f"field of {' x '.join(map(str, field.values_m.shape))} nodes, {field.spacing_m * 1e3:.2f} mm apart")
 
 
 def _write_tree(path: Path, size: tuple[int, int, int], spacing: tuple[float, float, float]) -> None:

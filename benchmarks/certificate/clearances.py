@@ -20,7 +20,6 @@ from common import ROBOTS, SCENARIOS, table
 import ctrplan
 from ctrplan import Scenario, scenario_from_dict
 from ctrplan.base.arrays import Array
-from ctrplan.certificate.certificate import Certificate
 from ctrplan.certificate.certify import certify
 from ctrplan.certificate.walked_legs import walk_legs
 
@@ -76,18 +75,13 @@ def print_claims(robots: int, seed: int) -> None:
 NAMES = ["airway", "heart_chamber", "ribs", "sinus", "ventricle", "vessel"]
 
 
-def clearances_mm(certificate: Certificate) -> list[float]:
-    """Clearances of the frictionless robot, of the worst friction state, and what is certified."""
-    assert certificate.nominal is not None and certificate.closest is not None
-    found = certificate.nominal.clearance_m, certificate.closest.clearance_m, certificate.min_clearance_m
-    return [1e3 * value for value in found]
-
-
 def meshes(names: list[str]) -> Iterator[tuple[str, ...]]:
+    """Clearances of the frictionless robot, of the worst friction state, and what is certified."""
     for name in names or NAMES:
         plan = ctrplan.plan(ctrplan.load_scenario(SCENARIOS / f"{name}.toml"))
-        both = [clearances_mm(certify(plan.scenario, plan.waypoints, accuracy=on)) for on in ("search", "certificate")]
-        yield name, *(f"{coarse:.2f}, {fine:.2f}" for coarse, fine in zip(*both, strict=True))
+        both = [certify(plan.scenario, plan.waypoints, accuracy=on) for on in ("search", "certificate")]
+        lengths = zip(*((c.nominal.clearance_m, c.closest.clearance_m, c.min_clearance_m) for c in both), strict=True)
+        yield name, *(f"{1e3 * coarse:.2f}, {1e3 * fine:.2f}" for coarse, fine in lengths)
 
 
 def main() -> None:

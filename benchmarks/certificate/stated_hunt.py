@@ -53,13 +53,7 @@ SNAPS_MM = 1.0  # that a robot still moves then
 CHI95 = 2.795483  # 95 % of distances of three Gaussian coordinates, in standard deviations
 
 
-@dataclass(frozen=True)
-class Knob:
-    """A number of the robot file that is uncertain, or play of the drive: from low to high, in the file's unit."""
-
-    place: tuple[Any, ...]
-    low: float
-    high: float
+Knob = tuple[tuple[Any, ...], float, float]  # place of an uncertain number in the robot file, from low to high
 
 
 @dataclass(frozen=True)
@@ -82,11 +76,11 @@ class World:
         if (known := self.made.get(share.tobytes())) is not None:
             return known
         content = copy.deepcopy({key: value for key, value in self.content.items() if key != "uncertainty"})
-        for knob, s in zip(self.knobs, share, strict=True):
+        for (place, low, high), s in zip(self.knobs, share, strict=True):
             at = content
-            for key in knob.place[:-1]:
+            for key in place[:-1]:
                 at = at[key]
-            at[knob.place[-1]] = (knob.low + knob.high) / 2 + s * (knob.high - knob.low) / 2
+            at[place[-1]] = (low + high) / 2 + s * (high - low) / 2
         self.made[share.tobytes()] = robot_from_dict(content, file=str(ROBOTS / "hunted.toml"))
         return self.made[share.tobytes()]
 
@@ -106,10 +100,10 @@ def world(kind: str, rng: np.random.Generator) -> World:
             low, high = value - half * rng.uniform(0.5, 1), value + half * rng.uniform(0.5, 1)
             if what < 2:
                 ci95[f"tube.{i + 1}.section.{j + 1}.curvature_y_per_m"] = [low, high]
-                knobs.append(Knob(("tube", i, "section", j, "curvature_y_per_m"), low, high))
+                knobs.append((("tube", i, "section", j, "curvature_y_per_m"), low, high))
             else:
                 ci95[f"tube.{i + 1}.bending_stiffness_Nm2"] = [low, high]
-                knobs.append(Knob(("tube", i, "bending_stiffness_Nm2"), low, high))
+                knobs.append((("tube", i, "bending_stiffness_Nm2"), low, high))
     if "play" in kinds:
         for i in rng.permutation(n)[: rng.integers(1, n + 1)]:
             degrees = float(rng.uniform(1, 6))

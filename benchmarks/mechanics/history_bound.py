@@ -1,10 +1,8 @@
 """Is the friction bound a bound? Random histories against the corners at every configuration they visit."""
 
 import itertools
-import time
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -25,19 +23,6 @@ LABELLED = (("pair (Table V)", PAIR), ("three tubes (Table II)", THREE))
 Row = tuple[object, ...]
 WALKED = 8  # samples before a violation
 SLACK_SHARE, SLACK_M = 0.01, 0.05e-3
-
-
-@dataclass
-class Tally:
-    """Counts over histories of one robot."""
-
-    histories: int = 0
-    configurations: int = 0
-    without_bound: int = 0  # the frictionless solution is unstable: nothing is promised
-    beyond: int = 0
-    snaps: int = 0
-    failed: int = 0
-    worst_mm: float = 0.0  # beyond the bound on the branch of the history
 
 
 def norm_mm(vectors: Array) -> Array:
@@ -74,42 +59,20 @@ def sampled(turns: Array, l_b: Array) -> tuple[Array, Array]:
     return np.array([turn for turn, _ in out]), np.array([shift for _, shift in out])
 
 
-def histories(robot: Robot, count: int) -> Iterator[tuple[int, tuple[float, ...], Array, Array]]:
-    """Number, start state and sampled waypoints of each history."""
-    for number in range(count):
-        rng = np.random.default_rng((robot.n, number))
-        start = tuple(rng.choice([0.0, 1.0, -1.0], robot.n - 1).tolist())
-        yield number, start, *sampled(*random_path(robot, rng))
-
-
-def walk(robot: Robot, start: tuple[float, ...], theta_b: Array, l_b: Array, tally: Tally) -> list[int]:
-    """Simulates one history; rows that are beyond the bound."""
+def walk(robot: Robot, start: tuple[float, ...], theta_b: Array, l_b: Array, tally: Counter[str]) -> list[int]:
+    """Simulates one history; rows that are beyond the bound. Where the frictionless robot is unstable there is none."""
     found = robot.history(start).follow(theta_b, l_b)
     bounds = robot.bound_many(theta_b, l_b, threads=1)
     simulated = found.status != Status.FAILED
     promised = simulated & (bounds.status != Status.UNSTABLE) & np.isfinite(bounds.position_m)
     deviation_m = norm_mm(found.position_m - bounds.tip_m) * 1e-3
     beyond = promised & (deviation_m > (1 + SLACK_SHARE) * bounds.position_m + SLACK_M)
-    tally.histories += 1
-    tally.configurations += int(promised.sum())
-    tally.without_bound += int((simulated & ~promised).sum())
-    tally.beyond += int(beyond.sum())
-    tally.snaps += int(np.nansum(found.snaps))
-    tally.failed += int(not simulated.all())
+    tally["configurations"] += int(promised.sum())
+    tally["without a bound"] += int((simulated & ~promised).sum())
+    tally["beyond"] += int(beyond.sum())
+    tally["snaps"] += int(np.nansum(found.snaps))
+    tally["failed"] += int(not simulated.all())
     return np.flatnonzero(beyond).tolist()
-
-
-def causes(
-    robot: Robot, start: tuple[float, ...], theta_b: Array, l_b: Array, rows: list[int], tally: Tally
-) -> list[tuple[int, str, float, float]]:
-    """Row, cause, deviation and bound [mm] of each violation; on its branch if that has a frictionless tip."""
-    listed = [(row, *judge(robot, start, theta_b, l_b, row, "search")) for row in rows]
-    for k, (row, cause, *_) in enumerate(listed):
-        if cause == "beyond the corners":
-            again, *values = judge(robot, start, theta_b, l_b, row, "certificate")
-            listed[k] = (row, cause if again == cause else "discretisation", *values)
-            tally.worst_mm = max(tally.worst_mm, values[0] - values[1])
-    return listed
 
 
 def judge(
@@ -145,21 +108,25 @@ def seen_on_the_way(robot: Robot, theta_b: Array, l_b: Array, row: int, deviatio
 
 def examine(label: str, robot: Robot, count: int) -> tuple[Row, list[Row]]:
     """A row on one robot's histories, and a row for every violation."""
-    tally, found, listed, began = Tally(), Counter[str](), list[Row](), time.perf_counter()
-    for number, start, theta_b, l_b in histories(robot, count):
-        beyond = walk(robot, start, theta_b, l_b, tally)
-        for row, cause, *values in causes(robot, start, theta_b, l_b, beyond, tally):
+    tally, found, listed = Counter[str](), Counter[str](), list[Row]()
+    for number in range(count):
+        rng = np.random.default_rng((robot.n, number))
+        start = tuple(rng.choice([0.0, 1.0, -1.0], robot.n - 1).tolist())
+        theta_b, l_b = sampled(*random_path(robot, rng))
+        for row in walk(robot, start, theta_b, l_b, tally):
+            cause, *values = judge(robot, start, theta_b, l_b, row, "search")
+            if cause == "beyond the corners":
+                again, *values = judge(robot, start, theta_b, l_b, row, "certificate")
+                cause = cause if again == cause else "discretisation"
             found[cause] += 1
             seen = seen_on_the_way(robot, theta_b, l_b, row, values[0])
             listed.append((label, number, row, cause, *(f"{value:.2f}" for value in values), seen))
-        if number % 50 == 49:
-            print(f"{label}: {tally}, {dict(found)}, {time.perf_counter() - began:.0f} s", flush=True)
     kinds = ", ".join(f"{number} {cause}" for cause, number in found.most_common()) or "none"
     faults, held = found["beyond the corners"] + found["discretisation"], found["branch held by friction"]
-    off = tally.beyond / tally.configurations, faults / (tally.configurations - held)
-    shares = [f"{100 * (1 - share):.3f} %" for share in off]
-    given = (label, tally.histories, tally.configurations, tally.failed, tally.snaps)
-    return (*given, *shares, kinds, tally.without_bound), listed
+    off = tally["beyond"] / tally["configurations"], faults / (tally["configurations"] - held)
+    counts = (tally[name] for name in ("configurations", "failed", "snaps"))
+    shares = (f"{100 * (1 - share):.3f} %" for share in off)
+    return (label, count, *counts, *shares, kinds, tally["without a bound"]), listed
 
 
 def bound(count: int = HISTORIES) -> None:

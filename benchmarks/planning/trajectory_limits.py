@@ -7,8 +7,6 @@ planner's legs are, from a thousandth of the workspace to all of it. Exits with 
 they are as short as they can be is shown by tests/drive/test_trajectory.py.
 """
 
-from dataclasses import dataclass, field
-
 import common
 import numpy as np
 from common import table
@@ -25,24 +23,22 @@ LEGS_PER_PLAN = 10
 FAST_ROTATION, FAST_TRANSLATION = (1.0, 4.0, 40.0), (0.01, 0.05, 0.5)  # per s, s^2, s^3
 
 
-@dataclass
-class Totals:
-    """Worst values and sums over all legs."""
-
-    ratio: dict[str, float] = field(default_factory=lambda: dict.fromkeys(QUANTITIES, 0.0))
-    exceeded: int = 0
-    deviation: float = 0.0
-
-
 def main() -> int:
-    arguments = common.arguments(__doc__, legs=10_000, seed=0)
-    rng, totals = np.random.default_rng(arguments.seed), Totals()
-    plans = max(arguments.legs // LEGS_PER_PLAN, 1)
+    given = common.arguments(__doc__, legs=10_000, seed=0)
+    rng, plans = np.random.default_rng(given.seed), max(given.legs // LEGS_PER_PLAN, 1)
+    worst, exceeded, deviation = dict.fromkeys(QUANTITIES, 0.0), 0, 0.0
     for _ in range(plans):
         drive = random_drive(rng)
-        add_plan(totals, random_plan(rng, drive), drive)
-    print_table(totals, plans * LEGS_PER_PLAN)
-    return int(totals.exceeded > 0 or totals.deviation > 1e-12)
+        waypoints = random_plan(rng, drive)
+        trajectory = time_parameterise(waypoints, drive)
+        for quantity, ratio in (item for joint in verify_limits(trajectory, drive).values() for item in joint.items()):
+            worst[quantity] = max(worst[quantity], ratio)
+            exceeded += ratio > 1 + 1e-9
+        deviation = max(deviation, distance_from_legs(trajectory, merge_legs(waypoints)))
+    rows = [(f"limits exceeded, {plans * LEGS_PER_PLAN} legs", f"{exceeded}")]
+    rows += [(f"worst {name} / limit - 1", f"{ratio - 1:.1e}") for name, ratio in worst.items()]
+    table("random trajectories", ("", "found"), [*rows, ("worst distance from the leg (rad, m)", f"{deviation:.1e}")])
+    return int(exceeded > 0 or deviation > 1e-12)
 
 
 def random_drive(rng: np.random.Generator) -> Drive:
@@ -66,21 +62,3 @@ def random_plan(rng: np.random.Generator, drive: Drive) -> FloatArray:
         if moving.any():
             waypoints.append(waypoints[-1] + moving * 10 ** rng.uniform(-3, 0) * (target - waypoints[-1]))
     return np.array(waypoints)
-
-
-def add_plan(totals: Totals, waypoints: FloatArray, drive: Drive) -> None:
-    trajectory = time_parameterise(waypoints, drive)
-    for joint in verify_limits(trajectory, drive).values():
-        for quantity, ratio in joint.items():
-            totals.ratio[quantity] = max(totals.ratio[quantity], ratio)
-            totals.exceeded += ratio > 1 + 1e-9
-    totals.deviation = max(totals.deviation, distance_from_legs(trajectory, merge_legs(waypoints)))
-
-
-def print_table(totals: Totals, legs: int) -> None:
-    rows = [
-        (f"limits exceeded, {legs} legs", f"{totals.exceeded}"),
-        *((f"worst {name} / limit - 1", f"{totals.ratio[name] - 1:.1e}") for name in QUANTITIES),
-        ("worst distance from the leg (rad, m)", f"{totals.deviation:.1e}"),
-    ]
-    table("random trajectories", ("", "found"), rows)

@@ -51,8 +51,16 @@ def left_shares(chain: ParametricChain) -> tuple[Array, float]:
     return np.linalg.norm(root, axis=1) / chain.prior, took
 
 
-def intervals(configurations: int) -> None:
-    """One row a parameter."""
+def drawn_back(plan: Measurements) -> Array:
+    """(R, 2) translations of tubes 2, which is locked to tube 1, and 3, a new one for each configuration."""
+    rng = np.random.default_rng(5)
+    numbers = np.unique(plan.l_commanded, axis=0, return_inverse=True)[1].ravel()
+    inner = rng.uniform(-0.110, -0.036, numbers.max() + 1)[numbers]
+    return np.column_stack([np.full(len(inner), -0.017), inner])
+
+
+def main() -> None:
+    configurations = common.arguments(__doc__, configurations=12).configurations
     robot = ctrplan.load_robot(ROBOTS / "three_tube.toml", [MARKERS])
     plan = waypoints(robot, configurations)
     plan = replace(plan, l_commanded=np.column_stack([plan.l_commanded[:, :1] * 0, drawn_back(plan)]))
@@ -66,15 +74,3 @@ def intervals(configurations: int) -> None:
     rows = zip(names, *(([*column, took]) for column, took in zip(columns, times, strict=True)), strict=True)
     title = f"{configurations} configurations, {plan.count} poses; 95 % intervals in % of their priors'"
     table(title, ("", "tip alone", "and a ring on tube 3", "and on tubes 2 and 1"), rows)
-
-
-def drawn_back(plan: Measurements) -> Array:
-    """(R, 2) translations of tubes 2, which is locked to tube 1, and 3, a new one for each configuration."""
-    rng = np.random.default_rng(5)
-    numbers = np.unique(plan.l_commanded, axis=0, return_inverse=True)[1].ravel()
-    inner = rng.uniform(-0.110, -0.036, numbers.max() + 1)[numbers]
-    return np.column_stack([np.full(len(inner), -0.017), inner])
-
-
-def main() -> None:
-    intervals(common.arguments(__doc__, configurations=12).configurations)

@@ -16,6 +16,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -47,26 +48,20 @@ def plans_study(count: int) -> dict[str, Any]:
     return {"scenario": SCENARIO, "task": {"kind": "plan"}, "vary": seeds}
 
 
-def loop_of_bounds(study: Study) -> float:
-    """Processor time [s] of the same bounds in a plain loop over rows, one call each."""
+def loop_of_bounds() -> Callable[[dict[str, Any]], object]:
+    """The same bounds, one call each."""
     robot = ctrplan.load_robot(ROBOT)
-    rows = [study.tasks[k].settings for k in range(study.count)]
-    begun = time.process_time()
-    with one_core():
-        for settings in rows:
-            theta = np.radians([0, settings["theta_2"], settings["theta_3"]])
-            robot.bound_many(theta[None], np.array([[0, -17e-3, -62.8e-3]]))
-    return time.process_time() - begun
+
+    def bound(settings: dict[str, Any]) -> object:
+        theta = np.radians([0, settings["theta_2"], settings["theta_3"]])
+        return robot.bound_many(theta[None], np.array([[0, -17e-3, -62.8e-3]]))
+
+    return bound
 
 
-def loop_of_plans(study: Study) -> float:
-    """Processor time [s] of a plain loop over the study's plans."""
+def loop_of_plans() -> Callable[[dict[str, Any]], object]:
     scenario = ctrplan.load_scenario(SCENARIO, ["planner.time_s=0.5"])
-    begun = time.process_time()
-    with one_core():
-        for k in range(study.count):
-            ctrplan.plan(scenario, seed=study.tasks[k].settings["seed"])
-    return time.process_time() - begun
+    return lambda settings: ctrplan.plan(scenario, seed=settings["seed"])
 
 
 class Run:
@@ -109,12 +104,15 @@ def serve_loop(name: str, count: int) -> None:
     """The plain loop in a process of its own: it warms up, waits for a line, and says how long it took."""
     content, loop = LOOPS[name]
     study = Study.of(content(count), Path())
-    loop(Study.of(content(1), Path()))
-    print("ready", flush=True)
-    sys.stdin.readline()
-    begun = time.monotonic()
-    processor = loop(study)
-    print(time.monotonic() - begun, processor, flush=True)
+    work, rows = loop(), [study.tasks[k].settings for k in range(study.count)]
+    with one_core():
+        work(rows[0])
+        print("ready", flush=True)
+        sys.stdin.readline()
+        begun = time.monotonic(), time.process_time()
+        for settings in rows:
+            work(settings)
+    print(time.monotonic() - begun[0], time.process_time() - begun[1], flush=True)
 
 
 def loops_at_once(name: str, count: int, processes: int) -> tuple[float, float]:

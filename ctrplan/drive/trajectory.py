@@ -34,7 +34,7 @@ from numpy.typing import ArrayLike, NDArray
 from ctrplan.base.arguments import Flag, Made, Number, checked
 from ctrplan.base.arrays import Array, numbers
 from ctrplan.base.package import shown
-from ctrplan.drive.drive import JOINT_ROUNDING, Drive
+from ctrplan.drive.drive import JOINT_ROUNDING, STEP_M, STEP_RAD, Drive
 from ctrplan.drive.legs import LINE_TOLERANCE, distance_from_leg, merge_legs, rounding
 from ctrplan.errors import InputError, SolverError
 
@@ -44,7 +44,6 @@ END_TOLERANCE = 1e-10  # of s, by which rounding may leave the end of a leg
 MAX_SAMPLES = 1_000_000
 PERIOD_S = 0.01
 PERIOD = Number(1e-9, 1e9, "s")
-STEP_RAD, STEP_M = np.radians(1.0), 0.25e-3  # of a joint, between rows of a way in time, where it is taken as straight
 LegWay = tuple[int, Array]  # leg, and joints (S, m) [rad, m] driven on it, straight in between
 
 

@@ -17,8 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ctrplan.base.arguments import Made, checked
 from ctrplan.base.arrays import MM_PER_M, ROUNDING_M, Array, numbers, read_only
-from ctrplan.drive.drive import Drive
-from ctrplan.drive.trajectory import STEP_M, STEP_RAD
+from ctrplan.drive.drive import STEP_M, STEP_RAD, Drive
 from ctrplan.errors import InputError
 from ctrplan.mechanics.tube import reach_inequalities
 from ctrplan.robot.robot import Robot, nesting_sentence
