@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import functools
 import io
 import itertools
 import json
@@ -34,10 +35,16 @@ def arguments(doc: str | None, *places: str | tuple[str, Iterable[str]], **optio
     Places are names that end with * or ? where there need not be one, or pairs of name and choices. Options are given
     by their defaults, or by a type where they have none; one that is False is a switch, a list takes several values.
     """
+
+    def among(choices: Iterable[str], text: str) -> str:  # argparse takes no name at all for a wrong choice
+        if text not in choices:
+            raise argparse.ArgumentTypeError(f"no {text}: there are {', '.join(choices)}")
+        return text
+
     parser = Parser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
     for place in places:
-        text, choices = (place, None) if isinstance(place, str) else place
-        parser.add_argument(text.rstrip("*?"), nargs=text[-1] if text[-1] in "*?" else None, choices=choices)
+        text, kind = (place, str) if isinstance(place, str) else (place[0], functools.partial(among, place[1]))
+        parser.add_argument(text.rstrip("*?"), nargs=text[-1] if text[-1] in "*?" else None, type=kind)
     for name, default in options.items():
         flag, is_type = f"--{name.replace('_', '-')}", isinstance(default, type)
         if default is False:
