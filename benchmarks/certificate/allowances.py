@@ -27,6 +27,7 @@ from ctrplan import Robot, Scenario, load_robot
 from ctrplan.base.arrays import Array
 from ctrplan.certificate.friction_states import LOOK_EVERY, bound_allowance_m, mesh_allowance_m
 from ctrplan.certificate.sample_states import SampleStates, StatesBetween
+from ctrplan.certificate.variants import Variants
 from ctrplan.certificate.walked_piece import walked
 from ctrplan.mechanics.shapes import Accuracy, FrictionBodies
 from ctrplan.scenario.joint_space import JointSpace
@@ -84,17 +85,18 @@ GRANTED_M = 5e-6
 TURN_DEG, PUSH_MM = 20.0, 5.0  # of a leg at most
 
 
-def leg(scenario: Scenario, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Joints at both ends: rotations and translations of random size, within limits."""
+def leg(scenario: Scenario, rng: np.random.Generator) -> Array:
+    """(2, m) joints at both ends: rotations and translations of random size, within limits."""
     space = JointSpace.of(scenario)
     start = space.sample(rng, 1)
     most = np.where(space.drive.is_rotation, np.radians(TURN_DEG), PUSH_MM * 1e-3)
-    return start[0], space.projected(start + rng.uniform(-1, 1, start.shape) * most, start)[0]
+    return np.concatenate([start, space.projected(start + rng.uniform(-1, 1, start.shape) * most, start)])
 
 
 def of_leg(scenario: Scenario, rng: np.random.Generator, accuracy: Accuracy) -> list[tuple[float, float]]:
     """Largest error [m], and the most that one is beyond what is taken off [m], by sample."""
-    piece = walked(scenario, JointSpace.of(scenario), 0, *leg(scenario, rng), "search")
+    way = leg(scenario, rng)
+    piece = walked(Variants.of(scenario, way), JointSpace.of(scenario), 0, way, "search")
     count, found = len(piece.l_b), []
     solved = [SampleStates(scenario, piece, k, "search") for k in range(count)]
     for k in range(count):
