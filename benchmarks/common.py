@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import functools
 import io
+import itertools
 import json
 import os
 import subprocess
@@ -27,22 +29,54 @@ class Parser(argparse.ArgumentParser):
     parse_args = argparse.ArgumentParser.parse_intermixed_args  # type: ignore[assignment]
 
 
-def parser(doc: str | None) -> Parser:
-    """For the arguments of a benchmark, which its docstring explains."""
-    return Parser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
+def arguments(doc: str | None, *places: str | tuple[str, Iterable[str]], **options: Any) -> Any:
+    """What a command line gives to a benchmark, whose docstring explains it.
+
+    Places are names that end with * or ? where there need not be one, or pairs of name and choices. Options are given
+    by their defaults, or by a type where they have none; one that is False is a switch, a list takes several values.
+    """
+
+    def among(choices: Iterable[str], text: str) -> str:  # argparse takes no name at all for a wrong choice
+        if text not in choices:
+            raise argparse.ArgumentTypeError(f"no {text}: there are {', '.join(choices)}")
+        return text
+
+    parser = Parser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
+    for place in places:
+        text, kind = (place, str) if isinstance(place, str) else (place[0], functools.partial(among, place[1]))
+        parser.add_argument(text.rstrip("*?"), nargs=text[-1] if text[-1] in "*?" else None, type=kind)
+    for name, default in options.items():
+        flag, is_type = f"--{name.replace('_', '-')}", isinstance(default, type)
+        if default is False:
+            parser.add_argument(flag, action="store_true")
+        elif isinstance(default, list):
+            parser.add_argument(flag, nargs="*", type=type(default[0]), default=default)
+        else:
+            kind, value = (default, None) if is_type else (type(default), default)
+            parser.add_argument(flag, type=kind, default=value)
+    return parser.parse_args()
 
 
-def sections(given: Sequence[str], known: Mapping[str, Callable[[], object]], refuse: Callable[[str], object]) -> None:
+Table = tuple[str, str, Callable[[], Iterable[Sequence[object]]]]  # title, head and rows
+
+
+def sections(names: Sequence[str], known: Mapping[str, Callable[[], object] | Table]) -> None:
     """Runs the sections that are named, all if none is."""
-    if unknown := set(given) - set(known):
-        refuse(f"no section {', '.join(sorted(unknown))}: there are {', '.join(known)}")
-    for name in given or known:
-        known[name]()
+    for name in names or known:
+        work = known[name]
+        table(work[0], work[1], work[2]()) if isinstance(work, tuple) else work()
 
 
 def again(name: str, *arguments: str) -> list[str]:
     """The command that runs a benchmark in a process of its own, without keeping what it prints."""
     return [sys.executable, str(ROOT / "benchmarks" / "run.py"), "--bare", name, *arguments]
+
+
+def elsewhere(checkout: Path, name: str, *arguments: str) -> list[float]:
+    """Numbers that a benchmark prints in a process of its own, with the ctrplan of a checkout."""
+    command, environment = again(name, *arguments), os.environ | {"PYTHONPATH": str(checkout)}
+    done = subprocess.run(command, env=environment, stdout=subprocess.PIPE, text=True, check=True)
+    return [float(text) for text in done.stdout.split()]
 
 
 def kept(file: Path | None) -> list[dict[str, Any]]:
@@ -66,16 +100,37 @@ def spent(command: Sequence[str], environment: Mapping[str, str], output: Any) -
     return os.waitstatus_to_exitcode(status), clock_s, used.ru_utime + used.ru_stime, used.ru_maxrss / 1024
 
 
-def table(title: str, head: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
-    """Prints a Markdown table under its title; floats have three significant digits."""
+def table(title: str, head: str | Sequence[str], rows: Iterable[Sequence[object]]) -> None:
+    """Prints a Markdown table under its title, each row as it comes, floats with three significant digits.
+
+    A head may be one text with bars between its cells.
+    """
+    cells = head.split(" | ") if isinstance(head, str) else head
     print(f"\n{title}")
-    for line in (head, ["---"] * len(head), *rows):
+    for line in itertools.chain((cells, ["---"] * len(cells)), rows):
         print(row(line), flush=True)
 
 
 def row(cells: Sequence[object]) -> str:
     """A line of a Markdown table."""
     return f"| {' | '.join(f'{x:.3g}' if isinstance(x, float) else str(x) for x in cells)} |"
+
+
+def tube(
+    outer_mm: float, inner_mm: float, stiffness_Nm2: float, sections: Iterable[Sequence[float]], **more: Any
+) -> dict[str, Any]:
+    """A tube of a robot file; of each section its length [mm] and curvature (x, y) [1/m]."""
+    keys = ("length_mm", "curvature_x_per_m", "curvature_y_per_m")
+    sizes = {"outer_diameter_mm": outer_mm, "inner_diameter_mm": inner_mm, "bending_stiffness_Nm2": stiffness_Nm2}
+    return {"poisson_ratio": 0.3, "section": [dict(zip(keys, of, strict=True)) for of in sections], **sizes, **more}
+
+
+def finer(times: float) -> Any:
+    """Steps of histories, so many times as short as the default ones."""
+    from ctrplan.mechanics.shapes import HistoryOptions
+
+    steps = ("rotation_rad", "translation_m", "state_change")
+    return HistoryOptions(**{name: getattr(HistoryOptions, name) / times for name in steps})
 
 
 def distance_mm(a: Any, b: Any) -> float:

@@ -26,7 +26,6 @@ from typing import Any, TextIO
 
 FOLDER = Path(__file__).resolve().parent
 ROOT = FOLDER.parent
-HELPERS = {"run", "common"}
 END = "<!-- end of table -->"
 
 

@@ -31,8 +31,8 @@ def scenario(folder: Path, count: int) -> Path:
             x, y, z = center.round(3).tolist()
             rows.append(f'[[anatomy]]\nkind = "sphere"\ncenter_mm = [{x}, {y}, {z}]\nradius_mm = {radius:.3f}\n')
     joints = [
-        '[start]\n"rotate outer" = 0\n"rotate middle" = 0\n"rotate inner" = 0\n"translate inner" = -86.4\n',
-        '[goal.joints]\n"rotate outer" = 0\n"rotate middle" = 90\n"rotate inner" = 0\n"translate inner" = -86.4\n',
+        f'[{where}]\n"rotate outer" = 0\n"rotate middle" = {turn}\n"rotate inner" = 0\n"translate inner" = -86.4\n'
+        for where, turn in (("start", 0), ("goal.joints", 90))
     ]
     text = (
         f'name = "spheres"\nrobot = "{ROBOT.name}"\n' + "\n".join(joints) + "[planner]\ntime_s = 3\n" + "\n".join(rows)
@@ -58,7 +58,4 @@ def print_spheres(counts: list[str]) -> None:
 
 
 def main() -> None:
-    parser = common.parser(__doc__)
-    parser.add_argument("section", choices=["spheres"])
-    parser.add_argument("counts", nargs="*")
-    print_spheres(parser.parse_args().counts)
+    print_spheres(common.arguments(__doc__, ("section", ["spheres"]), "counts*").counts)

@@ -7,6 +7,7 @@ phantoms: tubes along a line and a circle, askew to the voxels, as label maps an
 largest that the process ever had, so give one word to learn one of them.
 """
 
+import itertools
 import os
 import resource
 import tempfile
@@ -17,18 +18,17 @@ from pathlib import Path
 import common
 import numpy as np
 import phantoms
-from common import SCENARIOS
+from common import ROBOTS, table
 from scipy.spatial.transform import Rotation
 
 import ctrplan
 from ctrplan.anatomy.clearance_grid import anatomy_field, field_bounds, shared_spacing_m
-from ctrplan.anatomy.parts import AnatomyPart
 
 SPACINGS_MM = [(0.5, 0.5, 0.5), (1.0, 1.0, 1.0), (0.7, 0.7, 1.4), (2.0, 2.0, 2.0)]
 RADII_MM = (1.0, 3.0, 5.0, 9.0)
 DRAWS = 3
 REACH_M = 0.12
-ROBOT = SCENARIOS / "robots" / "three_tube_insertion.toml"
+ROBOT = ROBOTS / "three_tube_insertion.toml"
 LUMEN = """robot = "{robot}"
 [start]
 "rotate outer" = 0
@@ -48,18 +48,17 @@ margin_mm = 0.3
 
 
 def phantom_errors(folder: Path) -> None:
-    print("| voxels (mm) | radius (mm) | of | rms (voxel) | mean | 99 % | largest |")
-    print("|---|---|---|---|---|---|---|")
-    for spacing in SPACINGS_MM:
-        for radius in RADII_MM:
-            if radius < 0.9 * max(spacing):
-                continue
-            for grey in (False, True):
-                off = np.concatenate([_errors(folder, spacing, radius, grey, seed) for seed in range(DRAWS)])
-                numbers = np.sqrt(np.mean(off**2)), np.mean(off), np.quantile(np.abs(off), 0.99), np.abs(off).max()
-                shown = " | ".join(f"{x:.3f}" for x in numbers)
-                size = " x ".join(f"{s:g}" for s in spacing)
-                print(f"| {size} | {radius:g} | {'grey' if grey else 'labels'} | {shown} |")
+    rows = (
+        _row(folder, *of) for of in itertools.product(SPACINGS_MM, RADII_MM, (False, True)) if of[1] >= 0.9 * max(of[0])
+    )
+    table("phantoms", "voxels (mm) | radius (mm) | of | rms (voxel) | mean | 99 % | largest", rows)
+
+
+def _row(folder: Path, spacing: tuple[float, ...], radius: float, grey: bool) -> tuple[str, ...]:
+    off = np.concatenate([_errors(folder, spacing, radius, grey, seed) for seed in range(DRAWS)])
+    numbers = np.sqrt(np.mean(off**2)), np.mean(off), np.quantile(np.abs(off), 0.99), np.abs(off).max()
+    size = " x ".join(f"{s:g}" for s in spacing)
+    return size, f"{radius:g}", "grey" if grey else "labels", *(f"{x:.3f}" for x in numbers)
 
 
 def _errors(folder: Path, spacing: tuple[float, ...], radius: float, grey: bool, seed: int) -> phantoms.Array:
@@ -85,20 +84,15 @@ def large_volume(folder: Path) -> None:
     part = phantoms.part_of(folder, kind="volume", file="tree.nii.gz", label=2, role="inside")
     read = _clock()
     base = np.array([0.0, 0.0, -0.5 * size[2] * spacing[2] * 1e-3 + 0.02])
-    _field(part, base)
+    lower, upper = field_bounds([part], REACH_M, base)
+    spacing_m = shared_spacing_m([part], REACH_M)
+    field = anatomy_field([part], lower, upper, spacing_m, base_position_m=base, reach_m=REACH_M)
+    print(f"field of {' x '.join(map(str, field.values_m.shape))} nodes, {field.spacing_m * 1e3:.2f} mm apart")
     done = _clock()
     shown = " x ".join(map(str, size))
     print(f"{shown} labels read, {len(part.shape.surface().faces)} triangles: {_took(before, read)}")
     print(f"field: {_took(read, done)}; together: {_took(before, done)}")
     _memory()
-
-
-def _field(part: AnatomyPart, base_m: phantoms.Array) -> None:
-    lower, upper = field_bounds([part], REACH_M, base_m)
-    field = anatomy_field(
-        [part], lower, upper, shared_spacing_m([part], REACH_M), base_position_m=base_m, reach_m=REACH_M
-    )
-    print(f"field of {' x '.join(map(str, field.values_m.shape))} nodes, {field.spacing_m * 1e3:.2f} mm apart")
 
 
 def _write_tree(path: Path, size: tuple[int, int, int], spacing: tuple[float, float, float]) -> None:
@@ -170,10 +164,8 @@ def _memory() -> None:
 
 
 def main() -> None:
-    parser = common.parser(__doc__)
-    parser.add_argument("sections", nargs="*", metavar="SECTION")
+    known = {"phantoms": phantom_errors, "mesh": large_mesh, "volume": large_volume}
+    given = common.arguments(__doc__, ("sections*", known))
     with tempfile.TemporaryDirectory() as name:
         os.environ["CTRPLAN_CACHE_DIR"] = name
-        known = {"phantoms": phantom_errors, "mesh": large_mesh, "volume": large_volume}
-        bound = {section: partial(work, Path(name)) for section, work in known.items()}
-        common.sections(parser.parse_args().sections, bound, parser.error)
+        common.sections(given.sections, {section: partial(work, Path(name)) for section, work in known.items()})

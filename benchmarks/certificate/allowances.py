@@ -1,7 +1,6 @@
-"""What certificates allow for, against what is found: meshes, uneven friction, friction states between samples.
+"""What certificates allow for, against what is found: meshes, friction states between samples.
 
     python benchmarks/run.py allowances meshes [--count 40] [--clearances-mm 0.3 1 3]
-    python benchmarks/run.py allowances uneven [--count 40]
     python benchmarks/run.py allowances between [--legs 12]
 
 meshes: how far bodies and bounds of both meshes are from the model of exact geometry, for random configurations of the
@@ -9,39 +8,29 @@ shipped robots, with their own clearances between tubes and with wider ones: the
 (frictionless and corner shapes, at the tip where meshes have different points), the most that a bound is short, and
 the allowances of the certificate, in mm. Shapes more than BRANCH_M apart are other equilibria, counted by themselves.
 
-uneven: how much nearer to an obstacle a robot comes where friction differs along its contacts than in any uniform
-state, for random configurations with a sphere or a rod beside the body of a random uneven state. The worst uneven
-friction is looked for as certificates do it. Nearest uniform states are those of a grid of five along each pair, so
-that the numbers are rather too large.
-
 between: how far interpolated friction states are from solved ones. Random legs from random joints of the scenarios'
 robots: samples between those that certificates solve are taken from their neighbours, on both meshes, and solved for
 comparison. Samples where a state has no equilibrium, or another one than its neighbours, are counted by themselves.
 """
 
-import argparse
 import itertools
 from collections.abc import Iterator
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
 import common
 import numpy as np
 from common import ROBOTS, SCENARIOS, table
 
 import ctrplan
+from ctrplan import Robot, Scenario, load_robot
 from ctrplan.base.arrays import Array
-from ctrplan.certificate.anatomy_distance import AnatomyDistance
-from ctrplan.certificate.friction_states import LOOK_EVERY, UNEVEN_FRICTION_M, bound_allowance_m, mesh_allowance_m
+from ctrplan.certificate.friction_states import LOOK_EVERY, bound_allowance_m, mesh_allowance_m
 from ctrplan.certificate.sample_states import SampleStates, StatesBetween
-from ctrplan.certificate.uneven_friction import PARTS, worst_uneven_friction
+from ctrplan.certificate.variants import Variants
 from ctrplan.certificate.walked_piece import walked
-from ctrplan.files.robot_file import load_robot
-from ctrplan.files.scenario_file import scenario_from_dict
 from ctrplan.mechanics.shapes import Accuracy, FrictionBodies
-from ctrplan.robot.robot import Robot
 from ctrplan.scenario.joint_space import JointSpace
-from ctrplan.scenario.scenario import Scenario
 
 NAMES = ("three_tube", "table_1_pair", "table_4_pair", "table_5_pair")
 BRANCH_M = 5e-3
@@ -74,8 +63,10 @@ def errors(robot: Robot, mesh: Accuracy, count: int) -> Array:
     return np.array(rows).reshape(-1, 2)
 
 
-def meshes(given: argparse.Namespace) -> None:
-    rows = []
+Rows = Iterator[tuple[object, ...]]
+
+
+def meshes(given: Any) -> Rows:
     for name, clearance_mm in itertools.product(NAMES, [None, *given.clearances_mm]):
         plain = load_robot(ROBOTS / f"{name}.toml")
         wider = [] if clearance_mm is None else [f"contact.{k}.clearance_mm={clearance_mm}" for k in range(1, plain.n)]
@@ -86,78 +77,26 @@ def meshes(given: argparse.Namespace) -> None:
             apart, short = same.max(axis=0, initial=0.0) * 1e3
             allowed = mesh_allowance_m(robot, mesh) * 1e3, bound_allowance_m(robot, mesh) * 1e3
             cells = f"{apart:.2f} ({allowed[0]:.2f})", f"{short:.2f} ({allowed[1]:.2f})"
-            rows.append((name, str(clearance_mm or "own"), mesh, len(found), len(found) - len(same), *cells))
-    head = (
-        "robot",
-        "clearance, mm",
-        "mesh",
-        "solved",
-        "other equilibria",
-        "bodies, mm (allowed)",
-        "bounds short, mm (allowed)",
-    )
-    table("meshes", head, rows)
-
-
-def obstacle(rng: np.random.Generator, near_mm: Array) -> dict[str, object]:
-    """A small one whose surface is 1 to 4 mm from a point."""
-    side = rng.standard_normal(3)
-    side /= np.linalg.norm(side)
-    kind, away = rng.choice(["sphere", "capsule"]), rng.uniform(1, 4)
-    if kind == "sphere":
-        radius = rng.uniform(0.3, 4)
-        return {"kind": "sphere", "center_mm": (near_mm + (away + radius) * side).tolist(), "radius_mm": radius}
-    along = np.cross(side, rng.standard_normal(3))
-    along *= 15 / np.linalg.norm(along)
-    start, radius = near_mm + (away + 0.5) * side, 0.5
-    ends = {"from_mm": (start - along).tolist(), "to_mm": (start + along).tolist()}
-    return {"kind": "capsule", **ends, "radius_mm": radius}
-
-
-def nearer_mm(robot: Robot, count: int) -> Array:
-    """(count,) [mm]"""
-    rng, found = np.random.default_rng(4), []
-    for q in JointSpace.of_robot(robot).sample(rng, count):
-        theta_b, l_b = robot.drive.collars(q)
-        phi = rng.uniform(-1, 1, (1, PARTS, robot.n - 1))
-        body = robot.mechanics.friction_bodies(theta_b, l_b, phi).point_m[0]
-        near = body[-1 - rng.integers(len(body) // 2)] * 1e3
-        names = {j.name: v / j.si_per_unit for j, v in zip(robot.drive.joints, q.tolist(), strict=True)}
-        content = {"robot": robot.path, "start": names, "goal": {"joints": names}, "anatomy": [obstacle(rng, near)]}
-        scenario = scenario_from_dict(content, file="made_up.toml")
-        distance = AnatomyDistance.of(scenario)
-        assert distance is not None
-        found.append(worst_uneven_friction(distance, theta_b, l_b).nearer_m * 1e3)
-    return np.array(found)
-
-
-def uneven(given: argparse.Namespace) -> None:
-    rows = []
-    for name in NAMES:
-        found = nearer_mm(load_robot(ROBOTS / f"{name}.toml"), given.count)
-        most = (f"{np.percentile(found, p):.3f}" for p in (50, 90, 95, 100))
-        rows.append((name, *most, f"{100 * np.mean(found > UNEVEN_FRICTION_M * 1e3):.1f} %"))
-    head = ("robot", "nearer by, mm: median", "90 %", "95 %", "largest", f"beyond {UNEVEN_FRICTION_M * 1e3:g} mm")
-    table("uneven friction", head, rows)
+            yield name, str(clearance_mm or "own"), mesh, len(found), len(found) - len(same), *cells
 
 
 STATES = 12  # random ones of every sample
 GRANTED_M = 5e-6
-BRANCH_M = 5e-3
 TURN_DEG, PUSH_MM = 20.0, 5.0  # of a leg at most
 
 
-def leg(scenario: Scenario, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Joints at both ends: rotations and translations of random size, within limits."""
+def leg(scenario: Scenario, rng: np.random.Generator) -> Array:
+    """(2, m) joints at both ends: rotations and translations of random size, within limits."""
     space = JointSpace.of(scenario)
     start = space.sample(rng, 1)
     most = np.where(space.drive.is_rotation, np.radians(TURN_DEG), PUSH_MM * 1e-3)
-    return start[0], space.projected(start + rng.uniform(-1, 1, start.shape) * most, start)[0]
+    return np.concatenate([start, space.projected(start + rng.uniform(-1, 1, start.shape) * most, start)])
 
 
 def of_leg(scenario: Scenario, rng: np.random.Generator, accuracy: Accuracy) -> list[tuple[float, float]]:
     """Largest error [m], and the most that one is beyond what is taken off [m], by sample."""
-    piece = walked(scenario, JointSpace.of(scenario), 0, *leg(scenario, rng), "search")
+    way = leg(scenario, rng)
+    piece = walked(Variants.of(scenario, way), JointSpace.of(scenario), 0, way, "search")
     count, found = len(piece.l_b), []
     solved = [SampleStates(scenario, piece, k, "search") for k in range(count)]
     for k in range(count):
@@ -185,8 +124,7 @@ def of_different_robots() -> Iterator[Scenario]:
             yield scenario
 
 
-def between(given: argparse.Namespace) -> None:
-    rows = []
+def between(given: Any) -> Rows:
     for scenario, accuracy in itertools.product(of_different_robots(), ("search", "certificate")):
         rng = np.random.default_rng(0)
         found = np.array([row for _ in range(given.legs) for row in of_leg(scenario, rng, accuracy)]).reshape(-1, 2)
@@ -194,16 +132,16 @@ def between(given: argparse.Namespace) -> None:
         error, beyond = found[same].max(axis=0) * 1e3
         name, share = Path(scenario.robot.path or "").stem, 100 * np.mean(found[same, 1] > GRANTED_M)
         counts = int(same.sum()), int(np.sum(~same))
-        rows.append((name, accuracy, *counts, f"{error:.3f}", f"{beyond:.3f}", f"{share:.1f} %"))
-    head = ("robot", "mesh", "samples", "other equilibria", "error, mm", "beyond what is taken off, mm", "of samples")
-    table("friction states between samples", head, rows)
+        yield name, accuracy, *counts, f"{error:.3f}", f"{beyond:.3f}", f"{share:.1f} %"
 
 
 def main() -> None:
-    parser = common.parser(__doc__)
-    parser.add_argument("section", choices=["meshes", "uneven", "between"])
-    parser.add_argument("--count", type=int, default=40)
-    parser.add_argument("--clearances-mm", type=float, nargs="*", default=[0.3, 1.0, 3.0])
-    parser.add_argument("--legs", type=int, default=12)
-    given = parser.parse_args()
-    {"meshes": meshes, "uneven": uneven, "between": between}[given.section](given)
+    of_bodies = "robot | clearance, mm | mesh | solved | other equilibria | bodies, mm (allowed)"
+    of_states = "robot | mesh | samples | other equilibria | error, mm | beyond what is taken off, mm | of samples"
+    known = {
+        "meshes": ("meshes", f"{of_bodies} | bounds short, mm (allowed)", meshes),
+        "between": ("friction states between samples", of_states, between),
+    }
+    given = common.arguments(__doc__, ("section", known), count=40, clearances_mm=[0.3, 1.0, 3.0], legs=12)
+    title, head, rows = known[given.section]
+    table(title, head, rows(given))

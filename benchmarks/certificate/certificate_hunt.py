@@ -8,8 +8,7 @@ state between the corners, up to 1.5 mm within it, and yet 0.2 mm clear of frict
 place is found; in the others, "random", it stands somewhere beside the frictionless body, farther off. `certify` walks
 the motion. Four judges look for a hit, with the distances of `ctrplan.audit`:
 
-- grid: bodies on a grid of friction states at 5 places of the motion; 401 states of one pair, 41 x 41 of two, 9 x 9 x 9
-  of three (coarser per pair);
+- grid: bodies at 5 places of the motion; 401 friction states of one pair, 41 x 41 of two, 9 x 9 x 9 of three;
 - contacts: friction that differs along the contacts of each pair, in 8 parts: at the same places 150 states of random
   extremes, and 150 with random parts of the worst state of the grid at an extreme;
 - histories: 10 simulations of small turns back and forth (1 to 30 deg) before the start, followed along the motion;
@@ -19,12 +18,9 @@ Everything is looked at on the coarse mesh; what comes within 1.5 mm of the obst
 solved again on the certificate mesh, which decides. A tip beyond the bound is one by more than 0.3 mm and 2 %, what
 meshes differ by. Scenes that are refused, and that a state of the grid comes within 1 mm of, are not simulated.
 
-Results are kept scene by scene in build/certificate_hunt.jsonl: another run goes on where the last one ended, and the
-table is of all scenes there. --only solves one scene again and prints all that is known of it. Every scene depends on
-the seed and its number alone.
+Results are kept scene by scene in build/certificate_hunt.jsonl, where another run goes on. --only prints all that is
+known of a scene. Every scene depends on the seed and its number alone.
 """
-
-from __future__ import annotations
 
 import itertools
 import json
@@ -38,22 +34,16 @@ from typing import Any
 import common
 import numpy as np
 import trimesh
-from common import ROBOTS, ROOT, table
+from common import ROBOTS, ROOT, table, tube
 
+from ctrplan import Capsule, CtrplanError, Mesh, Robot, Scenario, Sphere, load_robot, robot_from_dict
 from ctrplan.anatomy.parts import AnatomyPart
 from ctrplan.anatomy.shape import PartShape
-from ctrplan.anatomy.shapes.capsule import Capsule
-from ctrplan.anatomy.shapes.mesh import Mesh
-from ctrplan.anatomy.shapes.sphere import Sphere
 from ctrplan.audit.body import RawAnatomy, body_of
 from ctrplan.base.arrays import Array
 from ctrplan.certificate.certify import certify
-from ctrplan.errors import CtrplanError
-from ctrplan.files.robot_file import load_robot, robot_from_dict
 from ctrplan.mechanics.shapes import Accuracy
-from ctrplan.robot.robot import Robot
 from ctrplan.scenario.joint_space import JointSpace, bare_scenario
-from ctrplan.scenario.scenario import Scenario
 
 RESULTS = ROOT / "build" / "certificate_hunt.jsonl"
 GRID = {1: 401, 2: 41, 3: 9}  # states along a pair
@@ -67,8 +57,6 @@ BEYOND_M, BEYOND_SHARE = 0.3e-3, 0.02
 TURN_RAD, SLIDE_M = 0.2, 3e-3
 CLEAR_M = {"between": 0.2e-3, "random": 1e-3}  # of frictionless and corner shapes, in the middle of the motion
 MOST_DRAWN = 200  # obstacles, until one leaves these shapes so much
-
-
 JUDGES = ("grid", "contacts", "histories", "branches")
 
 
@@ -91,20 +79,9 @@ def robots() -> dict[str, Robot]:
 def _four_tubes() -> Robot:
     """Each curved in its last 60 mm, the inner ones more; clearances of 0.05 mm."""
     tubes = []
-    for k, curvature in enumerate((3.0, 5.0, 8.0, 14.0)):
-        outer = 2.9 - 0.45 * k
-        tubes.append(
-            {
-                "outer_diameter_mm": outer,
-                "inner_diameter_mm": outer - 0.35,
-                "bending_stiffness_Nm2": (0.08, 0.05, 0.025, 0.01)[k],
-                "poisson_ratio": 0.3,
-                "section": [
-                    {"length_mm": 60 + 40 * k, "curvature_x_per_m": 0, "curvature_y_per_m": 0},
-                    {"length_mm": 60, "curvature_x_per_m": 0, "curvature_y_per_m": curvature},
-                ],
-            }
-        )
+    for k, (curvature, stiffness) in enumerate(((3.0, 0.08), (5.0, 0.05), (8.0, 0.025), (14.0, 0.01))):
+        outer, sections = 2.9 - 0.45 * k, ((60 + 40 * k, 0, 0), (60, 0, curvature))
+        tubes.append(tube(outer, outer - 0.35, stiffness, sections))
     return robot_from_dict({"name": "four tubes", "tube": tubes, "contact": [{"friction_coefficient": 0.2}] * 3})
 
 
@@ -222,42 +199,45 @@ def judged(number: int, seed: int) -> Result:
 
 
 def _grid(given: Case, anatomy: RawAnatomy, result: Result) -> None:
-    robot = given.scenario.robot
-    grid = np.array(list(itertools.product(np.linspace(-1, 1, GRID[robot.n - 1]), repeat=robot.n - 1)))
-    least, unsolved = np.inf, False
-    for share in np.linspace(0, 1, PLACES):
-        collars = robot.drive.collars(given.way[0] + share * (given.way[1] - given.way[0]))
-        rooms, solved = _rooms(robot, collars, grid, anatomy, "search", 1e-3)
-        near = np.argsort(rooms)[:MOST_FINE]
-        near = near[solved[near] & (rooms[near] < NEAR_M)]
+    pairs = given.scenario.robot.n - 1
+    grid, unsolved = np.array(list(itertools.product(np.linspace(-1, 1, GRID[pairs]), repeat=pairs))), False
+    for share, rooms, solved, _ in _looked_at(given, anatomy, grid):
         unsolved |= not solved.all()
-        if len(near):
-            rooms[near], solved[near] = _rooms(robot, collars, grid[near], anatomy, "certificate", 0.3e-3)
-        rooms[~solved] = np.inf
         k = int(np.argmin(rooms))
-        if rooms[k] < least:
-            least = float(rooms[k])
-            result.least_mm["grid"] = 1e3 * least
-            result.where["grid"] = {"share": float(share), "phi": grid[k].tolist()}
-    result.true_mm = None if unsolved else 1e3 * least
+        if 1e3 * rooms[k] < result.least_mm.get("grid", np.inf):
+            result.least_mm["grid"], result.where["grid"] = (
+                1e3 * float(rooms[k]),
+                {"share": share, "phi": grid[k].tolist()},
+            )
+    result.true_mm = None if unsolved else result.least_mm.get("grid", np.inf)
 
 
 def _contacts(given: Case, anatomy: RawAnatomy, result: Result, rng: np.random.Generator) -> None:
-    robot, shape = given.scenario.robot, (UNEVEN, PARTS, given.scenario.robot.n - 1)
+    shape = (UNEVEN, PARTS, given.scenario.robot.n - 1)
     extremes = rng.choice((-1.0, 1.0), (2, *shape))
     worst = np.array(result.where["grid"]["phi"])
     phi = np.concatenate([extremes[0], np.where(rng.random(shape) < rng.random((UNEVEN, 1, 1)), extremes[1], worst)])
-    for share in np.linspace(0, 1, PLACES):
+    for share, rooms, _, near in _looked_at(given, anatomy, phi):
+        least = 1e3 * float(rooms[near].min(initial=np.inf))
+        if least < result.least_mm.get("contacts", np.inf):
+            result.least_mm["contacts"], result.where["contacts"] = least, {"share": share}
+
+
+def _looked_at(given: Case, anatomy: RawAnatomy, phi: Array) -> Iterator[tuple[float, Array, Array, Array]]:
+    """Share of the motion, least clearances (S,) [m] of states, inf without a solution, which are solved on the coarse
+    mesh, and rows of those that are solved on the fine one.
+    """
+    robot = given.scenario.robot
+    for share in np.linspace(0, 1, PLACES).tolist():
         collars = robot.drive.collars(given.way[0] + share * (given.way[1] - given.way[0]))
         rooms, solved = _rooms(robot, collars, phi, anatomy, "search", 1e-3)
+        everywhere = solved.copy()
         near = np.argsort(rooms)[:MOST_FINE]
         near = near[solved[near] & (rooms[near] < NEAR_M)]
-        if not len(near):
-            continue
-        fine, solved = _rooms(robot, collars, phi[near], anatomy, "certificate", 0.3e-3)
-        least = 1e3 * float(np.where(solved, fine, np.inf).min())
-        if least < result.least_mm.get("contacts", np.inf):
-            result.least_mm["contacts"], result.where["contacts"] = least, {"share": float(share)}
+        if len(near):
+            rooms[near], solved[near] = _rooms(robot, collars, phi[near], anatomy, "certificate", 0.3e-3)
+        rooms[~solved] = np.inf
+        yield share, rooms, everywhere, near
 
 
 def _rooms(
@@ -337,8 +317,9 @@ def print_table(results: list[Result]) -> None:
         share = f"{100 * sum(r.certified for r in clear) / len(clear):.1f} %" if clear else "-"
         excess = max((r.claimed_mm - min(r.least_mm.values()) for r in sure if r.least_mm), default=np.nan)
         rows.append((name, kind, len(mine), len(sure), *hits, beyond, len(clear), share, f"{excess:.2f}"))
-    head = ["robot", "kind", "scenes", "certified", *(f"hit by {judge}" for judge in JUDGES), "beyond the bound"]
-    table("scenes", (*head, "1 mm clear", "of these certified", "largest excess, mm"), rows)
+    hit = " | ".join(f"hit by {judge}" for judge in JUDGES)
+    head = f"robot | kind | scenes | certified | {hit} | beyond the bound | 1 mm clear | of these certified"
+    table("scenes", f"{head} | largest excess, mm", rows)
 
 
 def broken(results: list[Result]) -> Iterator[str]:
@@ -351,14 +332,7 @@ def broken(results: list[Result]) -> Iterator[str]:
 
 
 def main() -> None:
-    parser = common.parser(__doc__)
-    parser.add_argument("--scenes", type=int, default=1000)
-    parser.add_argument("--first", type=int, default=0, help="leave out the scenes before this one")
-    parser.add_argument("--processes", type=int, default=2)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--only", type=int)
-    parser.add_argument("--file", type=Path, default=RESULTS)
-    given = parser.parse_args()
+    given = common.arguments(__doc__, scenes=1000, first=0, processes=2, seed=1, only=int, file=RESULTS)
     if given.only is not None:
         print(json.dumps(asdict(judged(given.only, given.seed)), indent=2))
         return

@@ -18,12 +18,10 @@ import numpy as np
 from common import ROBOTS, SCENARIOS, table
 
 import ctrplan
+from ctrplan import Scenario, scenario_from_dict
 from ctrplan.base.arrays import Array
-from ctrplan.certificate.certificate import Certificate
 from ctrplan.certificate.certify import certify
 from ctrplan.certificate.walked_legs import walk_legs
-from ctrplan.files.scenario_file import scenario_from_dict
-from ctrplan.scenario.scenario import Scenario
 
 ROBOT = ctrplan.load_robot(ROBOTS / "three_tube.toml")
 STATES = np.array(list(itertools.product(np.linspace(-1, 1, 17), repeat=2)))
@@ -77,31 +75,19 @@ def print_claims(robots: int, seed: int) -> None:
 NAMES = ["airway", "heart_chamber", "ribs", "sinus", "ventricle", "vessel"]
 
 
-def clearances_mm(certificate: Certificate) -> list[float]:
+def meshes(names: list[str]) -> Iterator[tuple[str, ...]]:
     """Clearances of the frictionless robot, of the worst friction state, and what is certified."""
-    assert certificate.nominal is not None and certificate.closest is not None
-    found = certificate.nominal.clearance_m, certificate.closest.clearance_m, certificate.min_clearance_m
-    return [1e3 * value for value in found]
-
-
-def meshes(names: list[str]) -> None:
-    rows = []
     for name in names or NAMES:
         plan = ctrplan.plan(ctrplan.load_scenario(SCENARIOS / f"{name}.toml"))
-        both = [clearances_mm(certify(plan.scenario, plan.waypoints, accuracy=on)) for on in ("search", "certificate")]
-        rows.append((name, *(f"{coarse:.2f}, {fine:.2f}" for coarse, fine in zip(*both, strict=True))))
-    head = ("scenario", "frictionless, mm: coarse, fine", "any friction state", "certified")
-    table("clearances on both meshes", head, rows)
+        both = [certify(plan.scenario, plan.waypoints, accuracy=on) for on in ("search", "certificate")]
+        lengths = zip(*((c.nominal.clearance_m, c.closest.clearance_m, c.min_clearance_m) for c in both), strict=True)
+        yield name, *(f"{1e3 * coarse:.2f}, {1e3 * fine:.2f}" for coarse, fine in lengths)
 
 
 def main() -> None:
-    parser = common.parser(__doc__)
-    parser.add_argument("section", choices=["claims", "meshes"])
-    parser.add_argument("scenarios", nargs="*")
-    parser.add_argument("--robots", type=int, default=60, help="random configurations (60)")
-    parser.add_argument("--seed", type=int, default=0)
-    given = parser.parse_args()
+    given = common.arguments(__doc__, ("section", ("claims", "meshes")), "scenarios*", robots=60, seed=0)
     if given.section == "claims":
         print_claims(given.robots, given.seed)
     else:
-        meshes(given.scenarios)
+        head = "scenario | frictionless, mm: coarse, fine | any friction state | certified"
+        table("clearances on both meshes", head, meshes(given.scenarios))

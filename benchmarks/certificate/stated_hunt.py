@@ -18,8 +18,6 @@ Results are kept scene by scene in build/stated_hunt.jsonl; another run goes on 
 and its number alone.
 """
 
-from __future__ import annotations
-
 import copy
 import itertools
 import json
@@ -33,21 +31,14 @@ import trimesh
 from common import ROBOTS, ROOT, table
 from scipy.spatial import cKDTree
 
+from ctrplan import Capsule, CtrplanError, Mesh, Registration, Robot, Scenario, Sphere, Status, robot_from_dict
 from ctrplan.anatomy.parts import AnatomyPart
 from ctrplan.anatomy.shape import PartShape
-from ctrplan.anatomy.shapes.capsule import Capsule
-from ctrplan.anatomy.shapes.mesh import Mesh
-from ctrplan.anatomy.shapes.sphere import Sphere
 from ctrplan.audit.body import RawAnatomy
 from ctrplan.base.arrays import Array
 from ctrplan.certificate.certify import certify
 from ctrplan.drive.trajectory import time_parameterise
-from ctrplan.errors import CtrplanError
-from ctrplan.files.robot_file import robot_from_dict
-from ctrplan.mechanics.shapes import Status
-from ctrplan.robot.robot import Robot
 from ctrplan.scenario.joint_space import JointSpace, bare_scenario
-from ctrplan.scenario.scenario import Registration, Scenario
 from ctrplan.storage.toml_document import read_document
 
 RESULTS = ROOT / "build" / "stated_hunt.jsonl"
@@ -62,13 +53,7 @@ SNAPS_MM = 1.0  # that a robot still moves then
 CHI95 = 2.795483  # 95 % of distances of three Gaussian coordinates, in standard deviations
 
 
-@dataclass(frozen=True)
-class Knob:
-    """A number of the robot file that is uncertain, or play of the drive: from low to high, in the file's unit."""
-
-    place: tuple[Any, ...]
-    low: float
-    high: float
+Knob = tuple[tuple[Any, ...], float, float]  # place of an uncertain number in the robot file, from low to high
 
 
 @dataclass(frozen=True)
@@ -91,11 +76,11 @@ class World:
         if (known := self.made.get(share.tobytes())) is not None:
             return known
         content = copy.deepcopy({key: value for key, value in self.content.items() if key != "uncertainty"})
-        for knob, s in zip(self.knobs, share, strict=True):
+        for (place, low, high), s in zip(self.knobs, share, strict=True):
             at = content
-            for key in knob.place[:-1]:
+            for key in place[:-1]:
                 at = at[key]
-            at[knob.place[-1]] = (knob.low + knob.high) / 2 + s * (knob.high - knob.low) / 2
+            at[place[-1]] = (low + high) / 2 + s * (high - low) / 2
         self.made[share.tobytes()] = robot_from_dict(content, file=str(ROBOTS / "hunted.toml"))
         return self.made[share.tobytes()]
 
@@ -115,10 +100,10 @@ def world(kind: str, rng: np.random.Generator) -> World:
             low, high = value - half * rng.uniform(0.5, 1), value + half * rng.uniform(0.5, 1)
             if what < 2:
                 ci95[f"tube.{i + 1}.section.{j + 1}.curvature_y_per_m"] = [low, high]
-                knobs.append(Knob(("tube", i, "section", j, "curvature_y_per_m"), low, high))
+                knobs.append((("tube", i, "section", j, "curvature_y_per_m"), low, high))
             else:
                 ci95[f"tube.{i + 1}.bending_stiffness_Nm2"] = [low, high]
-                knobs.append(Knob(("tube", i, "bending_stiffness_Nm2"), low, high))
+                knobs.append((("tube", i, "bending_stiffness_Nm2"), low, high))
     if "play" in kinds:
         for i in rng.permutation(n)[: rng.integers(1, n + 1)]:
             degrees = float(rng.uniform(1, 6))
@@ -226,25 +211,26 @@ def obstacle(center: Array, outward: Array, rng: np.random.Generator) -> PartSha
         middle, half = center + 0.1e-3 * outward, rng.uniform(1e-3, 30e-3)
         return Capsule(middle - half * across, middle + half * across, 0.1e-3)
     box = trimesh.creation.box(extents=[8e-3, 8e-3, 1e-3])
-    up = np.cross(outward, across)
-    turned = np.eye(4)
-    turned[:3, :3], turned[:3, 3] = np.stack([across, up, outward], axis=1), center + 0.5e-3 * outward
-    box.apply_transform(turned)
-    return Mesh(np.array(box.vertices), np.array(box.faces))
+    axes = np.stack([across, np.cross(outward, across), outward], axis=1)
+    return Mesh(box.vertices @ axes.T + center + 0.5e-3 * outward, np.array(box.faces))
 
 
-def scene(number: int, seed: int, kinds: tuple[str, ...]) -> dict[str, Any] | None:
+def scene(number: int, seed: int, kinds: tuple[str, ...]) -> dict[str, Any]:
     rng = np.random.default_rng([seed, number])
     kind = kinds[number % len(kinds)]
     w = world(kind, rng)
+
+    def skipped(why: str) -> dict[str, Any]:
+        return {"number": number, "kind": kind, "skipped": why}
+
     try:
         robot = w.robot
     except CtrplanError as error:
-        return {"number": number, "kind": kind, "skipped": str(error)}
+        return skipped(str(error))
     bare = replace(bare_scenario(robot), registration=w.registration)
     corners = path(JointSpace.of(bare), robot, rng)
     if corners is None:
-        return {"number": number, "kind": kind, "skipped": "no path"}
+        return skipped("no path")
     rows = places(robot, driven(w, robot, corners))
     bodies, radii, owner = [], [], []
     every = draws(w, rng)
@@ -253,16 +239,16 @@ def scene(number: int, seed: int, kinds: tuple[str, ...]) -> dict[str, Any] | No
             try:
                 body, radius = draw.body(w, joints)
             except CtrplanError:
-                return {"number": number, "kind": kind, "skipped": "no equilibrium"}
+                return skipped("no equilibrium")
             if not np.isfinite(body).all():
-                return {"number": number, "kind": kind, "skipped": "no equilibrium"}
+                return skipped("no equilibrium")
             bodies.append(body)
             radii.append(radius)
             owner.append(np.full((len(body), 2), (k, d)))
     cloud, radius, own = np.concatenate(bodies), np.concatenate(radii), np.concatenate(owner)
     placed = _placed(w, cloud, radius, own, rng)
     if placed is None:
-        return {"number": number, "kind": kind, "skipped": "no place beside the bodies"}
+        return skipped("no place beside the bodies")
     is_clear, shape = placed
     part = AnatomyPart(shape, "avoid", 0.0)
     case = replace(bare, start=corners[0], goal=replace(bare.goal, joints=corners[-1], tip_m=None), anatomy=(part,))
@@ -395,13 +381,7 @@ def _descended(w: World, case: Scenario, joints: Array, draw: Draw, rows: Array,
 
 
 def main() -> None:
-    parser = common.parser(__doc__)
-    parser.add_argument("kinds", nargs="*")
-    parser.add_argument("--scenes", type=int, default=300)
-    parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--only", type=int)
-    given = parser.parse_args()
+    given = common.arguments(__doc__, "kinds*", scenes=300, first=0, seed=1, only=int)
     kinds = tuple(given.kinds) or KINDS
     if given.only is not None:
         print(json.dumps(scene(given.only, given.seed, kinds), indent=1))
@@ -412,9 +392,8 @@ def main() -> None:
         if (number, given.seed) in done:
             continue
         result = scene(number, given.seed, kinds)
-        if result is not None:
-            known.append({**result, "seed": given.seed})
-            common.keep(RESULTS, known[-1])
+        known.append({**result, "seed": given.seed})
+        common.keep(RESULTS, known[-1])
     rows = []
     for kind in kinds:
         own = [row for row in known if row["kind"] == kind and "skipped" not in row]
@@ -424,8 +403,4 @@ def main() -> None:
         passed = sum(row["certified"] for row in clear)
         seconds = float(np.median([row["spent_s"] for row in own])) if own else np.nan
         rows.append((kind, len(own), len(certified), len(hit), f"{passed} of {len(clear)}", f"{seconds:.1f} s"))
-    table("scenes", ("kind", "scenes", "certified", "hit", "clear by 1 mm and certified", "processor"), rows)
-
-
-if __name__ == "__main__":
-    main()
+    table("scenes", "kind | scenes | certified | hit | clear by 1 mm and certified | processor", rows)

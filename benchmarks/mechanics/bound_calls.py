@@ -7,19 +7,19 @@ threads: 10,000 bounds and 400 motions on two threads against one, by the clock 
 tracking: a step of `TipTracker` at 20 Hz on a circle, a line, through a lumen to its wall. ways: all ways to a point.
 """
 
+import itertools
 import multiprocessing
 import resource
 import time
+from collections.abc import Iterator
 from typing import Any
 
 import common
 import numpy as np
-from common import ROBOTS, SCENARIOS, table
+from common import ROBOTS, SCENARIOS, tube
 
 import ctrplan
-from ctrplan.errors import CtrplanError
-from ctrplan.files.robot_file import robot_from_dict
-from ctrplan.robot.robot import Robot
+from ctrplan import CtrplanError, Robot, robot_from_dict
 
 MOST_TUBES = 12
 CONFIGURATIONS = 40  # per number of tubes, for what extremes miss
@@ -28,20 +28,10 @@ COLLAR_MM = 5.0
 
 def nested_robot(n: int, friction: float = 0.2) -> Robot:
     """A robot of n curved tubes, each stiffer than the one within."""
-    tubes: list[dict[str, Any]] = [
-        {
-            "outer_diameter_mm": 1.0 + 0.5 * (n - 1 - i),
-            "inner_diameter_mm": 0.7 + 0.5 * (n - 1 - i),
-            "bending_stiffness_Nm2": 0.01 * 1.6 ** (n - 1 - i),
-            "poisson_ratio": 0.3,
-            "collar_length_mm": COLLAR_MM,
-            "section": [
-                {"length_mm": 30 + 15 * i, "curvature_x_per_m": 0, "curvature_y_per_m": 0},
-                {"length_mm": 40, "curvature_x_per_m": 0, "curvature_y_per_m": 5 + 1.5 * i},
-            ],
-        }
-        for i in range(n)
-    ]
+    tubes = []
+    for out in range(n - 1, -1, -1):
+        sections = (30 + 15 * (n - 1 - out), 0, 0), (40, 0, 5 + 1.5 * (n - 1 - out))
+        tubes.append(tube(1.0 + 0.5 * out, 0.7 + 0.5 * out, 0.01 * 1.6**out, sections, collar_length_mm=COLLAR_MM))
     return robot_from_dict({"tube": tubes, "contact": [{"friction_coefficient": friction}] * (n - 1)})
 
 
@@ -66,9 +56,8 @@ def measured(n: int, corners: str, line: Any) -> None:
     line.send((took, (peak - before) / 1024, len(found.corners), found.position_m * 1e3))
 
 
-def times() -> None:
-    """Prints a row per number of tubes."""
-    rows = []
+def times() -> Iterator[list[object]]:
+    """A row per number of tubes."""
     for n in range(2, MOST_TUBES + 1):
         cells: list[object] = [n]
         for corners in ("all", "extreme"):
@@ -77,21 +66,13 @@ def times() -> None:
             process.start()
             found = here.recv()
             process.join()
-            cells += (
-                ["refused", "", "", ""]
-                if isinstance(found, str)
-                else "{2} {0:.3f} {1:.0f} {3:.3f}".format(*found).split()
-            )
-        rows.append(cells)
-    head = [
-        f"{kind}: {what}" for kind in ("all", "extreme") for what in ("corners", "time, s", "memory, MB", "bound, mm")
-    ]
-    table("bounds of many tubes", ("tubes", *head), rows)
+            is_refused = isinstance(found, str)
+            cells += ["refused", "", "", ""] if is_refused else "{2} {0:.3f} {1:.0f} {3:.3f}".format(*found).split()
+        yield cells
 
 
-def extremes() -> None:
-    """Prints by how much the bound by extremes falls short of that over all corners."""
-    rows = []
+def extremes() -> Iterator[tuple[object, ...]]:
+    """By how much the bound by extremes falls short of that over all corners."""
     for n in range(3, 7):
         random, short = np.random.default_rng(n), []
         for _ in range(CONFIGURATIONS):
@@ -101,9 +82,7 @@ def extremes() -> None:
             short.append([1 - part.position_m / whole.position_m, 1 - part.tangent_rad / whole.tangent_rad])
         worst = 100 * np.nanmax(short, axis=0)
         same = np.mean(np.nanmax(short, axis=1) < 1e-6)
-        rows.append((n, len(short), f"{worst[0]:.4f}", f"{worst[1]:.4f}", f"{100 * same:.0f} %"))
-    head = ("tubes", "configurations", "largest shortfall of position, %", "of tangent, %", "exactly the same")
-    table("extreme corners", head, rows)
+        yield n, len(short), f"{worst[0]:.4f}", f"{worst[1]:.4f}", f"{100 * same:.0f} %"
 
 
 ROBOT = ctrplan.load_robot(ROBOTS / "three_tube.toml")
@@ -111,8 +90,8 @@ MANY, MOTIONS = 10_000, 400
 TRIES = 3  # in alternation, of which the best counts: whoever else uses the machine only makes it slower
 
 
-def threads() -> None:
-    """Prints seconds and their ratios; the clock shows a gain only where two cores are free."""
+def threads() -> Iterator[tuple[str, ...]]:
+    """Seconds and their ratios; the clock shows a gain only where two cores are free."""
     random = np.random.default_rng(1)
     turn = random.uniform(-np.pi, np.pi, (MANY, 3))
     l_b = np.tile([0.0, -0.017, -0.0628], (MANY, 1)) - np.outer(random.uniform(0, 0.02, MANY), [0, 0, 1.0])
@@ -123,7 +102,6 @@ def threads() -> None:
     def motions(count: int) -> object:
         return ctrplan.MotionChecker(scenario).motions(*ends, threads=count)
 
-    rows = []
     for name, call in {"bounds": lambda count: ROBOT.bounds(turn, l_b, threads=count), "motions": motions}.items():
         least = np.full((2, 2), np.inf)
         for _ in range(TRIES):
@@ -132,9 +110,7 @@ def threads() -> None:
                 call(k + 1)
                 ended = time.perf_counter(), time.process_time()
                 least[k] = np.minimum(least[k], np.subtract(ended, begun))
-        rows.append((name, *(f"{x:.2f}" for x in (*least[:, 0], least[0, 0] / least[1, 0], *least[:, 1]))))
-    head = ("what", "one thread, s", "two threads, s", "times as fast", "one, processor s", "two, processor s")
-    table("threads", head, rows)
+        yield name, *(f"{x:.2f}" for x in (*least[:, 0], least[0, 0] / least[1, 0], *least[:, 1]))
 
 
 LED = np.array([0.3, -0.4, 0.9, -0.04])  # joints where tracks in free space begin
@@ -170,46 +146,29 @@ def frictionless(robot: Robot, joints: Any) -> Any:
     return robot.mechanics.tips_with_friction(*robot.drive.collars(joints), states).position_m
 
 
-def tracking() -> None:
-    """Prints milliseconds of a processor a step, the best of TRIES for each, and what the steps did."""
-    rows = []
-    for name, (given, begin, points) in tracks().items():
-        for friction in (None, "released"):
-            least_ms, steps = np.full(len(points), np.inf), []
-            for _ in range(TRIES):
-                tracker, steps, spent_ms = ctrplan.TipTracker(given, begin, friction=friction), [], []
-                for point in points:
-                    begun = time.process_time()
-                    steps.append(tracker.step(point))
-                    spent_ms.append(1e3 * (time.process_time() - begun))
-                least_ms = np.minimum(least_ms, spent_ms)
-            middle, most = np.percentile(least_ms, [50, 95])
-            left = 1e3 * float(np.percentile([step.tip_error_m for step in steps], 95))
-            room = f"{1e3 * min(step.clearance_m for step in steps):.2f}"
-            reached = f"{sum(step.status == 'reached' for step in steps)} of {len(steps)}"
-            known = "unknown" if friction is None else "followed"
-            rows.append(
-                (name, known, f"{middle:.1f}", f"{most:.1f}", f"{least_ms.max():.1f}", reached, f"{left:.3f}", room)
-            )
-    head = (
-        "track",
-        "friction",
-        "median ms",
-        "95 % ms",
-        "largest ms",
-        "reached",
-        "95 % left, mm",
-        "least clearance, mm",
-    )
-    table("tracking", head, rows)
+def tracking() -> Iterator[tuple[str, ...]]:
+    """Milliseconds of a processor a step, the best of TRIES for each, and what the steps did."""
+    for (name, (given, begin, points)), friction in itertools.product(tracks().items(), (None, "released")):
+        least_ms, steps = np.full(len(points), np.inf), []
+        for _ in range(TRIES):
+            tracker, steps, spent_ms = ctrplan.TipTracker(given, begin, friction=friction), [], []
+            for point in points:
+                begun = time.process_time()
+                steps.append(tracker.step(point))
+                spent_ms.append(1e3 * (time.process_time() - begun))
+            least_ms = np.minimum(least_ms, spent_ms)
+        left = 1e3 * float(np.percentile([step.tip_error_m for step in steps], 95))
+        reached = f"{sum(step.status == 'reached' for step in steps)} of {len(steps)}"
+        milliseconds = (f"{x:.1f}" for x in (*np.percentile(least_ms, [50, 95]), least_ms.max()))
+        room = f"{1e3 * min(step.clearance_m for step in steps):.2f}"
+        yield name, "unknown" if friction is None else "followed", *milliseconds, reached, f"{left:.3f}", room
 
 
 WAYS = ("vessel", "ventricle", "heart_chamber", "airway", "sinus", "ribs", "biopsy_tour", "deploy")
 
 
-def ways() -> None:
-    """Prints seconds of a processor, the least of TRIES, for all ways to the goal of a scenario, and their branches."""
-    rows = []
+def ways() -> Iterator[tuple[object, ...]]:
+    """Seconds of a processor, the least of TRIES, for all ways to the goal of a scenario, and their branches."""
     for name in WAYS:
         scenario, spent = ctrplan.load_scenario(SCENARIOS / f"{name}.toml"), []
         for _ in range(TRIES):
@@ -218,14 +177,32 @@ def ways() -> None:
             found = time.process_time()
             branches = len(set(result.branches))
             spent.append((found - begun, time.process_time() - found))
-        least = np.min(spent, axis=0)
-        counts = (len(result.configurations), len(result.valid), branches)
-        rows.append((name, *(f"{x:.3f}" for x in least), *counts))
-    table("ways", ("scenario", "ways, s", "their branches, s", "configurations", "valid", "branches"), rows)
+        least = (f"{x:.3f}" for x in np.min(spent, axis=0))
+        yield name, *least, len(result.configurations), len(result.valid), branches
+
+
+KINDS, WHAT = ("all", "extreme"), ("corners", "time, s", "memory, MB", "bound, mm")
+OF_TIMES = (f"{kind}: {what}" for kind in KINDS for what in WHAT)
+SECTIONS: dict[str, common.Table] = {
+    "times": ("bounds of many tubes", " | ".join(["tubes", *OF_TIMES]), times),
+    "extremes": (
+        "extreme corners",
+        "tubes | configurations | largest shortfall of position, % | of tangent, % | exactly the same",
+        extremes,
+    ),
+    "threads": (
+        "threads",
+        "what | one thread, s | two threads, s | times as fast | one, processor s | two, processor s",
+        threads,
+    ),
+    "tracking": (
+        "tracking",
+        "track | friction | median ms | 95 % ms | largest ms | reached | 95 % left, mm | least clearance, mm",
+        tracking,
+    ),
+    "ways": ("ways", "scenario | ways, s | their branches, s | configurations | valid | branches", ways),
+}
 
 
 def main() -> None:
-    parser = common.parser(__doc__)
-    parser.add_argument("sections", nargs="*", metavar="SECTION")
-    known = {"times": times, "extremes": extremes, "threads": threads, "tracking": tracking, "ways": ways}
-    common.sections(parser.parse_args().sections, known, parser.error)
+    common.sections(common.arguments(__doc__, ("sections*", SECTIONS)).sections, SECTIONS)

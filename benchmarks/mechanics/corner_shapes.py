@@ -4,7 +4,6 @@ python benchmarks/run.py corner_shapes [--output FILE.png]     without --output 
 """
 
 import itertools
-from pathlib import Path
 
 import common
 import numpy as np
@@ -15,8 +14,8 @@ from matplotlib.patches import Circle
 from scipy.interpolate import CubicSpline
 
 import ctrplan
+from ctrplan import Bound, Shape
 from ctrplan.base.arrays import Array
-from ctrplan.mechanics.shapes import Bound, Shape
 from ctrplan.reports import looks
 
 ROBOT = ROBOTS / "three_tube.toml"
@@ -109,8 +108,7 @@ def picture() -> Figure:
 
 
 def main() -> None:
-    parser = common.parser(__doc__)
-    parser.add_argument("--output", type=Path, default=PICTURE)
-    picture().savefig(parser.parse_args().output, metadata={"Software": ""})
+    output = common.arguments(__doc__, output=PICTURE).output
+    picture().savefig(output, metadata={"Software": ""})
     bound = ctrplan.load_robot(ROBOT).bound(THETA_RAD, L_M, accuracy="certificate")
     print(f"bound {bound.position_m * 1e3:.1f} mm")

@@ -10,13 +10,12 @@ simulator: tips of the tests' independent rods beside the bound, of random robot
 `robot.equilibria`, and what `bound`, `ik` and `view` say of others, have the ends of histories with whole turns?
 """
 
-from __future__ import annotations
-
 import itertools
-import sys
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from functools import cache, partial
+from typing import Any
 
 import common
 import numpy as np
@@ -26,16 +25,14 @@ from history_bound import PAIR, PAIR_L_M, ROBOTS_DRAWN, bound, norm_mm, simulato
 from history_numerics import numerics, release
 from matplotlib.figure import Figure
 
+from ctrplan import Robot, Shape, Status, robot_from_dict
 from ctrplan.base.arrays import Array
 from ctrplan.base.long_work import cores
 from ctrplan.errors import SolverError
-from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.mechanics.equilibria import SAME_SHAPE_M
 from ctrplan.mechanics.friction import corner_signs
 from ctrplan.mechanics.history import HistoryOptions
-from ctrplan.mechanics.shapes import Shape, Status
 from ctrplan.reports import looks
-from ctrplan.robot.robot import Robot
 from ctrplan.scenario.joint_space import JointSpace
 from ctrplan.storage.toml_document import read_document
 
@@ -43,15 +40,9 @@ COLOURS = (*looks.SERIES, looks.ENVELOPE, looks.CORNER)
 ANGLES_DEG = np.arange(0, 361, 10)
 OFFSET_DEG, OFFSET_M = 90.0, 10e-3
 HISTORIES = {  # name -> direction of the rotation and of the translation by which the configuration is reached
-    "rotation +": (1, 0),
-    "rotation -": (-1, 0),
-    "translation +": (0, 1),
-    "translation -": (0, -1),
-    "both + +": (1, 1),
-    "both + -": (1, -1),
-    "both - +": (-1, 1),
-    "both - -": (-1, -1),
-}
+    "rotation +": (1, 0), "rotation -": (-1, 0), "translation +": (0, 1), "translation -": (0, -1),
+    "both + +": (1, 1), "both + -": (1, -1), "both - +": (-1, 1), "both - -": (-1, -1),
+}  # fmt: skip
 OUTER_TIP_M = 0.167
 SMALL_GAP_DEG = 1.0  # of the two rotations: below it nothing can be told apart
 
@@ -145,8 +136,7 @@ def fig_19() -> Figure:
     axes[0, 0].set_ylabel("relative angle at the tip of tube 1 (deg)")
     axes[0, 1].set_ylabel("against the frictionless solution (deg)")
     for ax in axes.flat:
-        ax.set_xlabel("relative base angle (deg)")
-        ax.set_xticks(range(0, 361, 60))
+        ax.set(xlabel="relative base angle (deg)", xticks=range(0, 361, 60))
     axes[0, 0].legend(frameon=False, fontsize=9)
     return figure
 
@@ -162,8 +152,7 @@ def fig_20() -> Figure:
         for k, name in enumerate(HISTORIES):
             points = tip[::6, k]
             ax.plot(1e3 * points[:, a], 1e3 * points[:, b], ".", color=COLOURS[k], label=name if k > 1 else None)
-        ax.set_xlabel("xyz"[a] + " (mm)")
-        ax.set_ylabel("xyz"[b] + " (mm)")
+        ax.set(xlabel="xyz"[a] + " (mm)", ylabel="xyz"[b] + " (mm)")
         ax.set_aspect("equal", adjustable="datalim")
     axes[0, 0].legend(frameon=False, fontsize=9)
     return figure
@@ -180,10 +169,8 @@ def fig_21() -> Figure:
         ("translations", slice(2, 4), COLOURS[2]),
     ):
         axes[0, 0].plot(ANGLES_DEG, away_mm[:, rows].mean(axis=1), color=colour, label=label)
-    axes[0, 0].set_xlabel("relative base angle (deg)")
-    axes[0, 0].set_ylabel("mean distance from the frictionless tip (mm)")
-    axes[0, 0].set_xticks(range(0, 361, 60))
-    axes[0, 0].set_ylim(bottom=0)
+    axes[0, 0].set(xlabel="relative base angle (deg)", ylabel="mean distance from the frictionless tip (mm)")
+    axes[0, 0].set(xticks=range(0, 361, 60), ylim=(0, None))
     axes[0, 0].legend(frameon=False)
     return figure
 
@@ -191,9 +178,7 @@ def fig_21() -> Figure:
 def loop() -> None:
     """Fig. 1 (b): there and back again, with smaller loops inside."""
     base_deg = np.concatenate([np.arange(0, 361, 4), np.arange(356, -1, -4)])
-    inner_deg = np.concatenate(
-        [np.arange(0, 181, 4), np.arange(176, 139, -4), np.arange(144, 221, 4), np.arange(216, 119, -4)]
-    )
+    inner_deg = np.concatenate([np.arange(*of) for of in ((0, 181, 4), (176, 139, -4), (144, 221, 4), (216, 119, -4))])
     figure, axes = panels(1, 2, (12, 4.6))
     rows = []
     for deg, colour, label in ((base_deg, COLOURS[0], "0 - 360 - 0 deg"), (inner_deg, COLOURS[5], "smaller turns")):
@@ -210,34 +195,29 @@ def loop() -> None:
             for at in (60, 120, 180, 240, 300):
                 k = at // 4
                 tips = norm_mm(steps[k].shape.tip_m - steps[180 - k].shape.tip_m)
-                rows.append(
-                    (f"{at} deg", f"{there[k]:.1f} deg", f"{back[k]:.1f} deg", f"{free[k]:.1f} deg", f"{tips:.1f} mm")
-                )
+                rows.append((f"{at} deg", *(f"{x:.1f} deg" for x in (there[k], back[k], free[k])), f"{tips:.1f} mm"))
     axes[0, 0].set_ylabel("relative angle at the tip of tube 1 (deg)")
     axes[0, 1].set_ylabel("tip angle - base angle (deg)")
     for ax in axes.flat:
-        ax.set_xlabel("relative base angle (deg)")
-        ax.set_xticks(range(0, 361, 60))
+        ax.set(xlabel="relative base angle (deg)", xticks=range(0, 361, 60))
     axes[0, 0].legend(frameon=False)
     save(figure, "history/fig_1")
-    head = ("base angle", "tip angle, turning +", "turning -", "frictionless", "between the two tips")
-    table("loop", head, rows)
+    table("loop", "base angle | tip angle, turning + | turning - | frictionless | between the two tips", rows)
 
 
 def way_to(
-    robot: Robot,
-    theta: Array,
-    l: Array,  # noqa: E741
-    turn: Array,
-    slide: Array,
-    rows: int,
-    options: HistoryOptions | None = None,
+    robot: Robot, at: tuple[Array, Array], turn: Any, slide: Any, rows: int, options: HistoryOptions | None = None
 ) -> tuple[float, list[float]]:
     """Largest distance [mm] of tips at first, and shares of the way after which 1 and 0.1 % of it are left."""
+    theta, l = at  # noqa: E741 (as in the equations)
     starts = ["released", *itertools.product((1.0, -1.0), repeat=robot.n - 1)]
     share, tips = np.linspace(0, 1, rows + 1)[:, None], []
     for start in starts:
-        tips.append(robot.history(start, options=options).follow(theta + share * turn, l + share * slide).position_m)
+        tips.append(
+            robot.history(start, options=options)
+            .follow(theta + share * np.asarray(turn), l + share * np.asarray(slide))
+            .position_m
+        )
     apart = np.max([np.linalg.norm(a - b, axis=1) for a, b in itertools.combinations(tips, 2)], axis=0)
     last = [np.flatnonzero(apart > left * apart[0]) for left in (0.01, 0.001)]
     return 1e3 * apart[0], [(above[-1] + 1) / rows if above[-1] < rows else np.inf for above in last]
@@ -247,46 +227,44 @@ def said(motion: float, unit: str) -> str:
     return f"{motion:.{0 if unit == 'deg' else 1}f} {unit}" if np.isfinite(motion) else "never"
 
 
-def erasure() -> None:
-    rows = []
+def erasure() -> Iterator[tuple[str, ...]]:
+    def row(what: str, motion: str, robot: Robot, at: tuple[Array, Array], turn: Any, slide: Any, rows: int,
+            options: HistoryOptions | None = None) -> tuple[str, ...]:  # fmt: skip
+        first, left = way_to(robot, at, turn, slide, rows, options)
+        scale, unit = (np.degrees(np.abs(turn).max()), "deg") if np.any(turn) else (1e3 * np.abs(slide).max(), "mm")
+        return what, motion, f"{first:.1f} mm", *(said(scale * x, unit) for x in left)
+
     pair, three = (read_document(ROBOTS / name).content for name in ("table_5_pair.toml", "three_tube.toml"))
-    for angle, mu, gap in (
+    slide, turn, place = ((0, 0), (0, 30e-3)), ((0, np.pi), (0, 0)), np.array([0, -90e-3])
+    friction = (
         (60, 0.2, None),
         (170, 0.2, None),
         (60, 0.5, None),
         (170, 0.5, None),
         (120, 0.2, 0.005),
         (120, 0.2, 0.15),
-    ):
+    )
+    for angle, mu, gap in friction:
         contact = {**pair["contact"][0], "friction_coefficient": mu, **({} if gap is None else {"clearance_mm": gap})}
-        robot = robot_from_dict({**pair, "contact": [contact]})
-        place = np.array([0, -90e-3])
+        robot, at = robot_from_dict({**pair, "contact": [contact]}), (np.radians([0, angle]), place)
         what = f"pair, {angle} deg, friction {mu}" + (f", clearance {gap} mm" if gap else "")
-        first, left = way_to(robot, np.radians([0, angle]), place, np.zeros(2), np.array([0, 30e-3]), 300)
-        rows.append((what, "slide", f"{first:.1f} mm", *(said(30 * x, "mm") for x in left)))
+        yield row(what, "slide", robot, at, *slide, 300)
         if gap is None:
-            first, left = way_to(robot, np.radians([0, angle]), place, np.radians([0, 180]), np.zeros(2), 360)
-            rows.append((what, "turn", f"{first:.1f} mm", *(said(180 * x, "deg") for x in left)))
-    pair_robot, at = robot_from_dict(pair), (np.radians([0, 120]), np.array([0, -90e-3]))
-    for what, options in (
-        ("0.25 mm, 0.5 deg", HistoryOptions(translation_m=0.25e-3, rotation_rad=np.radians(0.5))),
-        ("0.05 mm, 0.1 deg", HistoryOptions(translation_m=0.05e-3, rotation_rad=np.radians(0.1))),
-    ):
-        for motion, turn, slide, scale, unit in (("slide", 0, 30e-3, 30, "mm"), ("turn", np.pi, 0, 180, "deg")):
-            first, left = way_to(pair_robot, *at, np.array([0, turn]), np.array([0, slide]), 300, options)
-            said_of = (f"{first:.1f} mm", *(said(scale * x, unit) for x in left))
-            rows.append((f"pair, 120 deg, friction 0.2, steps of {what}", motion, *said_of))
+            yield row(what, "turn", robot, at, *turn, 360)
+    for slide_mm, turn_deg in ((0.25, 0.5), (0.05, 0.1)):
+        options = HistoryOptions(translation_m=1e-3 * slide_mm, rotation_rad=np.radians(turn_deg))
+        what, at = f"pair, 120 deg, friction 0.2, steps of {slide_mm} mm, {turn_deg} deg", (np.radians([0, 120]), place)
+        for motion, way in (("slide", slide), ("turn", turn)):
+            yield row(what, motion, robot_from_dict(pair), at, *way, 300, options)
     robot, at = robot_from_dict(three), (np.radians([0, 60, 40]), np.array([0, -17e-3, -80e-3]))
-    moves = {
-        "inner slides": ([0, 0, 0], [0, 0, 40e-3]),         "inner turns": ([0, 0, np.pi], [0, 0, 0]),
-        "middle and inner turn": ([0, -np.pi, np.pi / 2], [0, 0, 0]),
-        "all turn together": ([np.pi] * 3, [0, 0, 0]),
-    }  # fmt: skip
-    for what, (turn, slide) in moves.items():
-        first, left = way_to(robot, *at, np.array(turn), np.array(slide), 200)
-        scale, unit = (180, "deg") if any(turn) else (1e3 * max(map(abs, slide)), "mm")
-        rows.append(("three tubes", what, f"{first:.1f} mm", *(said(scale * x, unit) for x in left)))
-    table("erasure", ("robot", "motion", "apart at first", "1 % is left after", "0.1 %"), rows)
+    yield row("three tubes", "inner slides", robot, at, (0, 0, 0), (0, 0, 40e-3), 200)
+    turns = {
+        "inner turns": (0, 0, np.pi),
+        "middle and inner turn": (0, -np.pi, np.pi / 2),
+        "all turn together": [np.pi] * 3,
+    }
+    for motion, by in turns.items():
+        yield row("three tubes", motion, robot, at, by, (0, 0, 0), 200)
 
 
 def wound(robot: Robot, q: Array) -> Array:
@@ -314,27 +292,23 @@ def wound(robot: Robot, q: Array) -> Array:
     return counts
 
 
-def windings(count: int) -> None:
+def windings(count: int) -> Iterator[tuple[object, ...]]:
     from stated_plans import rvim, table_ii  # robots that the tests wind up
 
-    rows = []
     for name, robot in (("RViM", rvim()), ("Table II", table_ii())):
         joints = JointSpace.of_robot(robot).sample(np.random.default_rng(12), 2 * count)[:count]
         with ThreadPoolExecutor(cores()) as pool:
-            rows.append((name, len(joints), *np.sum(list(pool.map(partial(wound, robot), joints)), axis=0)))
-        print(*rows[-1], file=sys.stderr, flush=True)
-    head = ("robot", "configurations", "of several shapes", "histories", "on a known one", "not in that solved", "told")
-    table("windings", (*head, "configurations with all states known"), rows)
+            yield name, len(joints), *np.sum(list(pool.map(partial(wound, robot), joints)), axis=0)
+
+
+OF_WINDINGS = "robot | configurations | of several shapes | histories | on a known one | not in that solved | told"
+OF_WINDINGS += " | configurations with all states known"
 
 
 def main() -> None:
-    parser = common.parser(__doc__)
-    parser.add_argument("sections", nargs="*", metavar="SECTION")
-    parser.add_argument("--histories", type=int, default=COUNT, help="random histories of each robot")
-    parser.add_argument("--robots", type=int, default=ROBOTS_DRAWN, help="drawn ones, beside the independent simulator")
-    parser.add_argument("--configurations", type=int, default=500, help="of each robot that was wound up")
-    given = parser.parse_args()
-    known = {"section_v": section_v, "loop": loop, "erasure": erasure, "release": release, "numerics": numerics}
-    counted = {"bound": lambda: bound(given.histories), "simulator": lambda: simulator(given.robots)}
-    counted["windings"] = lambda: windings(given.configurations)
-    common.sections(given.sections, {**known, **counted}, parser.error)
+    known: dict[str, Any] = {"section_v": section_v, "loop": loop, "release": release, "numerics": numerics}
+    known["erasure"] = ("erasure", "robot | motion | apart at first | 1 % is left after | 0.1 %", erasure)
+    known |= {"bound": lambda: bound(given.histories), "simulator": lambda: simulator(given.robots)}
+    known["windings"] = ("windings", OF_WINDINGS, lambda: windings(given.configurations))
+    given = common.arguments(__doc__, ("sections*", known), histories=COUNT, robots=ROBOTS_DRAWN, configurations=500)
+    common.sections(given.sections, known)

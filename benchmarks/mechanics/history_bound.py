@@ -1,22 +1,16 @@
 """Is the friction bound a bound? Random histories against the corners at every configuration they visit."""
 
-from __future__ import annotations
-
 import itertools
-import sys
-import time
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from common import ROBOTS, table
+from common import ROBOTS, table, tube
 
+from ctrplan import Robot, Status, load_robot, robot_from_dict
 from ctrplan.base.arrays import Array
-from ctrplan.files.robot_file import load_robot, robot_from_dict
-from ctrplan.mechanics.shapes import Accuracy, Status
-from ctrplan.robot.robot import Robot
+from ctrplan.mechanics.shapes import Accuracy
 
 PAIR, THREE = (load_robot(ROBOTS / f"{name}.toml") for name in ("table_5_pair", "three_tube"))
 PAIR_L_M = np.array([0.0, -0.0604])  # curved part of the inner tube half extended
@@ -29,19 +23,6 @@ LABELLED = (("pair (Table V)", PAIR), ("three tubes (Table II)", THREE))
 Row = tuple[object, ...]
 WALKED = 8  # samples before a violation
 SLACK_SHARE, SLACK_M = 0.01, 0.05e-3
-
-
-@dataclass
-class Tally:
-    """Counts over histories of one robot."""
-
-    histories: int = 0
-    configurations: int = 0
-    without_bound: int = 0  # the frictionless solution is unstable: nothing is promised
-    beyond: int = 0
-    snaps: int = 0
-    failed: int = 0
-    worst_mm: float = 0.0  # beyond the bound on the branch of the history
 
 
 def norm_mm(vectors: Array) -> Array:
@@ -78,42 +59,20 @@ def sampled(turns: Array, l_b: Array) -> tuple[Array, Array]:
     return np.array([turn for turn, _ in out]), np.array([shift for _, shift in out])
 
 
-def histories(robot: Robot, count: int) -> Iterator[tuple[int, tuple[float, ...], Array, Array]]:
-    """Number, start state and sampled waypoints of each history."""
-    for number in range(count):
-        rng = np.random.default_rng((robot.n, number))
-        start = tuple(rng.choice([0.0, 1.0, -1.0], robot.n - 1).tolist())
-        yield number, start, *sampled(*random_path(robot, rng))
-
-
-def walk(robot: Robot, start: tuple[float, ...], theta_b: Array, l_b: Array, tally: Tally) -> list[int]:
-    """Simulates one history; rows that are beyond the bound."""
+def walk(robot: Robot, start: tuple[float, ...], theta_b: Array, l_b: Array, tally: Counter[str]) -> list[int]:
+    """Simulates one history; rows that are beyond the bound. Where the frictionless robot is unstable there is none."""
     found = robot.history(start).follow(theta_b, l_b)
     bounds = robot.bound_many(theta_b, l_b, threads=1)
     simulated = found.status != Status.FAILED
     promised = simulated & (bounds.status != Status.UNSTABLE) & np.isfinite(bounds.position_m)
     deviation_m = norm_mm(found.position_m - bounds.tip_m) * 1e-3
     beyond = promised & (deviation_m > (1 + SLACK_SHARE) * bounds.position_m + SLACK_M)
-    tally.histories += 1
-    tally.configurations += int(promised.sum())
-    tally.without_bound += int((simulated & ~promised).sum())
-    tally.beyond += int(beyond.sum())
-    tally.snaps += int(np.nansum(found.snaps))
-    tally.failed += int(not simulated.all())
+    tally["configurations"] += int(promised.sum())
+    tally["without a bound"] += int((simulated & ~promised).sum())
+    tally["beyond"] += int(beyond.sum())
+    tally["snaps"] += int(np.nansum(found.snaps))
+    tally["failed"] += int(not simulated.all())
     return np.flatnonzero(beyond).tolist()
-
-
-def causes(
-    robot: Robot, start: tuple[float, ...], theta_b: Array, l_b: Array, rows: list[int], tally: Tally
-) -> list[tuple[int, str, float, float]]:
-    """Row, cause, deviation and bound [mm] of each violation; on its branch if that has a frictionless tip."""
-    listed = [(row, *judge(robot, start, theta_b, l_b, row, "search")) for row in rows]
-    for k, (row, cause, *_) in enumerate(listed):
-        if cause == "beyond the corners":
-            again, *values = judge(robot, start, theta_b, l_b, row, "certificate")
-            listed[k] = (row, cause if again == cause else "discretisation", *values)
-            tally.worst_mm = max(tally.worst_mm, values[0] - values[1])
-    return listed
 
 
 def judge(
@@ -149,43 +108,39 @@ def seen_on_the_way(robot: Robot, theta_b: Array, l_b: Array, row: int, deviatio
 
 def examine(label: str, robot: Robot, count: int) -> tuple[Row, list[Row]]:
     """A row on one robot's histories, and a row for every violation."""
-    tally, found, listed, began = Tally(), Counter[str](), list[Row](), time.perf_counter()
-    for number, start, theta_b, l_b in histories(robot, count):
-        beyond = walk(robot, start, theta_b, l_b, tally)
-        for row, cause, *values in causes(robot, start, theta_b, l_b, beyond, tally):
+    tally, found, listed = Counter[str](), Counter[str](), list[Row]()
+    for number in range(count):
+        rng = np.random.default_rng((robot.n, number))
+        start = tuple(rng.choice([0.0, 1.0, -1.0], robot.n - 1).tolist())
+        theta_b, l_b = sampled(*random_path(robot, rng))
+        for row in walk(robot, start, theta_b, l_b, tally):
+            cause, *values = judge(robot, start, theta_b, l_b, row, "search")
+            if cause == "beyond the corners":
+                again, *values = judge(robot, start, theta_b, l_b, row, "certificate")
+                cause = cause if again == cause else "discretisation"
             found[cause] += 1
             seen = seen_on_the_way(robot, theta_b, l_b, row, values[0])
             listed.append((label, number, row, cause, *(f"{value:.2f}" for value in values), seen))
-        if number % 50 == 49:
-            print(f"{label}: {tally}, {dict(found)}, {time.perf_counter() - began:.0f} s", flush=True)
     kinds = ", ".join(f"{number} {cause}" for cause, number in found.most_common()) or "none"
     faults, held = found["beyond the corners"] + found["discretisation"], found["branch held by friction"]
-    shares = (
-        f"{100 * (1 - tally.beyond / tally.configurations):.3f} %",
-        f"{100 * (1 - faults / (tally.configurations - held)):.3f} %",
-    )
-    given = (label, tally.histories, tally.configurations, tally.failed, tally.snaps)
-    return (*given, *shares, kinds, tally.without_bound), listed
+    off = tally["beyond"] / tally["configurations"], faults / (tally["configurations"] - held)
+    counts = (tally[name] for name in ("configurations", "failed", "snaps"))
+    shares = (f"{100 * (1 - share):.3f} %" for share in off)
+    return (label, count, *counts, *shares, kinds, tally["without a bound"]), listed
 
 
 def bound(count: int = HISTORIES) -> None:
     """Random histories on both robots; every violation with its cause."""
     found = [examine(label, robot, count) for label, robot in LABELLED]
-    tell([row for row, _ in found], [row for _, listed in found for row in listed])
-
-
-def tell(rows: list[Row], listed: list[Row]) -> None:
-    head = ("robot", "histories", "configurations", "failed", "snaps", "within the bound",
-            "where their own branch has a bound", "causes of the rest", "without a bound")  # fmt: skip
-    table("bound", head, rows)
-    head = ("robot", "history", "sample", "cause", "deviation, mm", "bound, mm", "walked there")
-    table("violations", head, listed)
-    kinds = Counter(
-        "missed" if "missed" in str(row[-1]) else "within" if "mm" in str(row[-1]) else "snaps" for row in listed
-    )
-    labels = ("the robot snaps without friction too", "within the bound walked there", "neither")
-    rows = [(label, kinds[kind]) for label, kind in zip(labels, ("snaps", "within", "missed"), strict=True)]
-    table("walked", ("a walk along the path says", "violations"), rows)
+    rows, listed = [row for row, _ in found], [row for _, violations in found for row in violations]
+    head = "robot | histories | configurations | failed | snaps | within the bound | where their own branch has a bound"
+    table("bound", f"{head} | causes of the rest | without a bound", rows)
+    table("violations", "robot | history | sample | cause | deviation, mm | bound, mm | walked there", listed)
+    said = [str(row[-1]) for row in listed]
+    missed, told = sum("missed" in text for text in said), sum("mm" in text for text in said)
+    counts = {"the robot snaps without friction too": len(said) - told}
+    counts |= {"within the bound walked there": told - missed, "neither": missed}
+    table("walked", "a walk along the path says | violations", counts.items())
 
 
 ROBOTS_DRAWN, TURNS, STEP_RAD = 60, 2, np.radians(15.0)  # of the simulator; a robot's turns end at one configuration
@@ -230,26 +185,13 @@ def drawn(n: int, rng: np.random.Generator) -> Drawn | None:
         tuple(Tube(*row) for row in zip(outer_m, inner_m, stiff.tolist(), poisson.tolist(), sections, strict=True)),
         tuple(pairs),
     )
-    robot = robot_from_dict(
-        {
-            "name": "drawn",
-            "tube": [
-                {
-                    "outer_diameter_mm": 2e3 * tube.outer_radius_m,
-                    "inner_diameter_mm": 2e3 * tube.inner_radius_m,
-                    "bending_stiffness_Nm2": tube.bending_stiffness_Nm2,
-                    "poisson_ratio": tube.poisson_ratio,
-                    "section": [
-                        {"length_mm": 1e3 * s.length_m, "curvature_x_per_m": x, "curvature_y_per_m": y}
-                        for s in tube.sections
-                        for x, y in [s.curvature_per_m]
-                    ],
-                }
-                for tube in world.tubes
-            ],
-            "contact": [{"friction_coefficient": p.friction, "clearance_mm": 1e3 * p.clearance_m} for p in pairs],
-        }
-    )
+    tubes = []
+    for tube_of in world.tubes:
+        bends = ((1e3 * s.length_m, *s.curvature_per_m) for s in tube_of.sections)
+        sizes = 2e3 * tube_of.outer_radius_m, 2e3 * tube_of.inner_radius_m, tube_of.bending_stiffness_Nm2
+        tubes.append(tube(*sizes, bends, poisson_ratio=tube_of.poisson_ratio))
+    contacts = [{"friction_coefficient": p.friction, "clearance_mm": 1e3 * p.clearance_m} for p in pairs]
+    robot = robot_from_dict({"name": "drawn", "tube": tubes, "contact": contacts})
     theta = np.cumsum(rng.uniform(-np.pi, np.pi, n))
     bound = robot.bound(theta, l_b, accuracy="certificate")
     each = (bound.frictionless, *bound.corners)
@@ -257,9 +199,7 @@ def drawn(n: int, rng: np.random.Generator) -> Drawn | None:
     return (robot, world, theta, l_b) if sound else None
 
 
-def simulated(
-    robot: Robot, world: Any, theta: Array, l_b: Array, rng: np.random.Generator
-) -> Iterator[tuple[str, Array]]:
+def simulated(robot: Robot, world: Any, theta: Array, l_b: Array, rng: np.random.Generator) -> Iterator[Array]:
     """Tips of the independent rods: in friction states, and after turns whose slip they follow, each ended at theta."""
     from hidden_effects.equilibrium import CORNER_BARRIER, System, corner, tip_pose
     from hidden_effects.friction import SlipHistory
@@ -269,7 +209,7 @@ def simulated(
     corners = np.array(list(itertools.product((1.0, -1.0), repeat=pairs)))
     chosen = corners if len(corners) <= 4 else rng.permutation(corners)[:4]
     for phi in [*chosen, *rng.uniform(-1, 1, (2, pairs))]:
-        yield "states", solver.pose(theta, l_b, phi)[0]
+        yield solver.pose(theta, l_b, phi)[0]
     for _ in range(TURNS):
         away = rng.uniform(-FARTHEST_RAD, FARTHEST_RAD, pairs)
         way = np.linspace(away, 0.0, int(np.ceil(np.abs(away).max() / STEP_RAD)) + 1)
@@ -285,17 +225,17 @@ def simulated(
             history = history.moved(system)
             state = system.solve(middle, history)
             history = history.after(system, state)
-        yield "turns", tip_pose(system, state)[0]
+        yield tip_pose(system, state)[0]
 
 
 def simulator(count: int = ROBOTS_DRAWN) -> None:
     """Robots that nobody chose: do the tips of another simulator stay within the bound?"""
     from hidden_effects.equilibrium import NoEquilibrium
 
-    rng, tally, number = np.random.default_rng(47), dict[int, list[tuple[str, float, float]]](), 0
+    rng, tally = np.random.default_rng(47), dict[int, list[tuple[float, float]]]()
     refused, robots, off = Counter[int](), Counter[int](), Counter[int]()
     while sum(robots.values()) < count:
-        n, number = 2 + sum(robots.values()) % 4, number + 1
+        n = 2 + sum(robots.values()) % 4
         made = drawn(n, rng)
         if made is None:
             refused[n] += 1
@@ -304,20 +244,16 @@ def simulator(count: int = ROBOTS_DRAWN) -> None:
         robots[n] += 1
         bound = robot.bound(theta, l_b, accuracy="certificate")
         try:
-            for kind, tip_m in simulated(*made, rng):
+            for tip_m in simulated(*made, rng):
                 away_mm = float(norm_mm(tip_m - bound.frictionless.tip_m))
-                tally.setdefault(n, []).append((kind, away_mm, 1e3 * bound.position_m))
+                tally.setdefault(n, []).append((away_mm, 1e3 * bound.position_m))
         except (NoEquilibrium, np.linalg.LinAlgError):
             off[n] += 1
-        worst = max((away - most for _, away, most in tally.get(n, [])), default=np.nan)
-        said = f"robot {number}, {n} tubes, bound {1e3 * bound.position_m:.2f} mm: {worst:+.2f} mm"
-        print(said, file=sys.stderr, flush=True)
     rows = []
     for n, each in sorted(tally.items()):
-        excess = np.array([away - most for _, away, most in each])
+        excess = np.array([away - most for away, most in each])
         within = [f"{np.sum(excess <= limit)} of {len(excess)}" for limit in (0.0, 0.1)]
-        bounds_mm = sorted({most for *_, most in each})
+        bounds_mm = sorted({most for _, most in each})
         rows.append((n, robots[n], refused[n], off[n], f"{np.median(bounds_mm):.2f}", *within, f"{excess.max():+.2f}"))
-    head = ("tubes", "robots", "without a bound", "lost by the simulator", "median bound, mm", "tips within",
-            "or 0.1 mm beyond", "farthest, mm")  # fmt: skip
-    table("simulator", head, rows)
+    head = "tubes | robots | without a bound | lost by the simulator | median bound, mm | tips within"
+    table("simulator", f"{head} | or 0.1 mm beyond | farthest, mm", rows)

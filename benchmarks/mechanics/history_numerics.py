@@ -1,20 +1,17 @@
-"""Loading and release of a pair, step size, energy, slip, speed and memory of simulated histories."""
+"""Loading and release of a pair, step size, energy, slip and speed of simulated histories."""
 
-from __future__ import annotations
-
-import resource
 import time
 from dataclasses import dataclass
 
 import numpy as np
-from common import panels, save, table
+from common import finer, panels, save, table
 from history_bound import LABELLED, PAIR, PAIR_L_M, THREE, norm_mm, random_path
 from matplotlib import colormaps
 
+from ctrplan import Robot
 from ctrplan.base.arrays import Array
-from ctrplan.mechanics.shapes import Accuracy, HistoryOptions
+from ctrplan.mechanics.shapes import Accuracy
 from ctrplan.reports import looks
-from ctrplan.robot.robot import Robot
 
 TURNS_DEG = np.array([2, 5, 10, 15, 20, 30, 45, 60, 90, 120])
 SHIFTS_MM = np.array([0.1, 0.25, 0.5, 1, 2, 3, 5, 10, 15])
@@ -59,31 +56,25 @@ def corner_m(case: Case) -> tuple[Array, float]:
     return free_m, float(np.linalg.norm(tip_m - free_m))
 
 
+def share_left(case: Case, start: tuple[float, ...] | str, moved: tuple[float, float]) -> float:
+    """Share of the corner's deviation after the inner tube has moved to the configuration by (rad, m)."""
+    (theta_b, l_b), (free_m, full_m) = case.place, corner_m(case)
+    before_theta, before_l = theta_b.copy(), l_b.copy()
+    before_theta[-1] -= moved[0]
+    before_l[-1] -= moved[1]
+    found = case.robot.history(start, accuracy="certificate").follow([before_theta, theta_b], [before_l, l_b])
+    return float(norm_mm(found.position_m[-1] - free_m)) * 1e-3 / full_m
+
+
 def loading(case: Case) -> Array:
     """(T,) share of the corner's deviation after the inner tube has turned by TURNS_DEG from a released state."""
-    (theta_b, l_b), (free_m, full_m) = case.place, corner_m(case)
-    shares = []
-    for turn in np.radians(TURNS_DEG):
-        before = theta_b.copy()
-        before[-1] -= turn
-        history = case.robot.history(accuracy="certificate")
-        found = history.follow([before, theta_b], [l_b, l_b])
-        shares.append(norm_mm(found.position_m[-1] - free_m) * 1e-3 / full_m)
-    return np.array(shares)
+    return np.array([share_left(case, "released", (turn, 0.0)) for turn in np.radians(TURNS_DEG)])
 
 
 def releasing(case: Case) -> Array:
     """(T,) share of the corner's deviation left after translating by SHIFTS_MM from a loaded state, the worse way."""
-    (theta_b, l_b), (free_m, full_m) = case.place, corner_m(case)
-    shares = np.zeros((2, len(SHIFTS_MM)))
-    for row, sign in enumerate((1, -1)):
-        for k, shift_mm in enumerate(SHIFTS_MM):
-            before = l_b.copy()
-            before[-1] -= sign * 1e-3 * shift_mm
-            history = case.robot.history(case.loaded, accuracy="certificate")
-            found = history.follow([theta_b, theta_b], [before, l_b])
-            shares[row, k] = norm_mm(found.position_m[-1] - free_m) * 1e-3 / full_m
-    return shares.max(axis=0)
+    ways = [[share_left(case, case.loaded, (0.0, sign * mm * 1e-3)) for mm in SHIFTS_MM] for sign in (1, -1)]
+    return np.max(ways, axis=0)
 
 
 def release() -> None:
@@ -94,40 +85,30 @@ def release() -> None:
         loaded, left, (_, full_m) = loading(case), releasing(case), corner_m(case)
         axes[0, 0].plot([0, *TURNS_DEG], [0, *100 * loaded], color=looks.SERIES[k], marker=".", label=case.label)
         axes[0, 1].plot([0, *SHIFTS_MM], [100, *100 * left], color=looks.SERIES[k], marker=".", label=case.label)
-        at = (
-            dict(zip(TURNS_DEG.tolist(), 100 * loaded, strict=True)),
-            dict(zip(SHIFTS_MM.tolist(), 100 * left, strict=True)),
-        )
-        shares = [f"{at[0][turn]:.0f} %" for turn in (10, 30, 45, 90)] + [f"{at[1][mm]:.1f} %" for mm in (0.5, 2, 10)]
+        shares = [f"{100 * loaded[turn == TURNS_DEG][0]:.0f} %" for turn in (10, 30, 45, 90)]
+        shares += [f"{100 * left[mm == SHIFTS_MM][0]:.1f} %" for mm in (0.5, 2, 10)]
         rows.append((case.label, f"{full_m * 1e3:.2f} mm", *shares))
     axes[0, 0].axhline(95, color="0.6", ls=":")
     axes[0, 1].axhline(10, color="0.6", ls=":")
-    axes[0, 0].set_xlabel("rotation of the inner tube from a released state (deg)")
-    axes[0, 0].set_ylabel("tip deviation, % of the corner's")
-    axes[0, 1].set_xlabel("translation of the inner tube from a loaded state (mm)")
-    axes[0, 1].set_ylabel("tip deviation left, % of the corner's")
+    axes[0, 0].set(xlabel="rotation of the inner tube from a released state (deg)")
+    axes[0, 0].set(ylabel="tip deviation, % of the corner's")
+    axes[0, 1].set(xlabel="translation of the inner tube from a loaded state (mm)")
+    axes[0, 1].set(ylabel="tip deviation left, % of the corner's")
     axes[0, 0].legend(frameon=False, fontsize=9)
     save(figure, "history/release")
-    head = ("configuration", "corner", "10 deg", "30 deg", "45 deg", "90 deg", "left after 0.5 mm", "2 mm", "10 mm")
-    table("release", head, rows)
+    table(
+        "release", "configuration | corner | 10 deg | 30 deg | 45 deg | 90 deg | left after 0.5 mm | 2 mm | 10 mm", rows
+    )
 
 
 PATHS = 20  # of each robot, for the energy
 HALVED_PATHS: dict[Accuracy, int] = {"search": 20, "certificate": 8}
 STEPS = 500  # for the speed
-HALVED = HistoryOptions(
-    rotation_rad=HistoryOptions.rotation_rad / 2,
-    translation_m=HistoryOptions.translation_m / 2,
-    state_change=HistoryOptions.state_change / 2,
-)
 
 
 def numerics() -> None:
-    """All of it."""
-    energy()
-    slip_front()
-    speed()
-    halving()
+    for work in (energy, slip_front, speed, halving):
+        work()
 
 
 def halving() -> None:
@@ -139,7 +120,7 @@ def halving() -> None:
             for number in range(paths):
                 waypoints = random_path(robot, np.random.default_rng((number, robot.n, 8)))
                 one = robot.history(accuracy=accuracy).follow(*waypoints)
-                other = robot.history(accuracy=accuracy, options=HALVED).follow(*waypoints)
+                other = robot.history(accuracy=accuracy, options=finer(2)).follow(*waypoints)
                 if one.snaps.sum() + other.snaps.sum():
                     snapped += 1
                 else:
@@ -147,8 +128,7 @@ def halving() -> None:
             share = 100 * np.mean(np.array(changes_mm) <= 0.05)
             shown = [f"{value:.3f}" for value in np.quantile(changes_mm, (0.5, 0.95, 1))]
             rows.append((label, accuracy, paths - snapped, len(changes_mm), *shown, f"{share:.1f} %"))
-    head = ("robot", "mesh", "paths", "waypoints", "median, mm", "95 %, mm", "largest, mm", "within 0.05 mm")
-    table("halving", head, rows)
+    table("halving", "robot | mesh | paths | waypoints | median, mm | 95 %, mm | largest, mm | within 0.05 mm", rows)
 
 
 def energy() -> None:
@@ -175,8 +155,8 @@ def energy() -> None:
                 work, loss = work + abs(found.work_J), loss + found.loss_J
         rows.append((label, len(errors), snaps, f"{work:.3f} J", f"{loss:.3f} J",
                      f"{100 * np.median(errors):.2f} %", f"{100 * max(errors):.2f} %", f"{least:.0e} J"))  # fmt: skip
-    head = ("robot", "rotations", "snaps", "work", "friction loss", "median imbalance", "largest")
-    table("energy", (*head, "least loss of a contact"), rows)
+    head = "robot | rotations | snaps | work | friction loss | median imbalance | largest | least loss of a contact"
+    table("energy", head, rows)
 
 
 def slip_front() -> None:
@@ -190,14 +170,13 @@ def slip_front() -> None:
         loaded = pair.force_N > 5e-3 * pair.force_N.max()
         colour = colormaps[looks.HEAT](turn / turns_deg[-1])
         axes[0, 0].plot(1e3 * pair.s_m[loaded], pair.phi[loaded], color=colour, marker=".", label=f"{turn} deg")
-    axes[0, 0].set_xlabel("arc length from the plate (mm)")
-    axes[0, 0].set_ylabel("friction state of the contacts that carry force")
+    axes[0, 0].set(xlabel="arc length from the plate (mm)", ylabel="friction state of the contacts that carry force")
     axes[0, 0].legend(frameon=False, fontsize=8, ncols=2, title="turned back by")
     save(figure, "history/slip_front")
 
 
 def speed() -> None:
-    """CPU time of steps, and the growth of memory over more of them."""
+    """CPU time of steps."""
     rows = []
     for label, robot in LABELLED:
         for kind in ("rotation", "translation"):
@@ -207,23 +186,16 @@ def speed() -> None:
             begun = time.process_time()
             history.follow(theta_b[1:], l_b[1:])
             taken_s = time.process_time() - begun
-            before_kB = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-            for _ in range(4):
-                history.follow(theta_b[::-1], l_b[::-1])
-                history.follow(theta_b, l_b)
-            grown_kB = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before_kB
-            rows.append((label, kind, STEPS, f"{taken_s:.2f} s", f"{grown_kB} kB"))
-    head = ("robot", "path", "steps", "CPU time", "growth of memory over 4,000 more")
-    table("speed", head, rows)
+            rows.append((label, kind, STEPS, f"{taken_s:.2f} s"))
+    table("speed", "robot | path | steps | CPU time", rows)
 
 
 def fine_path(robot: Robot, kind: str) -> tuple[Array, Array]:
     """STEPS waypoints one step apart."""
     part = np.linspace(0, 1, STEPS + 1)[:, None]
-    theta_b = np.array([0.0, 0.7, 1.9])[: robot.n] + part * (
-        np.array([0.0, 10.0, 25.0])[: robot.n] if kind == "rotation" else 0
-    )
-    l_b = np.array([0.0, -0.017, -0.07]) if robot is THREE else PAIR_L_M
-    back = np.zeros(robot.n)
-    back[-1] = -0.03
-    return theta_b + 0 * part, l_b + part * (back if kind == "translation" else 0)
+    l_b, turn, back = np.array([0.0, -0.017, -0.07]) if robot is THREE else PAIR_L_M, np.zeros(3), np.zeros(robot.n)
+    if kind == "rotation":
+        turn = np.array([0.0, 10.0, 25.0])
+    else:
+        back[-1] = -0.03
+    return np.array([0.0, 0.7, 1.9])[: robot.n] + part * turn[: robot.n], l_b + part * back

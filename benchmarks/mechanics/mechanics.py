@@ -8,14 +8,13 @@ are in tests/reference, each with its own uncertainty. Times are of one core unl
 because the machine may be doing other things.
 """
 
-from __future__ import annotations
-
 import itertools
 import json
 import os
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import common
@@ -23,16 +22,15 @@ import numpy as np
 import paper_oracle as paper
 from bound_calls import nested_robot
 from common import ROBOTS, ROOT, SCENARIOS, distance_mm, table
+from paper_pairs import table_3_joints
 from scipy.spatial.transform import Rotation
 from table_1_pair import table_1_pair
 
+from ctrplan import MotionChecker, Status, load_robot, load_scenario
 from ctrplan.base.arrays import Array
-from ctrplan.files.robot_file import load_robot
-from ctrplan.files.scenario_file import load_scenario
 from ctrplan.mechanics.core import kernel_name
-from ctrplan.mechanics.shapes import Accuracy, Status
+from ctrplan.mechanics.shapes import Accuracy
 from ctrplan.mechanics.walk import PathDensity
-from ctrplan.motion.checker import MotionChecker
 
 THREE_TUBES = load_robot(ROBOTS / "three_tube.toml")
 ACCURACIES: tuple[Accuracy, ...] = ("search", "certificate", "exact")
@@ -47,36 +45,31 @@ def read(name: str) -> Any:
 def references() -> None:
     """Tips of the three-tube robot against the references of tests/reference."""
     points = read("zero_clearance_points.json")["points"]
-    shapes = [THREE_TUBES.zero_clearance(p["theta_b_rad"], p["l_b_m"]) for p in points]
-    off_nm = [1e6 * distance_mm(shape.tip_m, p["tip_m"]) for shape, p in zip(shapes, points, strict=True)]
-    tangents = [
-        float(np.linalg.norm(shape.tip_tangent - p["tip_tangent"])) for shape, p in zip(shapes, points, strict=True)
-    ]
-    table("zero clearance", ("points", "largest tip error, nm", "tangent"), [(len(off_nm), max(off_nm), max(tangents))])
+    both = [(THREE_TUBES.zero_clearance(p["theta_b_rad"], p["l_b_m"]), p) for p in points]
+    off_nm = [1e6 * distance_mm(shape.tip_m, p["tip_m"]) for shape, p in both]
+    tangents = [float(np.linalg.norm(shape.tip_tangent - p["tip_tangent"])) for shape, p in both]
+    table("zero clearance", "points | largest tip error, nm | tangent", [(len(off_nm), max(off_nm), max(tangents))])
 
     rows: list[Row] = []
-    signs = ["0,0", *(",".join(row) for row in itertools.product("+-", repeat=2))]
+    signs, points = ["0,0", *map(",".join, itertools.product("+-", repeat=2))], read("three_tube_points.json")["points"]
     for accuracy in ACCURACIES:
         errors, beyond = [], []
-        for p in read("three_tube_points.json")["points"]:
+        for p in points:
             bound = THREE_TUBES.bound(np.deg2rad(p["theta_b_deg"]), p["l_b_m"], accuracy=accuracy)
             for key, shape in zip(signs, (bound.frictionless, *bound.corners), strict=True):
                 errors.append(distance_mm(shape.tip_m, p["tip_m"][key]))
                 beyond.append(errors[-1] - 1e3 * p["uncertainty_m"][key])
         rows.append((accuracy, len(errors), *(f"{x:.3f}" for x in (np.median(errors), max(errors), max(beyond)))))
-    head = ("accuracy", "tips", "median, mm", "largest, mm", "largest beyond their uncertainty, mm")
+    head = "accuracy | tips | median, mm | largest, mm | largest beyond their uncertainty, mm"
     table("clearance and friction, three tubes", head, rows)
-    first = read("three_tube_points.json")["points"][0]
-    q = np.deg2rad(first["theta_b_deg"]), first["l_b_m"]
-    nodes = paper.mesh(THREE_TUBES.tubes, q[1], 2.5e-3, 5e-4, 5e-3)
-    friction = THREE_TUBES.friction[:, 1]
-    tip_m = paper.refine(
-        paper.Problem(THREE_TUBES.tubes, THREE_TUBES.clearance_m, friction, *q, (1.0, 1.0), nodes)
-    ).tip_m
-    tips = {accuracy: THREE_TUBES.solve(*q, 1.0, accuracy=accuracy).tip_m for accuracy in ACCURACIES[1:]}
-    tips["reference"] = np.array(first["tip_m"]["+,+"])
+    q = np.deg2rad(points[0]["theta_b_deg"]), points[0]["l_b_m"]
+    nodes, robot = paper.mesh(THREE_TUBES.tubes, q[1], 2.5e-3, 5e-4, 5e-3), THREE_TUBES
+    problem = paper.Problem(robot.tubes, robot.clearance_m, robot.friction[:, 1], *q, (1.0, 1.0), nodes)
+    tip_m = paper.refine(problem).tip_m
+    tips = {accuracy: robot.solve(*q, 1.0, accuracy=accuracy).tip_m for accuracy in ACCURACIES[1:]}
+    tips["reference"] = np.array(points[0]["tip_m"]["+,+"])
     apart = [(name, f"{distance_mm(tip, tip_m):.3f}") for name, tip in tips.items()]
-    table("first point, phi = (1, 1), mm from the paper's algorithm on 223 nodes", ("tip", "mm"), apart)
+    table("first point, phi = (1, 1), mm from the paper's algorithm on 223 nodes", "tip | mm", apart)
 
 
 def pairs() -> None:
@@ -102,14 +95,7 @@ def pairs() -> None:
         share = 100 * max(error / deviation for error, deviation in stuck)
         largest = max(free), max(error for error, _ in stuck), max(entered)
         rows.append((f"{1e3 * clearance_m:g}", accuracy, *(f"{x:.4f}" for x in largest), f"{share:.2f}"))
-    head = (
-        "clearance, mm",
-        "accuracy",
-        "frictionless, mm",
-        "friction, mm",
-        "transmission, mm",
-        "friction, % of deviation",
-    )
+    head = "clearance, mm | accuracy | frictionless, mm | friction, mm | transmission, mm | friction, % of deviation"
     table("Table I pair, largest tip errors", head, rows)
 
     robot, rows = load_robot(ROBOTS / "table_5_pair.toml"), []
@@ -124,8 +110,7 @@ def pairs() -> None:
                 angle = np.rad2deg(np.interp(0.167, inner.s_m, inner.theta_rad) - outer.theta_rad[-1])
                 angles.append(abs(angle - row[name]["relative_tip_angle_deg"]))
         rows.append((accuracy, *(f"{max(x):.4f}" for x in (free, stuck_mm, angles))))
-    head = ("accuracy", "frictionless, mm", "friction, mm", "relative tip angle, deg")
-    table("Table V pair, largest errors", head, rows)
+    table("Table V pair, largest errors", "accuracy | frictionless, mm | friction, mm | relative tip angle, deg", rows)
 
 
 def turned_pair(angle_deg: float, length_m: float = 0.017) -> tuple[Array, list[float]]:
@@ -148,14 +133,6 @@ def order() -> None:
     table("mean tip error by length of elements, nm", ("accuracy", *(f"1/{r:g}" for r in refinements), "order"), rows)
 
 
-def table_3_grid() -> tuple[Array, Array]:
-    """Base angles of tubes 2 and 3 by quarter turns, tube 3 from retracted to extended in four places."""
-    quarters = np.deg2rad([0, 90, 180, 270])
-    joints = itertools.product(quarters, quarters, np.linspace(-0.1204, -0.034, 4))
-    made = [((0, second, second + third), (0, -0.017, l_3)) for second, third, l_3 in joints]
-    return np.array([theta_b for theta_b, _ in made], float), np.array([l_b for _, l_b in made], float)
-
-
 def meshes(count: int) -> None:
     """Search against certificate mesh on random configurations: the worst of the five tips of each."""
     worst = []
@@ -166,36 +143,34 @@ def meshes(count: int) -> None:
             worst.append(max(distance_mm(a.tip_m, b.tip_m) for a, b in shapes))
     error = np.array(worst)
     row = (len(error), *map(float, np.quantile(error, (0.5, 0.95, 0.99, 1.0))), f"{100 * np.mean(error > 0.3):.1f} %")
-    table("search mesh off the grid, mm", ("configurations", "median", "95 %", "99 %", "max", "share > 0.3"), [row])
+    table("search mesh off the grid, mm", "configurations | median | 95 % | 99 % | max | share > 0.3", [row])
 
 
 def fineness(count: int) -> None:
     """Both meshes against one 6 times finer than the certificate's: worst of the five tips of each configuration."""
     rows = list[Row]()
-    for label, q in (("grid of Table III", table_3_grid()), ("random", random_joints(count))):
+    grid = [q for _, q in table_3_joints()]
+    for label, of in (("grid of Table III", grid), ("random", list(zip(*random_joints(count), strict=True)))):
         errors: dict[Accuracy, list[float]] = {accuracy: [] for accuracy in MESHES}
-        for joints in zip(*q, strict=True):
+        for joints in of:
             fine = five_tips(*joints, "certificate", 6.0)
             if fine is None:
                 continue
             for accuracy in MESHES:
                 tips = five_tips(*joints, accuracy, 1.0)
-                errors[accuracy].append(
-                    np.nan if tips is None else 1e3 * float(np.linalg.norm(tips - fine, axis=1).max())
-                )
+                off = np.nan if tips is None else 1e3 * float(np.linalg.norm(tips - fine, axis=1).max())
+                errors[accuracy].append(off)
         for accuracy in MESHES:
             known = np.array(errors[accuracy])
             quantiles = map(float, np.nanquantile(known, (0.5, 0.95, 1.0)))
             rows.append((f"{label}, {accuracy}", len(known), int(np.isnan(known).sum()), *quantiles))
-    table("discretisation error of tips, mm", ("", "configurations", "failed", "median", "95 %", "max"), rows)
+    table("discretisation error of tips, mm", " | configurations | failed | median | 95 % | max", rows)
 
 
 def five_tips(theta_b: Array, l_b: Array, accuracy: Accuracy, refinement: float) -> Array | None:
     """Without friction and at every corner, (5, 3) m; none where one failed or the frictionless shape is unstable."""
-    shapes = [
-        THREE_TUBES.mechanics.solve(theta_b, l_b, state, accuracy=accuracy, refinement=refinement)
-        for state in [(0.0, 0.0), *itertools.product((1.0, -1.0), repeat=2)]
-    ]
+    solve = partial(THREE_TUBES.mechanics.solve, theta_b, l_b, accuracy=accuracy, refinement=refinement)
+    shapes = [solve(state) for state in [(0.0, 0.0), *itertools.product((1.0, -1.0), repeat=2)]]
     if any(shape.status is Status.FAILED for shape in shapes) or shapes[0].status is Status.UNSTABLE:
         return None
     return np.array([shape.tip_m for shape in shapes])
@@ -209,25 +184,16 @@ def random_joints(count: int) -> tuple[Array, Array]:
     return rng.uniform(-np.pi, np.pi, (count, 3)), l_b
 
 
+def took_ms(work: Callable[..., object], *arguments: Any) -> float:
+    start = time.perf_counter()
+    work(*arguments)
+    return 1e3 * (time.perf_counter() - start)
+
+
 def times_ms(work: Callable[..., object], *arguments: Array) -> Array:
     """Times of one call per row of the arguments."""
     work(*(rows[0] for rows in arguments))
-    taken = []
-    for row in zip(*arguments, strict=True):
-        start = time.perf_counter()
-        work(*row)
-        taken.append(1e3 * (time.perf_counter() - start))
-    return np.array(taken)
-
-
-def batches_ms(theta_b: Array, l_b: Array) -> dict[int, Array]:
-    """Per configuration, one and two threads in turn, so that both see the same machine."""
-    taken: dict[int, list[float]] = {1: [], 2: []}
-    for q, threads in itertools.product(zip(np.split(theta_b, 10), np.split(l_b, 10), strict=True), taken):
-        start = time.perf_counter()
-        THREE_TUBES.bound_many(*q, threads=threads)
-        taken[threads].append(1e3 * (time.perf_counter() - start) / len(q[0]))
-    return {threads: np.array(times) for threads, times in taken.items()}
+    return np.array([took_ms(work, *row) for row in zip(*arguments, strict=True)])
 
 
 def path_ms(theta_step: float, l_step: float) -> Array:
@@ -247,12 +213,10 @@ def path_ms(theta_step: float, l_step: float) -> Array:
 
 def zero_clearance_ms(q: tuple[Array, Array]) -> Array:
     """Per configuration, tips of batches on one thread."""
-    taken = []
-    for theta_b, l_b in zip(np.split(q[0], 20), np.split(q[1], 20), strict=True):
-        start = time.perf_counter()
-        THREE_TUBES.mechanics.tips(theta_b, l_b, threads=1)
-        taken.append(1e3 * (time.perf_counter() - start) / len(theta_b))
-    return np.array(taken)
+    tips = partial(THREE_TUBES.mechanics.tips, threads=1)
+    return np.array(
+        [took_ms(tips, *row) / len(row[0]) for row in zip(*(np.split(part, 20) for part in q), strict=True)]
+    )
 
 
 def speed() -> None:
@@ -260,22 +224,17 @@ def speed() -> None:
     print(f"\n{os.cpu_count()} CPUs, load {os.getloadavg()[0]:.1f}, kernel {kernel_name()}")
     q = random_joints(1000)
     few = q[0][:200], q[1][:200]
-    batches = batches_ms(*q)
     measured = {
         "zero clearance, cold, tips of a batch": zero_clearance_ms(q),
         "zero clearance, Robot.zero_clearance": times_ms(THREE_TUBES.zero_clearance, *q),
         "bound, cold, Robot.bound": times_ms(THREE_TUBES.bound, *q),
-        "bound, cold, certificate mesh": times_ms(lambda *p: THREE_TUBES.bound(*p, accuracy="certificate"), *few),
-        "bound, cold, exact": times_ms(
-            lambda *p: THREE_TUBES.bound(*p, accuracy="exact"), *(part[:50] for part in few)
-        ),
-        "bound_many, 1 thread": batches[1],
-        f"bound_many, 2 threads (at best {batches[1].min() / batches[2].min():.2f} x)": batches[2],
+        "bound, cold, certificate mesh": times_ms(partial(THREE_TUBES.bound, accuracy="certificate"), *few),
+        "bound, cold, exact": times_ms(partial(THREE_TUBES.bound, accuracy="exact"), *(part[:50] for part in few)),
         "along a path, 1 deg a step": path_ms(np.deg2rad(1), 0),
         "along a path, 0.5 mm a step": path_ms(0, 0.5e-3),
     }
     rows = [(name, len(t), float(t.min()), *map(float, np.quantile(t, (0.5, 0.99)))) for name, t in measured.items()]
-    table("milliseconds", ("", "samples", "least", "median", "99 %"), rows)
+    table("milliseconds", " | samples | least | median | 99 %", rows)
 
 
 GRADIENT_STATES = 40  # of each robot
@@ -345,8 +304,7 @@ def gradients() -> None:
         rows += error_rows(f"{n} tubes", values, by, steps)
     for scenario in ("vessel", "sinus", "heart_chamber"):
         rows += clearance_rows(scenario)
-    head = ("robot", "quantity", "by", "median error", "worst", f"not smooth, of {GRADIENT_STATES}")
-    table("gradients", head, rows)
+    table("gradients", f"robot | quantity | by | median error | worst | not smooth, of {GRADIENT_STATES}", rows)
 
 
 KNOWN = ("position_m", "tangent_rad", "stability", "tip_m")
@@ -385,10 +343,7 @@ def clearance_rows(name: str) -> list[Row]:
 
 
 def main() -> None:
-    parser = common.parser(__doc__)
-    parser.add_argument("section", nargs="*")
-    parser.add_argument("--count", type=int, default=1000)
-    given = parser.parse_args()
     known = {"references": references, "pairs": pairs, "order": order, "gradients": gradients, "speed": speed}
     counted = {"meshes": lambda: meshes(given.count), "fineness": lambda: fineness(given.count)}
-    common.sections(given.section, {**known, **counted}, parser.error)
+    given = common.arguments(__doc__, ("sections*", [*known, *counted]), count=1000)
+    common.sections(given.sections, {**known, **counted})

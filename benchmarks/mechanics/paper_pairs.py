@@ -1,7 +1,6 @@
 """The pair of Table I at the settings of Section IV, its contact regions, and what figures of the paper share."""
 
-from __future__ import annotations
-
+import itertools
 import json
 from collections.abc import Sequence
 from functools import cache
@@ -16,11 +15,10 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
+from ctrplan import Robot, Shape, load_robot
 from ctrplan.base.arrays import Array
-from ctrplan.files.robot_file import load_robot
-from ctrplan.mechanics.shapes import Shape, TubeShape
+from ctrplan.mechanics.shapes import TubeShape
 from ctrplan.reports import looks
-from ctrplan.robot.robot import Robot
 
 EXACT = json.loads((ROOT / "tests" / "reference" / "pair_values.json").read_text(encoding="utf-8"))["table_I_pair"]
 
@@ -57,6 +55,12 @@ def turned(clearance_mm: float, angle_deg: float) -> Shape:
 def opposed(clearance_mm: float, mu: float = 0.0, transmission_mm: float = TRANSMISSION_MM, phi: float = 1.0) -> Shape:
     robot = pair(clearance_mm, mu, transmission_mm)
     return robot.solve(*joints(180, transmission_mm), phi, accuracy="certificate")
+
+
+def table_3_joints() -> list[tuple[tuple[float, float, float], tuple[Array, Array]]]:
+    """A grid of 4 x 4 x 4, which the paper gives in part: tubes 2 to 1, 3 to 2 [deg], l_3b [mm], and the collars."""
+    rows = itertools.product((0, 90, 180, 270), (0, 90, 180, 270), np.linspace(-120.4, -34, 4))
+    return [((a, b, l_3), (np.deg2rad([0, a, a + b]), 1e-3 * np.array([0, -17, l_3]))) for a, b, l_3 in rows]
 
 
 def angle_deg(u: Array, v: Array) -> float:

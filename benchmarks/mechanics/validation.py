@@ -6,8 +6,6 @@ Figure and table numbers are those of Ha, Fagogenis, Dupont, IEEE T-RO 35(2), 20
 "exact" in the tables are values of an independent exact-geometry solver (tests/reference/pair_values.json).
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import cache
@@ -15,40 +13,17 @@ from typing import Any, NamedTuple
 
 import common
 import numpy as np
+import paper_pairs as paper
 from common import ROBOTS, distance_mm, prepare, table
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from paper_pairs import (
-    CLEARANCES_MM,
-    COLOURS,
-    FRICTIONS,
-    OUTER_LENGTH_M,
-    SMALL_MM,
-    TRANSMISSION_MM,
-    Region,
-    angle_deg,
-    couple,
-    exact,
-    figure,
-    joints,
-    label,
-    legend,
-    offset_m,
-    opposed,
-    pair,
-    points,
-    regions,
-    save,
-    turned,
-)
 from scipy.interpolate import CubicHermiteSpline
 
+from ctrplan import Bound, Shape, Status, load_robot
 from ctrplan.base.arrays import Array
-from ctrplan.files.robot_file import load_robot
-from ctrplan.mechanics.shapes import Bound, Shape, Status
 from ctrplan.reports import looks
 
-Rows = tuple[Sequence[str], Sequence[Sequence[object]]]  # of a table, after its columns
+Rows = tuple[str | Sequence[str], Sequence[Sequence[object]]]  # of a table, after its columns
 
 
 class GridPoint(NamedTuple):
@@ -59,13 +34,10 @@ class GridPoint(NamedTuple):
 
 @cache
 def grid() -> tuple[GridPoint, ...]:
-    """The 4 x 4 x 4 grid as tests/mechanics/test_reference.py reads it: the paper does not give it in full."""
+    """Solved at the joints of Table III."""
     robot = load_robot(ROBOTS / "three_tube.toml")
-    found = []
-    for second, third, l_3 in itertools.product((0, 90, 180, 270), (0, 90, 180, 270), np.linspace(-120.4, -34, 4)):
-        q = np.deg2rad([0, second, second + third]), 1e-3 * np.array([0, -17, l_3])
-        found.append(GridPoint((second, third, l_3), robot.zero_clearance(*q), robot.bound(*q, accuracy="certificate")))
-    return tuple(found)
+    of = ((at, robot.zero_clearance(*q), robot.bound(*q, accuracy="certificate")) for at, q in paper.table_3_joints())
+    return tuple(GridPoint(*point) for point in of)
 
 
 def solved(shapes: Iterable[Shape]) -> Iterator[Shape]:
@@ -80,19 +52,18 @@ TABLE_3 = {  # the paper's row, and this grid by an exact-geometry solver
 
 def table_3() -> Rows:
     rows = []
-    for name, (paper, exact_row) in TABLE_3.items():
+    for name, (theirs, exact_row) in TABLE_3.items():
         mine = "/".join(f"{x.mean():.2f} (±{x.std():.2f})/{x.max():.2f}" for x in grid_deviations(name == "friction"))
-        for who, cells in (("paper", paper), ("this grid, exact geometry", exact_row), ("ours", mine)):
+        for who, cells in (("paper", theirs), ("this grid, exact geometry", exact_row), ("ours", mine)):
             rows.append((f"{name}, {who}", *cells.split("/")))
-    head = ("", "mean position, mm", "largest position, mm", "mean tangent, deg", "largest tangent, deg")
-    return (head, rows)
+    return " | mean position, mm | largest position, mm | mean tangent, deg | largest tangent, deg", rows
 
 
 def grid_deviations(friction: bool) -> tuple[Array, Array]:
     """Tips [mm] and tip tangents [deg] away from the zero-clearance model, corners pooled."""
     both = [(s, p.zero) for p in grid() for s in solved(p.bound.corners if friction else [p.bound.frictionless])]
     position = np.array([distance_mm(shape.tip_m, zero.tip_m) for shape, zero in both])
-    return position, np.array([angle_deg(shape.tip_tangent, zero.tip_tangent) for shape, zero in both])
+    return position, np.array([paper.angle_deg(shape.tip_tangent, zero.tip_tangent) for shape, zero in both])
 
 
 def fig_14() -> Rows:
@@ -105,10 +76,10 @@ def fig_14() -> Rows:
     panels = [prepare(fig.add_subplot(1, 4, k + 1)) for k in range(4)]
     for ax, ((title, point), axis) in zip(panels, itertools.product(cases, (0, 1)), strict=True):
         draw_shapes(ax, point, axis)
-        label(ax, f"Fig. 14{title}" if axis == 0 else "", f"{'xy'[axis]} (mm)", "z (mm)" if axis == 0 else "")
+        paper.label(ax, f"Fig. 14{title}" if axis == 0 else "", f"{'xy'[axis]} (mm)", "z (mm)" if axis == 0 else "")
     handles, _ = panels[0].get_legend_handles_labels()
     fig.legend(handles=handles, loc="outside lower center", ncols=6, frameon=False, fontsize=8.5)
-    save(fig, "fig_14")
+    paper.save(fig, "fig_14")
     rows = []
     for title, p in cases:
         corners = [f"{distance_mm(shape.tip_m, p.zero.tip_m):.1f}" for shape in p.bound.corners]
@@ -117,9 +88,8 @@ def fig_14() -> Rows:
         where = "{:g}, {:g} deg, {:.1f} mm".format(*p.degrees)
         free = f"{distance_mm(p.bound.frictionless.tip_m, p.zero.tip_m):.2f}"
         rows.append((title, where, free, " / ".join(corners), f"{first:.1f}", f"{second:.1f}"))
-    head = ("", "tube 2 - 1, tube 3 - 2, l_3b", "no friction, mm", "(+, +) / (+, -) / (-, +) / (-, -), mm",
-            "sign of pair 1 moves the tip by, mm", "sign of pair 2, mm")  # fmt: skip
-    return (head, rows)
+    head = " | tube 2 - 1, tube 3 - 2, l_3b | no friction, mm | (+, +) / (+, -) / (-, +) / (-, -), mm"
+    return f"{head} | sign of pair 1 moves the tip by, mm | sign of pair 2, mm", rows
 
 
 def off_mm(point: GridPoint, shapes: Iterable[Shape]) -> float:
@@ -150,136 +120,130 @@ def draw_shapes(ax: Axes, point: GridPoint, axis: int) -> None:
 
 
 def fig_4_5() -> Rows:
-    fig, axes = figure(2)
+    fig, axes = paper.figure(2)
     rows = []
-    for clearance, colour in zip(CLEARANCES_MM, COLOURS, strict=False):
-        known = exact("deviation_from_zero_clearance", clearance_m=1e-3 * clearance)
-        at = {angle: deviation_mm(clearance, angle) for angle in np.arange(0, 180.1, 5)}
+    for clearance, colour in zip(paper.CLEARANCES_MM, paper.COLOURS, strict=False):
+        known = paper.exact("deviation_from_zero_clearance", clearance_m=1e-3 * clearance)
         for ax, angles in zip(axes, (np.arange(0, 180.1, 5), np.arange(0, 20.1, 0.5)), strict=True):
             ax.plot(angles, [deviation_mm(clearance, a) for a in angles], color=colour, label=f"{clearance:g} mm")
             shown = [row for row in known if row["base_angle_deg"] <= angles[-1]]
-            points(ax, [r["base_angle_deg"] for r in shown], [1e3 * r["deviation_m"] for r in shown], colour)
-        worst = max(at, key=lambda angle: at[angle])
-        errors = [distance_mm(turned(clearance, row["base_angle_deg"]).tip_m, row["tip_m"]) for row in known]
-        error = f"{max(errors):.3f} mm" if errors else ""
-        rows.append((f"{clearance:g} mm", f"{at[worst]:.2f} mm at {worst:g} deg", f"{at[180]:.2f} mm", error))
-    label(axes[0], "Fig. 4", "base angle (deg)", "tip difference (mm)")
-    label(axes[1], "Fig. 5, small angles", "base angle (deg)", "tip difference (mm)")
+            paper.points(ax, [r["base_angle_deg"] for r in shown], [1e3 * r["deviation_m"] for r in shown], colour)
+        rows.append((f"{clearance:g} mm", f"{deviation_mm(clearance, 180):.2f} mm"))
+    paper.label(axes[0], "Fig. 4", "base angle (deg)", "tip difference (mm)")
+    paper.label(axes[1], "Fig. 5, small angles", "base angle (deg)", "tip difference (mm)")
     axes[0].set(xticks=range(0, 181, 30), ylim=(0, 7))
     axes[1].set(xticks=range(0, 21, 5), ylim=(0, 1.8))
-    legend(axes[0], "clearance", checked=True)
-    save(fig, "fig_4_5")
-    return (("clearance", "largest difference", "at 180 deg", "largest tip error against exact"), rows)
+    paper.legend(axes[0], "clearance", checked=True)
+    paper.save(fig, "fig_4_5")
+    return "clearance | at 180 deg", rows
 
 
 @cache
 def deviation_mm(clearance_mm: float, angle: float) -> float:
-    zero = pair(clearance_mm).zero_clearance(*joints(angle))
-    return distance_mm(turned(clearance_mm, angle).tip_m, zero.tip_m)
+    zero = paper.pair(clearance_mm).zero_clearance(*paper.joints(angle))
+    return distance_mm(paper.turned(clearance_mm, angle).tip_m, zero.tip_m)
 
 
 def fig_6_7() -> Rows:
-    fig, axes = figure(2)
-    straight = (0, 0, OUTER_LENGTH_M)
+    fig, axes = paper.figure(2)
+    straight = (0, 0, paper.OUTER_LENGTH_M)
     smooth = np.geomspace(0.01, 3, 40)
-    for mu, colour in zip(FRICTIONS, COLOURS, strict=False):
+    for mu, colour in zip(paper.FRICTIONS, paper.COLOURS, strict=False):
         axes[0].plot(
-            smooth, [distance_mm(opposed(c, mu).tip_m, straight) for c in smooth], color=colour, label=f"{mu:g}"
+            smooth, [distance_mm(paper.opposed(c, mu).tip_m, straight) for c in smooth], color=colour, label=f"{mu:g}"
         )
-        known = exact("friction_at_180_deg", mu=mu)
-        points(axes[0], [1e3 * r["clearance_m"] for r in known], [1e3 * r["deviation_m"] for r in known], colour)
-    axes[0].set(xscale="log", ylim=(0, None), xticks=CLEARANCES_MM, xticklabels=[f"{c:g}" for c in CLEARANCES_MM])
+        known = paper.exact("friction_at_180_deg", mu=mu)
+        paper.points(axes[0], [1e3 * r["clearance_m"] for r in known], [1e3 * r["deviation_m"] for r in known], colour)
+    axes[0].set(
+        xscale="log", ylim=(0, None), xticks=paper.CLEARANCES_MM, xticklabels=[f"{c:g}" for c in paper.CLEARANCES_MM]
+    )
     axes[0].minorticks_off()
-    label(axes[0], "Fig. 6, base angle 180 deg", "clearance (mm)", "tip difference (mm)")
-    legend(axes[0], "friction coefficient", checked=True)
+    paper.label(axes[0], "Fig. 6, base angle 180 deg", "clearance (mm)", "tip difference (mm)")
+    paper.legend(axes[0], "friction coefficient", checked=True)
     shares = np.linspace(-0.5, 0.5, 41)
-    for clearance, colour in zip(CLEARANCES_MM, COLOURS, strict=False):
-        tips = np.array([1e3 * opposed(clearance, abs(m), phi=np.sign(m)).tip_m for m in shares])
+    for clearance, colour in zip(paper.CLEARANCES_MM, paper.COLOURS, strict=False):
+        tips = np.array([1e3 * paper.opposed(clearance, abs(m), phi=np.sign(m)).tip_m for m in shares])
         axes[1].plot(tips[:, 1], tips[:, 0], color=colour, label=f"{clearance:g} mm")
-        known = exact("friction_at_180_deg", clearance_m=1e-3 * clearance)
-        points(axes[1], [1e3 * r["tip_m"][1] for r in known], [1e3 * r["tip_m"][0] for r in known], colour)
-    label(axes[1], "Fig. 7, friction coefficient 0 to 0.5 either way", "tip y (mm)", "tip x (mm)")
+        known = paper.exact("friction_at_180_deg", clearance_m=1e-3 * clearance)
+        paper.points(axes[1], [1e3 * r["tip_m"][1] for r in known], [1e3 * r["tip_m"][0] for r in known], colour)
+    paper.label(axes[1], "Fig. 7, friction coefficient 0 to 0.5 either way", "tip y (mm)", "tip x (mm)")
     axes[1].plot(0, 0, "+", color=looks.INK, markersize=9)
     axes[1].annotate("zero clearance", (0, 0), (6, -1), textcoords="offset points", fontsize=8.5, color=looks.INK)
     axes[1].set_ylim(-0.4, 7.6)
-    legend(axes[1], "clearance", ncols=3, loc="upper center", checked=True)
-    save(fig, "fig_6_7")
-    rows = [(f"{c:g} mm", *(_beside(c, mu) for mu in FRICTIONS), _share(c)) for c in CLEARANCES_MM]
-    return (("clearance", *(f"mu = {mu:g}" for mu in FRICTIONS), "tip error, % of the difference"), rows)
+    paper.legend(axes[1], "clearance", ncols=3, loc="upper center", checked=True)
+    paper.save(fig, "fig_6_7")
+    rows = [(f"{c:g} mm", *(_beside(c, mu) for mu in paper.FRICTIONS), _share(c)) for c in paper.CLEARANCES_MM]
+    return (("clearance", *(f"mu = {mu:g}" for mu in paper.FRICTIONS), "tip error, % of the difference"), rows)
 
 
 def _beside(clearance: float, mu: float) -> str:
-    (known,) = exact("friction_at_180_deg", clearance_m=1e-3 * clearance, mu=mu)
-    return f"{distance_mm(opposed(clearance, mu).tip_m, (0, 0, 0.15)):.2f} ({1e3 * known['deviation_m']:.2f})"
+    (known,) = paper.exact("friction_at_180_deg", clearance_m=1e-3 * clearance, mu=mu)
+    return f"{distance_mm(paper.opposed(clearance, mu).tip_m, (0, 0, 0.15)):.2f} ({1e3 * known['deviation_m']:.2f})"
 
 
 def _share(clearance: float) -> str:
-    known = exact("friction_at_180_deg", clearance_m=1e-3 * clearance)
-    errors = [distance_mm(opposed(clearance, row["mu"]).tip_m, row["tip_m"]) / row["deviation_m"] for row in known]
+    known = paper.exact("friction_at_180_deg", clearance_m=1e-3 * clearance)
+    errors = [
+        distance_mm(paper.opposed(clearance, row["mu"]).tip_m, row["tip_m"]) / row["deviation_m"] for row in known
+    ]
     return f"{0.1 * max(errors):.1f}"
 
 
 def fig_8() -> Rows:
-    fig, axes = figure(2, 3.0)
+    fig, axes = paper.figure(2, 3.0)
     rows = []
-    for ax, length, title in zip(axes, (SMALL_MM, TRANSMISSION_MM), ("(a) no", "(b) 17 mm"), strict=True):
-        shape = opposed(3, 0, length)
+    for ax, length, title in zip(axes, (paper.SMALL_MM, paper.TRANSMISSION_MM), ("(a) no", "(b) 17 mm"), strict=True):
+        shape = paper.opposed(3, 0, length)
         for tube, colour, name in zip(shape.tubes, (looks.START, looks.INK), ("outer", "inner"), strict=True):
             curve = CubicHermiteSpline(tube.s_m, tube.centreline_m, tube.frames[:, :, 2])
             x, _, z = 1e3 * curve(np.linspace(tube.s_m[0], tube.s_m[-1], 400)).T
             ax.plot(z, x, color=colour, linewidth=2, label=name)
         outer, inner = (1e3 * tube.centreline_m[-1, 0] for tube in shape.tubes)
-        label(ax, f"Fig. 8{title} transmission, clearance 3 mm", "z (mm)", "x (mm)")
+        paper.label(ax, f"Fig. 8{title} transmission, clearance 3 mm", "z (mm)", "x (mm)")
         ax.axhline(0, color=looks.MUTED, linewidth=0.8)
         rows.append((f"{round(length):d} mm", f"{outer:.2f} mm", f"{inner:.2f} mm", f"{abs(outer + inner) / 2:.2f} mm"))
     for ax in axes:
         ax.set(ylim=(-3.4, 9), xlim=(-20, 155))
-    legend(axes[0], "tube", loc="upper left")
-    save(fig, "fig_8")
+    paper.legend(axes[0], "tube", loc="upper left")
+    paper.save(fig, "fig_8")
     return (("transmission", "outer tip x", "inner tip x", "mean"), rows)
 
 
 def fig_9() -> Rows:
-    fig, (ax,) = figure(1)
-    lengths = np.concatenate([[SMALL_MM], np.arange(0.5, 20, 0.5), np.arange(20, 260.1, 5)])
+    fig, (ax,) = paper.figure(1)
+    lengths = np.concatenate([[paper.SMALL_MM], np.arange(0.5, 20, 0.5), np.arange(20, 260.1, 5)])
     rows = []
-    shown = (0.0, 5.0, 17.0, 50.0, 100.0)
-    for clearance, colour in zip(CLEARANCES_MM, COLOURS, strict=False):
-        shapes = [opposed(clearance, 0, length) for length in lengths]
+    for clearance, colour in zip(paper.CLEARANCES_MM, paper.COLOURS, strict=False):
+        shapes = [paper.opposed(clearance, 0, length) for length in lengths]
         stable = [shape.status is Status.CONVERGED for shape in shapes]
         count = stable.index(False) if False in stable else len(stable)
-        far = [distance_mm(shape.tip_m, (0, 0, OUTER_LENGTH_M)) for shape in shapes[:count]]
+        far = [distance_mm(shape.tip_m, (0, 0, paper.OUTER_LENGTH_M)) for shape in shapes[:count]]
         ax.plot(lengths[:count], far, color=colour, label=f"{clearance:g} mm")
-        known = exact("transmission_at_180_deg", clearance_m=1e-3 * clearance)
-        points(ax, [1e3 * r["transmission_m"] for r in known], [1e3 * r["deviation_m"] for r in known], colour)
-        cells = [f"{np.interp(max(t, SMALL_MM), lengths[:count], far):.2f} ({_known_mm(known, t):.2f})" for t in shown]
-        rows.append((f"{clearance:g} mm", *cells, f"{lengths[count - 1]:g} mm"))
+        known = paper.exact("transmission_at_180_deg", clearance_m=1e-3 * clearance)
+        paper.points(ax, [1e3 * r["transmission_m"] for r in known], [1e3 * r["deviation_m"] for r in known], colour)
+        rows.append((f"{clearance:g} mm", f"{lengths[count - 1]:g} mm"))
     limit = zero_clearance_limit_mm()
     ax.axvline(limit, color=looks.LIMIT, linestyle="--", linewidth=1.1)
     ax.annotate("zero-clearance pair\nunstable beyond", (limit, 11.8), (6, 0), textcoords="offset points",
                 fontsize=8.5, color=looks.LIMIT)  # fmt: skip
-    label(ax, "Fig. 9, base angle 180 deg", "transmission length (mm)", "tip difference (mm)")
+    paper.label(ax, "Fig. 9, base angle 180 deg", "transmission length (mm)", "tip difference (mm)")
     ax.set(ylim=(0, 13.5), xlim=(-5, 230))
-    legend(ax, "clearance", checked=True)
-    save(fig, "fig_9")
-    return (("clearance", *(f"{t:g} mm" for t in shown), "stable up to"), rows)
-
-
-def _known_mm(known: list[dict[str, Any]], transmission_mm: float) -> float:
-    return next(1e3 * float(r["deviation_m"]) for r in known if np.isclose(1e3 * r["transmission_m"], transmission_mm))
+    paper.legend(ax, "clearance", checked=True)
+    paper.save(fig, "fig_9")
+    return "clearance | stable up to", [*rows, ("none", f"{limit:.0f} mm")]
 
 
 def zero_clearance_limit_mm() -> float:
     """Longest transmission at which the zero-clearance pair is stable at 180 deg."""
-    low, high = TRANSMISSION_MM, 1000.0
+    low, high = paper.TRANSMISSION_MM, 1000.0
     while high - low > 0.1:
         middle = (low + high) / 2
-        shape = pair(0.05, 0.0, middle).zero_clearance(*joints(180, middle))
+        shape = paper.pair(0.05, 0.0, middle).zero_clearance(*paper.joints(180, middle))
         low, high = (middle, high) if shape.status is Status.CONVERGED else (low, middle)
     return low
 
 
-def stems(ax: Axes, found: Sequence[Region], colour: str, name: str, mu: float = 0.0) -> None:
+def stems(ax: Axes, found: Sequence[paper.Region], colour: str, name: str, mu: float = 0.0) -> None:
     """A stem per contact region at its centroid, as high as normal force and friction together."""
     for k, r in enumerate(found):
         at, force = 1e3 * r.s_m, float(np.hypot(1, mu)) * r.force_N
@@ -288,24 +252,26 @@ def stems(ax: Axes, found: Sequence[Region], colour: str, name: str, mu: float =
 
 
 def fig_10_13() -> Rows:
-    fig, axes = figure(2)
-    for clearance, colour in zip(CLEARANCES_MM, COLOURS, strict=False):
-        stems(axes[0], [r for r in regions(opposed(clearance)) if r.s_m > 0.08], colour, f"{clearance:g} mm")
+    fig, axes = paper.figure(2)
+    for clearance, colour in zip(paper.CLEARANCES_MM, paper.COLOURS, strict=False):
+        stems(
+            axes[0], [r for r in paper.regions(paper.opposed(clearance)) if r.s_m > 0.08], colour, f"{clearance:g} mm"
+        )
     axes[0].set(yscale="log", ylim=(4, 200), yticks=(5, 10, 20, 50, 100), yticklabels=("5", "10", "20", "50", "100"))
     axes[0].minorticks_off()
-    label(axes[0], "Fig. 10, base angle 180 deg, no friction", "arc length (mm)", "force of a contact region (N)")
-    legend(axes[0], "clearance", loc="upper left")
+    paper.label(axes[0], "Fig. 10, base angle 180 deg, no friction", "arc length (mm)", "force of a contact region (N)")
+    paper.legend(axes[0], "clearance", loc="upper left")
     for k, mu in enumerate((0.0, 0.2, 0.5)):
-        found = [r for r in regions(opposed(0.05, mu)) if r.s_m > 0.1]
-        stems(axes[1], found, COLOURS[k], f"{mu:g}", mu)
+        found = [r for r in paper.regions(paper.opposed(0.05, mu)) if r.s_m > 0.1]
+        stems(axes[1], found, paper.COLOURS[k], f"{mu:g}", mu)
     axes[1].set(ylim=(44, 52), xlim=(141, 151))
-    label(axes[1], "Fig. 13, clearance 0.05 mm", "arc length (mm)", "force, normal and friction (N)")
-    legend(axes[1], "friction coefficient", loc="upper center")
-    save(fig, "fig_10_13")
+    paper.label(axes[1], "Fig. 13, clearance 0.05 mm", "arc length (mm)", "force, normal and friction (N)")
+    paper.legend(axes[1], "friction coefficient", loc="upper center")
+    paper.save(fig, "fig_10_13")
     rows = []
-    for clearance in CLEARANCES_MM:
-        (known,) = exact("couple_at_180_deg", clearance_m=1e-3 * clearance, transmission_m=0.017)
-        mine = couple(opposed(clearance))
+    for clearance in paper.CLEARANCES_MM:
+        (known,) = paper.exact("couple_at_180_deg", clearance_m=1e-3 * clearance, transmission_m=0.017)
+        mine = paper.couple(paper.opposed(clearance))
         given = known["tip_force_N"], known["arm_m"], known["couple_Nm"]
         force, arm, moment = zip(mine, given, strict=True)
         cells = ("{:.1f} ({:.1f})".format(*force), "{:.1f} ({:.1f})".format(*np.multiply(1e3, arm)))
@@ -315,73 +281,71 @@ def fig_10_13() -> Rows:
 
 def fig_13() -> Rows:
     rows = []
-    for mu in FRICTIONS:
-        shape = opposed(0.05, mu)
-        middle, tip = regions(shape)[-2:]
+    for mu in paper.FRICTIONS:
+        shape = paper.opposed(0.05, mu)
+        middle, tip = paper.regions(shape)[-2:]
         twist = shape.tubes[1].theta_rad[-1] - shape.tubes[0].theta_rad[-1]
         forces = [f"{np.hypot(1, mu) * r.force_N:.1f} ({r.force_N:.1f})" for r in (tip, middle)]
         rows.append((f"{mu:g}", *forces, f"{np.rad2deg(twist):.1f}"))
-    head = ("mu", "at the tip, N, with friction (normal alone)", "opposite, N", "relative angle at the tips, deg")
-    return (head, rows)
+    return "mu | at the tip, N, with friction (normal alone) | opposite, N | relative angle at the tips, deg", rows
 
 
 def fig_11_12() -> Rows:
-    fig, axes = figure(2)
+    fig, axes = paper.figure(2)
     angles = (30, 60, 90, 120, 150, 180)
     for angle in (60, 120, 180):
-        colour = COLOURS[angles.index(angle)]
-        shape = turned(0.05, angle)
+        colour = paper.COLOURS[angles.index(angle)]
+        shape = paper.turned(0.05, angle)
         half = np.deg2rad(angle) / 2  # the plane a balanced pair bends in
         along, across = 1e3 * shape.centreline_m[:, 2], 1e3 * shape.centreline_m[:, :2] @ [np.cos(half), np.sin(half)]
         axes[0].plot(along, across, color=colour, linewidth=1.8, label=f"{angle} deg")
-        for r in regions(shape):
+        for r in paper.regions(shape):
             at = [np.interp(r.s_m, shape.s_m, values) for values in (along, across)]
             axes[0].plot(*at, "o", markersize=0.45 * r.force_N, color=looks.SERIES[2], alpha=0.55, markeredgewidth=0)
     axes[0].set_xlim(-22, 165)
     axes[0].set_aspect("equal", adjustable="datalim")
-    label(axes[0], "Fig. 11, diameter in proportion to the force", "z (mm)", "in the bending plane (mm)")
-    legend(axes[0], "base angle", loc="upper left")
+    paper.label(axes[0], "Fig. 11, diameter in proportion to the force", "z (mm)", "in the bending plane (mm)")
+    paper.legend(axes[0], "base angle", loc="upper left")
     rows = []
-    for angle, colour in zip(angles, COLOURS, strict=False):
-        found = regions(turned(0.05, angle))
+    for angle, colour in zip(angles, paper.COLOURS, strict=False):
+        found = paper.regions(paper.turned(0.05, angle))
         stems(axes[1], found, colour, f"{angle} deg")
-        rows.append((f"{angle} deg", *(f"{r.force_N:.1f} N at {1e3 * r.s_m:.1f} mm" for r in found)))
+        rows.append((f"{angle} deg", ", ".join(f"{r.force_N:.1f} N at {1e3 * r.s_m:.1f} mm" for r in found)))
     axes[1].set(ylim=(0, 55), xlim=(-3, 156))
-    label(axes[1], "Fig. 12, clearance 0.05 mm, no friction", "arc length (mm)", "force of a contact region (N)")
-    legend(axes[1], "base angle", loc="upper center")
-    save(fig, "fig_11_12")
-    return (("base angle", "near the base", "before the tip", "tip"), rows)
+    paper.label(axes[1], "Fig. 12, clearance 0.05 mm, no friction", "arc length (mm)", "force of a contact region (N)")
+    paper.legend(axes[1], "base angle", loc="upper center")
+    paper.save(fig, "fig_11_12")
+    return "base angle | regions", rows
 
 
 def fig_17() -> Rows:
     robot = load_robot(ROBOTS / "table_4_pair.toml")
     narrow = load_robot(ROBOTS / "table_4_pair.toml", ["contact.1.clearance_mm=0.8125"])
     clearance_mm = 1e3 * float(robot.clearance_m[0])
-    fig, axes = figure(2, 4.0)
+    fig, axes = paper.figure(2, 4.0)
     rows = []
-    for angle, colour in zip(range(0, 181, 30), COLOURS, strict=True):
-        shape = robot.solve(*joints(angle), accuracy="certificate")
-        found = regions(shape)
+    for angle, colour in zip(range(0, 181, 30), paper.COLOURS, strict=True):
+        shape = robot.solve(*paper.joints(angle), accuracy="certificate")
+        found = paper.regions(shape)
         draw_contact(axes, shape, found, colour, clearance_mm, angle)
-        half = regions(narrow.solve(*joints(angle), accuracy="certificate"))
+        half = paper.regions(narrow.solve(*paper.joints(angle), accuracy="certificate"))
         cells = [f"{1e3 * r.s_m:.1f} mm, {round(_on_tube_deg(shape, r))} deg" for r in found]
         rows.append((f"{angle} deg", *cells, *(f"{1e3 * (f[-1].s_m - f[-2].s_m):.1f} mm" for f in (found, half))))
     axes[0].axhline(clearance_mm, color=looks.MUTED, linestyle="--", linewidth=1.1)
     axes[0].annotate("clearance", (0, clearance_mm), (0, 4), textcoords="offset points", fontsize=8.5)
-    label(axes[0], "Fig. 17(a)", "arc length (mm)", "distance of the wire from the wall (mm)")
-    label(axes[1], "Fig. 17(b)", "arc length (mm)", "where the wire leans, on the clear tube (deg)")
+    paper.label(axes[0], "Fig. 17(a)", "arc length (mm)", "distance of the wire from the wall (mm)")
+    paper.label(axes[1], "Fig. 17(b)", "arc length (mm)", "where the wire leans, on the clear tube (deg)")
     axes[0].set(ylim=(-0.3, 1.8), yticks=np.arange(0, 1.7, 0.25))
     axes[1].set(ylim=(-190, 190), yticks=range(-180, 181, 60))
-    legend(axes[1], "relative angle", loc="upper left", ncols=3, bbox_to_anchor=(0, 0.93))
-    save(fig, "fig_17")
-    head = ("relative angle", "proximal contact", "middle contact", "tip contact", "distal arm", "arm at 0.8125 mm")
-    return (head, rows)
+    paper.legend(axes[1], "relative angle", loc="upper left", ncols=3, bbox_to_anchor=(0, 0.93))
+    paper.save(fig, "fig_17")
+    return "relative angle | proximal contact | middle contact | tip contact | distal arm | arm at 0.8125 mm", rows
 
 
 def draw_contact(
-    axes: Sequence[Axes], shape: Shape, found: Sequence[Region], colour: str, clearance_mm: float, angle: int
+    axes: Sequence[Axes], shape: Shape, found: Sequence[paper.Region], colour: str, clearance_mm: float, angle: int
 ) -> None:
-    s, offset = offset_m(shape)
+    s, offset = paper.offset_m(shape)
     s, offset = s[s >= 0], offset[s >= 0]
     gap = clearance_mm - 1e3 * np.abs(offset)
     lean = _wrapped_deg(np.angle(offset) - np.interp(s, shape.tubes[0].s_m, shape.tubes[0].theta_rad))
@@ -396,7 +360,7 @@ def draw_contact(
         axes[1].plot(1e3 * r.s_m, _on_tube_deg(shape, r), "o", color=colour, markersize=6)
 
 
-def _on_tube_deg(shape: Shape, region: Region) -> float:
+def _on_tube_deg(shape: Shape, region: paper.Region) -> float:
     outer = shape.tubes[0]
     return float(_wrapped_deg(region.angle_rad - np.interp(region.s_m, outer.s_m, outer.theta_rad)))
 
@@ -407,22 +371,10 @@ def _wrapped_deg(angle_rad: Any) -> Array:
     return wrapped
 
 
-TABLES: dict[str, Callable[[], Rows]] = {
-    "fig_4_5": fig_4_5,
-    "fig_6_7": fig_6_7,
-    "fig_8": fig_8,
-    "fig_9": fig_9,
-    "fig_10_13": fig_10_13,
-    "fig_11_12": fig_11_12,
-    "fig_13": fig_13,
-    "table_3": table_3,
-    "fig_14": fig_14,
-    "fig_17": fig_17,
-}
+MADE = (fig_4_5, fig_6_7, fig_8, fig_9, fig_10_13, fig_11_12, fig_13, table_3, fig_14, fig_17)
+TABLES: dict[str, Callable[[], Rows]] = {work.__name__: work for work in MADE}
 
 
 def main() -> None:
-    parser = common.parser(__doc__)
-    parser.add_argument("names", nargs="*", metavar="TABLE", help=", ".join(TABLES))
-    for name in parser.parse_args().names or TABLES:
+    for name in common.arguments(__doc__, ("names*", TABLES)).names or TABLES:
         table(name, *TABLES[name]())

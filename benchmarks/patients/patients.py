@@ -11,8 +11,6 @@ cases follow each other on one core, from an empty cache; what is measured of th
 the cost run on another one meanwhile.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import shlex
@@ -53,14 +51,14 @@ class PublicCase:
 
     def command(self, root: Path) -> list[str]:
         """Arguments of ctrplan, without the output folder."""
-        files = [str(root / self.folder / file) for file in (*self.lumen, *self.avoid) if file not in self.phases]
+        own = root / self.folder
+        files = [str(own / file) for file in (*self.lumen, *self.avoid) if file not in self.phases]
         roles = [word for file in self.lumen for word in ("--lumen", file)]
         roles += [word for file in self.avoid for word in ("--avoid", file)]
-        places = ["--target", *_place(root / self.folder, self.target)]
-        for entry in self.entries:
-            places += ["--entry", *_place(root / self.folder, entry)]
+        places = ["--target", *_place(own, self.target)]
+        places += [word for entry in self.entries for word in ("--entry", *_place(own, entry))]
         robot = ["--robot", str(ROBOTS / f"{self.robot}.toml")]
-        moving = ["--phases", *(str(root / self.folder / file) for file in self.phases)] if self.phases else []
+        moving = ["--phases", *(str(own / file) for file in self.phases)] if self.phases else []
         return ["case", *files, *moving, *roles, *places, "--frame", "RAS", *robot, *self.more.split()]
 
 
@@ -117,60 +115,41 @@ def _run(arguments: list[str], folder: Path, log: str, core: int) -> dict[str, A
         code, clock_s, processor_s, memory = spent(command, own, stream)
         stream.seek(0)
         words = stream.read().strip().splitlines()
-    return {
-        "command": shlex.join(["ctrplan", *arguments]),
-        "code": code,
-        "clock_s": round(clock_s, 1),
-        "processor_s": round(processor_s, 1),
-        "memory_MB": round(memory),
-        "words": words[-30:],
-    }
+    used = {"clock_s": round(clock_s, 1), "processor_s": round(processor_s, 1), "memory_MB": round(memory)}
+    return {"command": shlex.join(["ctrplan", *arguments]), "code": code, **used, "words": words[-30:]}
 
 
 def _figures(case: Path) -> dict[str, Any]:
-    """Claimed and measured clearance, the bound at the goal, the report's size."""
+    """Claimed and measured clearance, the bound at the goal."""
     from patient_clearance import measured_clearance  # with ctrplan, which the process that starts others needs not
 
     certificate = json.loads((case / "plan" / "plan.json").read_text())["certificate"]
     measured = measured_clearance(case / "placed.toml", case / "robot.toml", case / "plan")
-    return {
+    claimed = {
         "plan_bound_mm": certificate["goal_bound_m"] * 1e3,
-        "plan_claimed_mm": certificate["min_clearance_m"] * 1e3,
-        "measured_mm": measured.room_mm,
-        "nearest": measured.part,
-        "at_s": measured.time_s,
-        "at_mm": measured.point_mm.round(1).tolist(),
-        "shapes": measured.states,
-        "report_MB": (case / "plan" / "report.html").stat().st_size / 1e6,
+        "worst_mm": certificate["closest"]["clearance_m"] * 1e3,
     }
+    claimed["plan_claimed_mm"] = certificate["min_clearance_m"] * 1e3
+    where = {"nearest": measured.part, "at_s": measured.time_s, "at_mm": measured.point_mm.round(1).tolist()}
+    return {**claimed, "measured_mm": measured.room_mm, **where}
 
 
 def print_table(out: Path) -> None:
     """Prints what the folders below OUT hold; clearances and bounds in mm."""
     files = [out / name.replace(" ", "_") / "result.json" for name in all_cases()]
-    head = (
-        "case",
-        "robot",
-        "processor time (clock), s",
-        "memory, MB",
-        "clearance certified",
-        "worst friction",
-        "measured",
-    )
-    rows = [_row(json.loads(file.read_text()), file.parent) for file in files if file.exists()]
-    table("patients", [*head, "measured", "bound at the goal", "without it in the cost"], rows)
+    head = "case | robot | processor time (clock), s | memory, MB | clearance certified | worst friction | measured"
+    rows = (_row(json.loads(file.read_text())) for file in files if file.exists())
+    table("patients", f"{head} | bound at the goal | without it in the cost", rows)
 
 
-def _row(found: dict[str, Any], folder: Path) -> list[str]:
+def _row(found: dict[str, Any]) -> list[str]:
     made = found["made"]
     start = [found["case"], f"`{found['robot']}`", f"{made['processor_s']:.0f} ({made['clock_s']:.0f})"]
     start.append(str(made["memory_MB"]))
     if "measured_mm" not in found:
         why = next((words for words in reversed(made["words"]) if words.startswith("ctrplan:")), "")
         return [*start, f"no plan: {why}", "", "", "", ""]
-    certificate = json.loads((folder / "case" / "plan" / "plan.json").read_text())["certificate"]
-    worst_mm = certificate["closest"]["clearance_m"] * 1e3
-    sizes = found["plan_claimed_mm"], worst_mm, found["measured_mm"], found["plan_bound_mm"]
+    sizes = (found[key] for key in ("plan_claimed_mm", "worst_mm", "measured_mm", "plan_bound_mm"))
     without = f"{found['without_bound_mm']:.2f}" if "without_bound_mm" in found else "no plan"
     return [*start, *(f"{mm:.2f}" for mm in sizes), without]
 
@@ -184,18 +163,14 @@ def run(chosen: list[PublicCase], root: Path, out: Path) -> None:
             run_case(case, root, out)
             judged.append(judge.submit(judge_case, case, out))
             print(f"{time.perf_counter() - begun:4.0f} s  {case.name}", file=sys.stderr, flush=True)
-        for one in judged:
-            one.result()
+        for result in judged:
+            result.result()
 
 
 def main() -> None:
-    parser = common.parser(__doc__)
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("out", type=Path, nargs="?")
-    parser.add_argument("cases", nargs="*")
-    for option in ("page", "table", "commands", "measure"):
-        parser.add_argument(f"--{option}", action="store_true")
-    given, cases = parser.parse_args(), all_cases()
+    switches = dict.fromkeys(("page", "table", "commands", "measure"), False)
+    given, cases = common.arguments(__doc__, "folder", "out?", "cases*", **switches), all_cases()
+    given.folder, given.out = Path(given.folder), Path(given.out or ".")
     if given.measure:
         print(json.dumps(_figures(given.folder)))
     elif given.commands:

@@ -9,12 +9,9 @@ its history is simulated along the plan. Every scenario has draws of its own, an
 scenario that has no plan with all this taken off its clearances is planned without the intervals, and judged with them.
 """
 
-from __future__ import annotations
-
 import multiprocessing
-import sys
 import tempfile
-import time
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -26,16 +23,12 @@ import tomli_w
 from common import ROBOTS, SCENARIOS, table
 
 import ctrplan
+from ctrplan import CtrplanError, History, NoAnswerError, Plan, Robot, Scenario, robot_from_dict, scenario_from_dict
 from ctrplan.base.arrays import Array
 from ctrplan.calibration.parameters import BaseParameters
-from ctrplan.errors import CtrplanError, NoAnswerError
-from ctrplan.files.robot_file import robot_from_dict
-from ctrplan.files.scenario_file import scenario_from_dict
-from ctrplan.mechanics.history import History
-from ctrplan.planning import Plan
-from ctrplan.robot.robot import Robot, StatedIntervals
+from ctrplan.robot.robot import StatedIntervals
 from ctrplan.scenario.prediction import rows_to_simulate, start_states
-from ctrplan.scenario.scenario import Scenario, anatomy_grid
+from ctrplan.scenario.scenario import anatomy_grid
 from ctrplan.storage.toml_document import read_document
 from ctrplan.uncertainty.parameters import uncertain_parameters
 from ctrplan.uncertainty.tip_slopes import clamped_collars
@@ -171,54 +164,39 @@ def row(name: str, how: str, plan: Plan, found: Array) -> list[str]:
     said = plan.uncertainty
     assert said is not None and said.goal.quantile_by_history_m is not None
     miss, room = found[np.all(np.isfinite(found), axis=1)].T
-    goal, closest = said.goal, said.closest
-    tolerance = plan.scenario.goal.tolerance_m
-    return [
-        name,
-        how,
-        f"{len(miss)} of {len(found)}",
-        f"{goal.worst_m * 1e3:.2f}",
-        share(miss <= goal.worst_m),
-        f"{goal.quantile_by_history_m * 1e3:.2f}",
-        share(miss <= goal.quantile_by_history_m),
-        f"{100 * goal.chance_by_history.stated:.1f} %" if goal.chance_by_history else "",
-        share(miss > tolerance),
-        f"{closest.worst_m * 1e3:.2f}" if closest else "",
-        share(room >= closest.worst_m) if closest else "",
-        f"{100 * closest.chance_margin.stated:.1f} %" if closest else "",
-        share(room < 0) if closest else "",
-    ]
+    goal, closest, quantile_m = said.goal, said.closest, said.goal.quantile_by_history_m
+    cells = [name, how, f"{len(miss)} of {len(found)}", f"{goal.worst_m * 1e3:.2f}", share(miss <= goal.worst_m)]
+    cells += [f"{quantile_m * 1e3:.2f}", share(miss <= quantile_m)]
+    cells += [f"{100 * goal.chance_by_history.stated:.1f} %" if goal.chance_by_history else ""]
+    cells += [share(miss > plan.scenario.goal.tolerance_m)]
+    if closest is None:
+        return [*cells, *[""] * 4]
+    cells += [f"{closest.worst_m * 1e3:.2f}", share(room >= closest.worst_m)]
+    return [*cells, f"{100 * closest.chance_margin.stated:.1f} %", share(room < 0)]
 
 
-COLUMNS = (
-    "scenario", "planned", "robots", "worst miss stated (mm)", "within it", "95 % quantile stated (mm)", "within it",
-    "chance to miss the tolerance, stated", "seen", "least room stated (mm)",
-    "at least that", "chance to enter the margin, stated", "seen at the narrowest sample",
-)  # fmt: skip
+COLUMNS = "scenario | planned | robots | worst miss stated (mm) | within it | 95 % quantile stated (mm) | within it"
+COLUMNS += " | chance to miss the tolerance, stated | seen | least room stated (mm) | at least that"
+COLUMNS += " | chance to enter the margin, stated | seen at the narrowest sample"
 
 
-def main() -> None:
-    parser = common.parser(__doc__)
-    parser.add_argument("--robots", type=int, default=1000)
-    parser.add_argument("--scenarios", nargs="*", default=NAMES, choices=NAMES)
-    parser.add_argument("--processes", type=int, default=2)
-    parser.add_argument("--seed", type=int, default=0)
-    given = parser.parse_args()
-    began = time.monotonic()
-    robot = calibrated(given.seed)
-    print(f"calibrated in {time.monotonic() - began:.0f} s, model_error_mm {robot['model_error_mm']:.2f}", flush=True)
-    rows = list[list[str]]()
+def rows(given: Any, robot: Content) -> Iterator[list[str]]:
     with tempfile.TemporaryDirectory() as folder:
         for name in given.scenarios:
             scenario = placed(SCENARIOS / f"{name}.toml", robot, Path(folder))
             try:
                 plan, how = planned(scenario)
             except CtrplanError as error:
-                rows.append([name, f"no plan: {str(error).rsplit(': ', 1)[-1]}", *[""] * (len(COLUMNS) - 2)])
+                yield [name, f"no plan: {str(error).rsplit(': ', 1)[-1]}", *[""] * (COLUMNS.count("|") - 1)]
                 continue
             _TRIAL[:] = [trial(plan, given.robots, given.seed + 100 * NAMES.index(name))]
             with ProcessPoolExecutor(given.processes, multiprocessing.get_context("fork")) as pool:
                 found = np.array(list(pool.map(_drive, range(given.robots), chunksize=4)))
-            rows.append(row(name, how, plan, found))
-            print(*rows[-1], sep=", ", file=sys.stderr, flush=True)
-    table("plans", COLUMNS, rows)
+            yield row(name, how, plan, found)
+
+
+def main() -> None:
+    given = common.arguments(__doc__, robots=1000, scenarios=NAMES, processes=2, seed=0)
+    robot = calibrated(given.seed)
+    print(f"model_error_mm {robot['model_error_mm']:.2f}")
+    table("plans", COLUMNS, rows(given, robot))

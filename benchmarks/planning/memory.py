@@ -20,8 +20,8 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -32,10 +32,9 @@ from arrival import robots
 from common import ROBOTS, SCENARIOS, spent, table
 
 import ctrplan
+from ctrplan import Goal, robot_from_dict
 from ctrplan.certificate.certify import certify
-from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.scenario.joint_space import JointSpace, bare_scenario
-from ctrplan.scenario.scenario import Goal
 
 NEAR = "goal.joints={'rotate outer' = 6, 'rotate inner' = 10, 'translate inner' = -27}"  # of pair_free.toml
 SEARCH_S = 0.1
@@ -47,34 +46,20 @@ LOOKS = 10  # at the memory, over a run
 SHORT = 0.15  # of the way between random configurations, which is certified
 
 
-@dataclass(frozen=True)
-class Growth:
-    """Resident memory [MB] over a run, after the warm-up and then at even distances."""
-
-    what: str
-    memory_MB: tuple[float, ...]
-
-    @property
-    def share(self) -> float:
-        """How much of it came after the warm-up."""
-        return self.memory_MB[-1] / self.memory_MB[0] - 1
-
-
 def resident_MB() -> float:
     """Memory of this process that is in use [MB], after what Python can collect is collected."""
     gc.collect()
     return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
-def growth(what: str, work: Callable[[int], object], count: int, warm_up: int) -> Growth:
-    """Memory over `count` calls of work(k), k = 0, 1, .., the first `warm_up` left out."""
-    looks = set(np.linspace(warm_up, count, LOOKS, dtype=int).tolist())
-    memory = []
+def growth(what: str, work: Callable[[int], object], count: int, warm_up: int) -> tuple[str, list[float]]:
+    """Resident memory [MB] over `count` calls of work(k), k = 0, 1, .., after the warm-up, then at even distances."""
+    looks, memory = set(np.linspace(warm_up, count, LOOKS, dtype=int).tolist()), list[float]()
     for k in range(count):
         work(k)
         if k + 1 in looks:
             memory.append(resident_MB())
-    return Growth(what, tuple(memory))
+    return what, memory
 
 
 def plan_again(seed: int) -> None:
@@ -102,19 +87,12 @@ def runs(plans: int, bounds: int) -> int:
         growth(f"{batches * BATCH:,} bounds, three tubes", several, batches, max(batches // 20, 1)),
         growth(f"{plans:,} plans", plan_again, plans, min(WARM_UP, plans // 2)),
     ]
-    rows = []
-    for run in found:
-        first, last = run.memory_MB[0], run.memory_MB[-1]
-        between = " ".join(f"{value:.1f}" for value in run.memory_MB[1:-1])
-        rows.append((run.what, f"{first:.1f} MB", f"{last:.1f} MB", f"{100 * run.share:+.2f} %", between))
-    table("runs", ("run", "after the warm-up", "at the end", "growth", "at even distances between, MB"), rows)
-    return int(any(run.share >= GROWTH for run in found))
-
-
-def plans_apart(names: list[str], at_least: int) -> int:
-    rows = [plan_apart(name, at_least) for name in names or sorted(path.stem for path in SCENARIOS.glob("*.toml"))]
-    table("a plan by itself", ("scenario", "triangles", "outcome", "peak memory", "CPU time", "by the clock"), rows)
-    return 0
+    rows, grown = [], [memory_MB[-1] / memory_MB[0] - 1 for _, memory_MB in found]
+    for (what, memory_MB), share in zip(found, grown, strict=True):
+        between = " ".join(f"{value:.1f}" for value in memory_MB[1:-1])
+        rows.append((what, f"{memory_MB[0]:.1f} MB", f"{memory_MB[-1]:.1f} MB", f"{100 * share:+.2f} %", between))
+    table("runs", "run | after the warm-up | at the end | growth | at even distances between, MB", rows)
+    return int(max(grown) >= GROWTH)
 
 
 def plan_apart(scenario: str, at_least: int) -> tuple[object, ...]:
@@ -155,19 +133,17 @@ def with_innermost(content: dict[str, Any], number: int) -> dict[str, Any]:
     innermost = copy.deepcopy(content["tube"][-1])
     innermost |= {"outer_diameter_mm": 1.1, "inner_diameter_mm": 0.8, "bending_stiffness_Nm2": 0.003}
     innermost["section"][0]["length_mm"] += innermost["collar_length_mm"]
-    joints = [  # it slides with the tube around it
-        {**joint, "moves": {kind: [*by, by[-1] if kind == "l" else 0] for kind, by in joint["moves"].items()}}
-        for joint in content["joint"]
-    ]
+    moves = ({kind: [*by, by[-1] * (kind == "l")] for kind, by in of["moves"].items()} for of in content["joint"])
+    joints = [{**joint, "moves": own} for joint, own in zip(content["joint"], moves, strict=True)]  # it slides along
     joints += [{"name": f"rotate tube {number}", "moves": {"theta": [0] * (number - 1) + [1]}}]
     home = [*content["home"]["l_mm"], content["home"]["l_mm"][-1] - innermost["collar_length_mm"]]
     tubes, contacts = [*content["tube"], innermost], [*content["contact"], content["contact"][-1]]
     return {**content, "tube": tubes, "contact": contacts, "joint": joints, "home": {"l_mm": home}}
 
 
-def by_tubes() -> None:
-    """Times the bound at random configurations, and the certificate of short motions in free space."""
-    files, rows = robots(), []
+def by_tubes() -> Iterator[tuple[object, ...]]:
+    """The bound at random configurations, and the certificate of short motions in free space."""
+    files = robots()
     files["five tubes"] = with_innermost(files["four tubes"], 5)
     for name in ("pair", "three tubes", "four tubes", "five tubes"):
         robot, rng = robot_from_dict(files[name]), np.random.default_rng(1)
@@ -184,66 +160,57 @@ def by_tubes() -> None:
             certificate = certify(case, np.array([start, start + SHORT * (end - start)]), restart=False)
             if certificate.valid:
                 samples.append((time.process_time() - began) / len(certificate.samples.leg))
-        rows.append((name, f"{1e3 * bound_s:.2f} ms", f"{1e3 * np.median(samples):.1f} ms"))
-        print(*rows[-1], sep=", ", file=sys.stderr, flush=True)
-    table("growth with tubes", ("robot", "bound", "certificate, a sample"), rows)
+        yield name, f"{1e3 * bound_s:.2f} ms", f"{1e3 * np.median(samples):.1f} ms"
 
 
-def by_targets() -> None:
-    """Times plans of tours in free space whose targets are tips of random configurations."""
-    rows = []
+def by_targets() -> Iterator[tuple[object, ...]]:
+    """Plans of tours in free space whose targets are tips of random configurations."""
     for count in (1, 2, 5, 10, 20):
-        case, rng = ctrplan.load_scenario(SCENARIOS / "pair_free.toml"), np.random.default_rng(0)
-        tips = [
-            case.robot.solve(*case.robot.drive.collars(q)).tip_m
-            for q in JointSpace.of_robot(case.robot).sample(rng, count)
-        ]
-        names = [f"target {k + 1}" for k in range(count)]
-        goals = [replace(case.goal, joints=None, tip_m=tip, name=name) for tip, name in zip(tips, names, strict=True)]
+        case = ctrplan.load_scenario(SCENARIOS / "pair_free.toml")
+        joints = JointSpace.of_robot(case.robot).sample(np.random.default_rng(0), count)
+        tips = [case.robot.solve(*case.robot.drive.collars(q)).tip_m for q in joints]
+        goals = [replace(case.goal, joints=None, tip_m=tip, name=f"target {k}") for k, tip in enumerate(tips, start=1)]
         case, began = replace(case, via=tuple(goals[:-1]), goal=goals[-1]), time.process_time()
         try:
             outcome = f"{ctrplan.plan(case).certificate.length_mm:.0f} mm"
         except ctrplan.NoAnswerError as error:
             outcome = str(error).rsplit(": ", 1)[-1]
-        rows.append((count, outcome, f"{time.process_time() - began:.1f} s"))
-        print(*rows[-1], sep=", ", file=sys.stderr, flush=True)
-    table("growth with targets", ("targets", "joint length", "CPU time"), rows)
+        yield count, outcome, f"{time.process_time() - began:.1f} s"
 
 
-def by_legs() -> None:
-    """Times the certificate of a path that goes to and fro between two configurations of a scenario."""
-    plan, rows = ctrplan.plan(ctrplan.load_scenario(SCENARIOS / "vessel.toml"), time_s=1.0), []
+def by_legs() -> Iterator[tuple[object, ...]]:
+    """The certificate of a path that goes to and fro between two configurations of a scenario."""
+    plan = ctrplan.plan(ctrplan.load_scenario(SCENARIOS / "vessel.toml"), time_s=1.0)
     there = plan.waypoints
     for count in (1, 2, 4, 8):
         way = np.vstack([there[:1], *([there[1:], there[-2::-1]] * count)[:count]])
         case, began = replace(plan.scenario, goal=Goal(way[-1], None, 1e-3)), time.process_time()
         certificate = certify(case, way)
-        rows.append((len(way) - 1, len(certificate.samples.leg), f"{time.process_time() - began:.1f} s"))
-        print(*rows[-1], sep=", ", file=sys.stderr, flush=True)
-    table("growth with legs", ("legs", "samples", "CPU time of the certificate"), rows)
+        yield len(way) - 1, len(certificate.samples.leg), f"{time.process_time() - began:.1f} s"
 
 
-def by_triangles() -> None:
-    """Times plans in the vessel, its mesh divided into more and more triangles."""
-    rows = [plan_apart("vessel", count)[1:] for count in (1_000, 10_000, 100_000, 1_000_000)]
-    table("growth with triangles", ("triangles", "outcome", "peak memory", "CPU time", "by the clock"), rows)
+def by_triangles() -> Iterator[tuple[object, ...]]:
+    """Plans in the vessel, its mesh divided into more and more triangles."""
+    return (plan_apart("vessel", count)[1:] for count in (1_000, 10_000, 100_000, 1_000_000))
 
 
-BY = {"triangles": by_triangles, "tubes": by_tubes, "targets": by_targets, "legs": by_legs}
+OUTCOME = "triangles | outcome | peak memory | CPU time | by the clock"
+BY: dict[str, common.Table] = {
+    "triangles": ("growth with triangles", OUTCOME, by_triangles),
+    "tubes": ("growth with tubes", "robot | bound | certificate, a sample", by_tubes),
+    "targets": ("growth with targets", "targets | joint length | CPU time", by_targets),
+    "legs": ("growth with legs", "legs | samples | CPU time of the certificate", by_legs),
+}
 
 
 def main() -> int:
-    parser = common.parser(__doc__)
-    parser.add_argument("section", choices=["runs", "plan", "growth"])
-    parser.add_argument("scenarios", nargs="*")
-    parser.add_argument("--plans", type=int, default=1000)
-    parser.add_argument("--bounds", type=int, default=100_000)
-    parser.add_argument("--triangles", type=int, default=0)
-    given = parser.parse_args()
+    options = {"plans": 1000, "bounds": 100_000, "triangles": 0}
+    given = common.arguments(__doc__, ("section", ("runs", "plan", "growth")), "names*", **options)
     if given.section == "runs":
         return runs(given.plans, given.bounds)
     if given.section == "growth":
-        for name in given.scenarios or BY:
-            BY[name]()
-        return 0
-    return plans_apart(given.scenarios, given.triangles)
+        common.sections(given.names, BY)
+    else:
+        names = given.names or sorted(path.stem for path in SCENARIOS.glob("*.toml"))
+        table("a plan by itself", f"scenario | {OUTCOME}", (plan_apart(name, given.triangles) for name in names))
+    return 0

@@ -1,22 +1,15 @@
 """Does the bound pay? Queries known to be feasible, planned with the bound in the cost and blind to it, several seeds.
 
-    python benchmarks/run.py planning [--seeds 5] [--time S | --count S] [--only SCENARIO ...] [--results FILE]
-    python benchmarks/run.py planning --results FILE --summary
+    python benchmarks/run.py planning [--seeds 5] [--count S] [--only SCENARIO ...]
 
 A search ends by work counted, about what takes the scenario's planner.time_s, or the one given with --count, so that
-plans do not depend on the load of the machine; times are given in CPU seconds beside, which hardly do. Results are kept
-in the file as they come, and a run that was broken off goes on where it was. For each certified plan one random
-history, friction at a random corner at its start, is simulated against the bound and the anatomy.
+plans do not depend on the load of the machine. For each certified plan one random history, friction at a random corner
+at its start, is simulated against the bound and the anatomy.
 """
 
-from __future__ import annotations
-
 import itertools
-import json
 import resource
-import sys
-import time
-from pathlib import Path
+from collections.abc import Iterator
 from typing import Any
 
 import common
@@ -25,11 +18,8 @@ from common import table
 from planning_queries import Query, queries
 
 import ctrplan
+from ctrplan import CtrplanError, MotionChecker, Plan
 from ctrplan.anatomy.parts import exact_clearance
-from ctrplan.drive.trajectory import time_parameterise, verify_limits
-from ctrplan.errors import CtrplanError
-from ctrplan.motion.checker import MotionChecker
-from ctrplan.planning import Plan
 from ctrplan.planning.goal_states import goal_states
 
 BLIND = ["cost.error_along=0", "cost.error_goal=0"]
@@ -39,44 +29,25 @@ CHOICE = 1.5  # ratio between bounds of goal configurations from which a query h
 HISTORY_STEPS = 8  # a leg
 
 
-def run(query: Query, mode: str, seed: int, time_s: float | None, count_s: float | None) -> dict[str, Any]:
+def run(query: Query, mode: str, seed: int, count_s: float | None) -> dict[str, Any]:
     """A plan's figures, or why there is none."""
     row: dict[str, Any] = {"query": query.name, "scenario": query.scenario, "mode": mode, "seed": seed}
     overrides = MODES[mode] + ([] if count_s is None else [f"planner.time_s={count_s}"])
-    cpu, wall = time.process_time(), time.monotonic()
     try:
-        plan = ctrplan.plan(query.load(overrides), seed=seed, time_s=time_s)
+        plan = ctrplan.plan(query.load(overrides), seed=seed)
     except CtrplanError as error:
         return row | {"solved": False, "why": str(error)}
-    c, share = plan.certificate, (time.process_time() - cpu) / (time.monotonic() - wall)
+    c = plan.certificate
     return row | {
         "solved": c.valid,
-        "first_s": plan.first_certified_s,
-        "first_cpu_s": plan.first_certified_s * share,  # as the whole plan had the processor, on average
-        "total_s": time.monotonic() - wall,
-        "total_cpu_s": time.process_time() - cpu,
-        "ended_by": plan.ended_by,
         "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,  # of the process so far
         "goal_mm": c.goal_bound_m * 1e3,
         "arrival_mm": c.arrival.error_m * 1e3 if c.arrival else np.nan,
         "realised_mm": realised_mm(plan, np.random.default_rng(seed)),
         "integral_mm": c.error_integral_mm,
         "length_mm": c.length_mm,
-        "stops": c.stops,
-        "duration_ratio": duration_ratio(plan),
-        "worst_limit": max(max(joint.values()) for joint in verify_limits(plan.trajectory, drive(plan)).values()),
         **history_excess(plan, np.random.default_rng(seed)),
     }
-
-
-def drive(plan: Plan) -> Any:
-    return plan.scenario.robot.drive
-
-
-def duration_ratio(plan: Plan) -> float:
-    """Duration over the sum of the legs' own jerk-limited optima."""
-    alone = [time_parameterise(np.array([leg.start, leg.end]), drive(plan)).duration_s for leg in plan.legs]
-    return plan.trajectory.duration_s / sum(alone) if sum(alone) else 1.0
 
 
 def realised_mm(plan: Plan, rng: np.random.Generator) -> float:
@@ -117,72 +88,40 @@ def has_choice(query: Query) -> bool:
     return len(bounds) > 1 and max(bounds) >= CHOICE * min(bounds)
 
 
-def results(
-    chosen: list[Query], seeds: int, limits: tuple[float | None, float | None], file: Path | None
-) -> list[dict[str, Any]]:
-    """Every query in both modes with every seed; those in the file are not run again."""
-    rows = common.kept(file)
-    done = {(row["query"], row["mode"], row["seed"]): row for row in rows}
-    choices = {row["query"]: row["choice"] for row in rows}
-    for seed, query, mode in itertools.product(range(seeds), in_turn(chosen), MODES):
-        if (query.name, mode, seed) in done:
-            continue
-        if query.name not in choices:
-            choices[query.name] = has_choice(query)
-        rows.append(run(query, mode, seed, *limits) | {"choice": choices[query.name]})
-        print(json.dumps(rows[-1]), file=sys.stderr, flush=True)
-        if file:
-            common.keep(file, rows[-1])
-    names = {query.name for query in chosen}
-    return [row for row in rows if row["query"] in names and row["seed"] < seeds]
-
-
-def in_turn(chosen: list[Query]) -> list[Query]:
-    """The scenarios' queries by turns, so that a run that is broken off says something about all of them."""
-    turns = [(sum(other.scenario == query.scenario for other in chosen[:k]), k) for k, query in enumerate(chosen)]
-    return [chosen[k] for _, k in sorted(turns)]
+def results(chosen: list[Query], seeds: int, count_s: float | None) -> Iterator[dict[str, Any]]:
+    """Every query in both modes with every seed."""
+    for query in chosen:
+        choice = has_choice(query)
+        for seed, mode in itertools.product(range(seeds), MODES):
+            yield run(query, mode, seed, count_s) | {"choice": choice}
 
 
 def print_table(rows: list[dict[str, Any]]) -> None:
     """What the rows say, beside what is wanted."""
     solved = [row for row in rows if row["solved"]]
-    first, cpu = [row["first_s"] for row in solved], [row["first_cpu_s"] for row in solved]
     pairs, names = paired([row for row in solved if row["choice"]]), {row["query"] for row in rows}
-    stops = [np.mean([row["stops"] for row in solved if row["mode"] == mode]) for mode in MODES]
     beyond = sum(row["history_excess_mm"] > 0.05 for row in solved)
     touching = sum(row["history_clearance_mm"] < 0 for row in solved)
-    quantiles = [(np.median(of), np.percentile(of, 95)) for of in (first, cpu)]
     lines = [
         ("queries", len(names), ">= 40"),
         ("of them with a choice", len({row["query"] for row in rows if row["choice"]}), ""),
         ("plans solved and certified", f"{len(solved)} of {len(rows)}", "all"),
-        ("time to first certified path, median", f"{quantiles[0][0]:.2f} s", "<= 1 s"),
-        ("the same, 95th percentile", f"{quantiles[0][1]:.2f} s", "<= 5 s"),
-        ("CPU seconds of all threads, median", f"{quantiles[1][0]:.2f} s", ""),
-        ("the same, 95th percentile", f"{quantiles[1][1]:.2f} s", ""),
         ("worst-case error at the goal, aware / blind, median with a choice", ratio(pairs, "goal_mm"), "<= 0.4 x"),
         ("arrival, median, aware / blind", medians(pairs, "arrival_mm"), ""),
         ("from the target after a random corner of friction, median, aware / blind", medians(pairs, "realised_mm"), ""),
         ("integral of the bound along the path", ratio(pairs, "integral_mm"), "<= 0.6 x"),
         ("joint path length", ratio(pairs, "length_mm"), "<= 1.5 x"),
-        ("stops per plan, aware / blind, mean", " / ".join(f"{x:.1f}" for x in stops), ""),
-        ("longest over its legs' own optima", f"{max(row['duration_ratio'] for row in solved):.3f} x", "<= 1.05 x"),
-        ("largest share of a trajectory limit", f"{max(row['worst_limit'] for row in solved):.6f}", "<= 1"),
         ("histories beyond the bound by more than 0.05 mm", beyond, "0"),
         ("histories that touch the anatomy's margins", touching, "0"),
-        ("peak memory", f"{max(row.get('peak_mb', np.nan) for row in solved):.0f} MB", "<= 1000 MB"),
+        ("peak memory", f"{max((row['peak_mb'] for row in solved), default=np.nan):.0f} MB", "<= 1000 MB"),
     ]
     table("what was found", ("", "found", "wanted"), lines)
 
 
 def paired(rows: list[dict[str, Any]]) -> list[tuple[dict[str, Any], dict[str, Any]]]:
     """Aware and blind plans of the same query and seed."""
-    by_key = {(row["query"], row["seed"], row["mode"]): row for row in rows}
-    return [
-        (row, by_key[q, s, "blind"])
-        for (q, s, mode), row in by_key.items()
-        if mode == "aware" and (q, s, "blind") in by_key
-    ]
+    aware, blind = ({(row["query"], row["seed"]): row for row in rows if row["mode"] == mode} for mode in MODES)
+    return [(aware[key], blind[key]) for key in aware if key in blind]
 
 
 def ratio(pairs: list[tuple[dict[str, Any], dict[str, Any]]], key: str) -> str:
@@ -192,25 +131,10 @@ def ratio(pairs: list[tuple[dict[str, Any], dict[str, Any]]], key: str) -> str:
 
 def medians(pairs: list[tuple[dict[str, Any], dict[str, Any]]], key: str) -> str:
     """Medians of the aware plans and of the blind ones."""
-    if not pairs:
-        return "none"
-    return " / ".join(f"{np.median([pair[k][key] for pair in pairs]):.3f} mm" for k in (0, 1))
+    return " / ".join(f"{np.median([pair[k][key] for pair in pairs]):.3f} mm" for k in (0, 1)) if pairs else "none"
 
 
 def main() -> None:
-    parser = common.parser(__doc__)
-    parser.add_argument("--seeds", type=int, default=5)
-    limit = parser.add_mutually_exclusive_group()
-    limit.add_argument("--time", type=float, metavar="S", help="of each plan, by the clock")
-    limit.add_argument(
-        "--count", type=float, metavar="S", help="of each plan, by work counted (default: the scenario's)"
-    )
-    parser.add_argument("--only", nargs="+", metavar="SCENARIO", help="these scenarios' queries")
-    parser.add_argument("--results", type=Path, metavar="FILE", help="kept and continued")
-    parser.add_argument("--summary", action="store_true", help="run nothing: what is in the file of results")
-    arguments = parser.parse_args()
-    if arguments.summary:
-        print_table(common.kept(arguments.results))
-        return
-    chosen = [query for query in queries() if not arguments.only or query.scenario in arguments.only]
-    print_table(results(chosen, arguments.seeds, (arguments.time, arguments.count), arguments.results))
+    given = common.arguments(__doc__, seeds=5, count=float, only=[""])
+    chosen = [query for query in queries() if not any(given.only) or query.scenario in given.only]
+    print_table(list(results(chosen, given.seeds, given.count)))

@@ -14,32 +14,29 @@ choice: how much choice the scenarios' goals leave: goal configurations, their b
 """
 
 import itertools
-import os
-import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import common
 import numpy as np
 from arrival import driven, pasts
-from common import ROOT, SCENARIOS, again, table
+from common import ROOT, SCENARIOS, elsewhere, table
 
 import ctrplan
+from ctrplan import Capsule, Cost, MotionChecker, Plan, Scenario, load_scenario
 from ctrplan.anatomy.parts import AnatomyPart
-from ctrplan.anatomy.shapes.capsule import Capsule
 from ctrplan.base import long_work
-from ctrplan.files.scenario_file import load_scenario
-from ctrplan.motion.checker import MotionChecker
-from ctrplan.planning import Plan
 from ctrplan.planning.goal_states import goal_states
 from ctrplan.planning.search.stage_search import Progress
-from ctrplan.scenario.scenario import Cost, Scenario, path_cost_mm
+from ctrplan.scenario.scenario import path_cost_mm
 
 BLIND = ["cost.error_along=0", "cost.error_goal=0"]
-COLUMNS = ("scenario", "bound in the cost", "first certified path", "cost", "joint length", "worst bound")
-COLUMNS += ("bound at the goal", "less what is released", "predicted", "arrival", "driven after random pasts", "stops")
+COLUMNS = "scenario | bound in the cost | first certified path | cost | joint length | worst bound | bound at the goal"
+COLUMNS += " | less what is released | predicted | arrival | driven after random pasts | stops"
 PASTS = 20  # from which each plan is simulated
 
 
@@ -76,38 +73,27 @@ def driven_mm(plan: Plan) -> str:
     return f"{np.median(off):.2f}, {off.max():.2f} mm"
 
 
-def plans(paths: list[Path], seed: int) -> None:
-    rows = []
+def plans(paths: list[Path], seed: int) -> Iterator[tuple[str, ...]]:
+    for path, (label, overrides) in itertools.product(paths, (("yes", []), ("no", BLIND))):
+        scenario = ctrplan.load_scenario(path, overrides)
+        try:
+            found = cells(ctrplan.plan(scenario, seed=seed), ctrplan.load_scenario(path).cost)
+        except ctrplan.CtrplanError as error:
+            found = [str(error).rsplit(": ", 1)[-1], *[""] * (COLUMNS.count("|") - 2)]
+        yield scenario.name, label, *found
+
+
+def choice(paths: list[Path]) -> Iterator[tuple[object, ...]]:
+    """Number of valid goal configurations, lowest and highest bound [mm]; not for joint goals and tours."""
     for path in paths:
-        for label, overrides in (("yes", []), ("no", BLIND)):
-            scenario = ctrplan.load_scenario(path, overrides)
-            try:
-                found = cells(ctrplan.plan(scenario, seed=seed), ctrplan.load_scenario(path).cost)
-            except ctrplan.CtrplanError as error:
-                found = [str(error).rsplit(": ", 1)[-1], *[""] * (len(COLUMNS) - 3)]
-            rows.append((scenario.name, label, *found))
-            print(*rows[-1], sep=", ", file=sys.stderr, flush=True)
-    table("plans", COLUMNS, rows)
-
-
-def choice(path: Path) -> tuple[int, float, float] | None:
-    """Number of valid goal configurations, lowest and highest bound [mm]; None for joint goals and tours."""
-    scenario = load_scenario(path)
-    first = scenario.targets[0]
-    if first.tip_m is None or len(scenario.targets) > 2:
-        return None
-    stage = replace(scenario, goal=first, via=())
-    bounds = [goal.bound_m * 1e3 for goal in goal_states(MotionChecker(stage), np.random.default_rng(0))]
-    return len(bounds), min(bounds), max(bounds)
-
-
-def print_choice(paths: list[Path]) -> None:
-    rows = []
-    for path in paths:
-        if found := choice(path):
-            count, low, high = found
-            rows.append((path.stem, count, f"{low:.2f} to {high:.2f} mm", f"{high / low:.1f} x"))
-    table("choice", ("scenario", "goal configurations", "bounds", "choice"), rows)
+        scenario = load_scenario(path)
+        first = scenario.targets[0]
+        if first.tip_m is None or len(scenario.targets) > 2:
+            continue
+        stage = replace(scenario, goal=first, via=())
+        bounds = [goal.bound_m * 1e3 for goal in goal_states(MotionChecker(stage), np.random.default_rng(0))]
+        low, high = min(bounds), max(bounds)
+        yield path.stem, len(bounds), f"{low:.2f} to {high:.2f} mm", f"{high / low:.1f} x"
 
 
 def plan_once(path: Path, seed: int, time_s: float) -> tuple[float, float, float]:
@@ -123,31 +109,29 @@ def plan_once(path: Path, seed: int, time_s: float) -> tuple[float, float, float
     return cost_mm(plan, scenario.cost), 1e3 * plan.certificate.goal_bound_m, took
 
 
-def costs(paths: list[Path], time_s: float, seeds: int, against: Path | None) -> None:
+def costs(paths: list[Path], given: Any) -> None:
     """A row for each scenario, medians over the seeds; each plan in a process of its own, checkouts in alternation."""
-    trees, rows = [ROOT] + ([against.resolve()] if against else []), list[tuple[str, ...]]()
-    for path in paths:
-        values = np.full((len(trees), seeds, 3), np.nan)
-        for seed in range(seeds):
-            for k in range(len(trees)) if seed % 2 else reversed(range(len(trees))):
-                line = again("scenarios", "--once", str(path), str(seed), str(time_s))
-                environment = os.environ | {"PYTHONPATH": str(trees[k])}
-                done = subprocess.run(line, env=environment, stdout=subprocess.PIPE, text=True, check=True)
-                values[k, seed] = [float(x) for x in done.stdout.split()]
-        cells = [path.stem]
-        for solved in values:
-            there = np.isfinite(solved[:, 0])
-            cost, bound = (np.median(solved[there, c]) if there.any() else np.nan for c in (0, 1))
-            least = np.nanmin(solved[:, 0], initial=np.inf)
-            cells += [f"{there.sum()} of {seeds}", f"{cost:.1f} mm", f"{least:.1f} mm", f"{bound:.2f} mm"]
-            cells += [f"{np.median(solved[:, 2]):.1f} s"]
-        rows.append(tuple(cells))
-        print(*rows[-1], sep=", ", file=sys.stderr, flush=True)
-    heads = [f"{name}{where}" for where in ("", ", there")[: len(trees)] for name in COST_COLUMNS]
-    table("costs", ("scenario", *heads), rows)
+    trees = [ROOT] + ([given.against.resolve()] if given.against else [])
 
+    def rows() -> Iterator[list[str]]:
+        for path in paths:
+            values = np.full((len(trees), given.seeds, 3), np.nan)
+            for seed in range(given.seeds):
+                for k in range(len(trees)) if seed % 2 else reversed(range(len(trees))):
+                    arguments = ("once", path.stem, "--seed", str(seed), "--time", str(given.time))
+                    values[k, seed] = elsewhere(trees[k], "scenarios", *arguments)
+            cells = [path.stem]
+            for solved in values:
+                there = np.isfinite(solved[:, 0])
+                cost, bound = (np.median(solved[there, c]) if there.any() else np.nan for c in (0, 1))
+                least = np.nanmin(solved[:, 0], initial=np.inf)
+                cells += [f"{there.sum()} of {given.seeds}", f"{cost:.1f} mm", f"{least:.1f} mm", f"{bound:.2f} mm"]
+                cells += [f"{np.median(solved[:, 2]):.1f} s"]
+            yield cells
 
-COST_COLUMNS = ("planned", "cost, median", "least", "bound at the goal", "processor")
+    names = ("planned", "cost, median", "least", "bound at the goal", "processor")
+    heads = [f"{name}{where}" for where in ("", ", there")[: len(trees)] for name in names]
+    table("costs", ("scenario", *heads), rows())
 
 
 def ended_by_a_path(progress: Progress) -> None:
@@ -156,13 +140,12 @@ def ended_by_a_path(progress: Progress) -> None:
         raise StopIteration
 
 
-def success(scenarios: dict[str, list[Scenario]], time_s: float, seeds: range, title: str) -> None:
+def success(scenarios: dict[str, list[Scenario]], given: Any) -> Iterator[tuple[str, ...]]:
     """A row for each name; searches end by their count alone, so that a busy machine has the same rows."""
     long_work.LEAST_REAL_S = np.inf
-    rows = list[tuple[str, ...]]()
     for name, several in scenarios.items():
         took, planned = list[float](), 0
-        for scenario, seed in itertools.product(several, seeds):
+        for scenario, seed in itertools.product(several, range(given.seed, given.seed + given.seeds)):
             told = None if scenario.via else ended_by_a_path  # a tour is planned to its end
             began = time.process_time()
             try:
@@ -172,10 +155,7 @@ def success(scenarios: dict[str, list[Scenario]], time_s: float, seeds: range, t
             except ctrplan.CtrplanError as error:
                 print(name, seed, error, file=sys.stderr, flush=True)
             took.append(time.process_time() - began)
-        rows.append((name, f"{planned} of {len(took)}", f"{np.median(took):.1f} s", f"{max(took):.1f} s"))
-        print(*rows[-1], sep=", ", file=sys.stderr, flush=True)
-    heads = ("scenario", f"planned in {time_s:g} s", "median time of a processor", "longest")
-    table(title, heads, rows)
+        yield name, f"{planned} of {len(took)}", f"{np.median(took):.1f} s", f"{max(took):.1f} s"
 
 
 CAGE_M, BAR_M, FROM_M, TO_M, EVERY_DEG = (18e-3, 0.8e-3, 130e-3, 260e-3, 6)  # of bars; outer tubes reach 150
@@ -204,30 +184,20 @@ def caged(wide_deg: float, time_s: float) -> list[Scenario]:
 
 
 def main() -> None:
-    if "--once" in sys.argv:
-        path, seed, time_s = sys.argv[sys.argv.index("--once") + 1 :][:3]
-        print(*plan_once(Path(path), int(seed), float(time_s)))
-        return
-    parser = common.parser(__doc__)
-    parser.add_argument("section", choices=["plans", "choice", "costs", "success", "cage"])
-    parser.add_argument("scenarios", nargs="*")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--seeds", type=int, default=5)
-    parser.add_argument("--time", type=float, default=1.0)
-    parser.add_argument("--against", type=Path, help="another checkout")
-    given = parser.parse_args()
-    every = sorted(SCENARIOS.glob("*.toml"))
-    paths = [path for path in every if not given.scenarios or path.stem in given.scenarios]
-    seeds = range(given.seed, given.seed + given.seeds)
-    if given.section == "plans":
-        plans(paths, given.seed)
+    known, options = ("plans", "choice", "costs", "success", "cage", "once"), {"seed": 0, "seeds": 5, "time": 1.0}
+    given = common.arguments(__doc__, ("section", known), "scenarios*", against=Path, **options)
+    paths = [p for p in sorted(SCENARIOS.glob("*.toml")) if not given.scenarios or p.stem in given.scenarios]
+    if given.section == "once":
+        print(*plan_once(paths[0], given.seed, given.time))
+    elif given.section == "plans":
+        table("plans", COLUMNS, plans(paths, given.seed))
+    elif given.section == "choice":
+        table("choice", "scenario | goal configurations | bounds | choice", choice(paths))
     elif given.section == "costs":
-        costs(paths, given.time, given.seeds, given.against)
-    elif given.section == "success":
-        shipped = {path.stem: [ctrplan.load_scenario(path, [f"planner.time_s={given.time}"])] for path in paths}
-        success(shipped, given.time, seeds, "success")
-    elif given.section == "cage":
-        cages = {f"gaps of {wide} deg": caged(wide, given.time) for wide in WIDE_DEG}
-        success(cages, given.time, seeds, "cage")
+        costs(paths, given)
     else:
-        print_choice(paths)
+        chosen = {path.stem: [ctrplan.load_scenario(path, [f"planner.time_s={given.time}"])] for path in paths}
+        if given.section == "cage":
+            chosen = {f"gaps of {wide} deg": caged(wide, given.time) for wide in WIDE_DEG}
+        head = f"scenario | planned in {given.time:g} s | median time of a processor | longest"
+        table(given.section, head, success(chosen, given))

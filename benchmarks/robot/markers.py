@@ -12,13 +12,13 @@ from dataclasses import replace
 
 import common
 import numpy as np
-from common import ROOT
+from common import ROBOTS, table
 from measured_data import chain_of, waypoints
 
 import ctrplan
+from ctrplan import Measurements
 from ctrplan.base.arrays import Array
 from ctrplan.calibration.residuals import Noise, information_inverse, residuals
-from ctrplan.measurement.measurements import Measurements
 from ctrplan.pipeline.parametric_chain import ParametricChain
 
 SIGMA_M = 0.3e-3
@@ -51,24 +51,6 @@ def left_shares(chain: ParametricChain) -> tuple[Array, float]:
     return np.linalg.norm(root, axis=1) / chain.prior, took
 
 
-def intervals(configurations: int) -> None:
-    """One row a parameter."""
-    robot = ctrplan.load_robot(ROOT / "scenarios" / "robots" / "three_tube.toml", [MARKERS])
-    plan = waypoints(robot, configurations)
-    plan = replace(plan, l_commanded=np.column_stack([plan.l_commanded[:, :1] * 0, drawn_back(plan)]))
-    columns, times = [], []
-    for count in (0, 1, 3):
-        chain = chain_of(robot, of_points(plan, count), TERMS)
-        shares, took = left_shares(chain)
-        columns.append(shares)
-        times.append(f"{1e3 * took / plan.count:.1f} ms a pose")
-    print(f"{configurations} configurations, {plan.count} poses; 95 % intervals in % of their priors'")
-    print("| | tip alone | and a ring on tube 3 | and on tubes 2 and 1 |\n| --- | --- | --- | --- |")
-    for parameter, row in zip(chain.parameters, np.array(columns).T, strict=True):
-        print(f"| {parameter.name} | " + " | ".join(f"{100 * share:.0f}" for share in row) + " |")
-    print("| prediction with derivatives | " + " | ".join(times) + " |")
-
-
 def drawn_back(plan: Measurements) -> Array:
     """(R, 2) translations of tubes 2, which is locked to tube 1, and 3, a new one for each configuration."""
     rng = np.random.default_rng(5)
@@ -78,6 +60,17 @@ def drawn_back(plan: Measurements) -> Array:
 
 
 def main() -> None:
-    parser = common.parser(__doc__)
-    parser.add_argument("--configurations", type=int, default=12)
-    intervals(parser.parse_args().configurations)
+    configurations = common.arguments(__doc__, configurations=12).configurations
+    robot = ctrplan.load_robot(ROBOTS / "three_tube.toml", [MARKERS])
+    plan = waypoints(robot, configurations)
+    plan = replace(plan, l_commanded=np.column_stack([plan.l_commanded[:, :1] * 0, drawn_back(plan)]))
+    columns, times = [], []
+    for count in (0, 1, 3):
+        chain = chain_of(robot, of_points(plan, count), TERMS)
+        shares, took = left_shares(chain)
+        columns.append([f"{100 * share:.0f}" for share in shares])
+        times.append(f"{1e3 * took / plan.count:.1f} ms a pose")
+    names = [*(parameter.name for parameter in chain.parameters), "prediction with derivatives"]
+    rows = zip(names, *(([*column, took]) for column, took in zip(columns, times, strict=True)), strict=True)
+    title = f"{configurations} configurations, {plan.count} poses; 95 % intervals in % of their priors'"
+    table(title, ("", "tip alone", "and a ring on tube 3", "and on tubes 2 and 1"), rows)

@@ -3,12 +3,10 @@
 python benchmarks/run.py friction_sensitivity FOLDER            # 1,152 bounds of as many robots, some 15 s of a core
 """
 
-from pathlib import Path
-
 import common
 import matplotlib.pyplot as plt
 import numpy as np
-from common import ROBOTS, STUDIES, save
+from common import STUDIES, save
 
 import ctrplan
 from ctrplan.reports import looks
@@ -19,33 +17,22 @@ FRICTION = ("contact.1.friction_coefficient", "contact.2.friction_coefficient")
 SHARES = (0.05, 0.5, 0.95)
 
 
-def print_numbers(study: ctrplan.Study, table: ctrplan.StudyTable, found: Sensitivity) -> None:
+def print_numbers(table: ctrplan.StudyTable, found: Sensitivity) -> None:
     bound = table["bound_mm"]
     known = bound[np.isfinite(bound)]
     at = ", ".join(f"{share:.0%}: {value:.2f}" for share, value in zip(SHARES, np.quantile(known, SHARES), strict=True))
     print(f"{len(table)} robots, {len(known)} with a bound; bound (mm) at {at}; {known.min():.2f} to {known.max():.2f}")
-    theta, l = (study.job.task[key] for key in ("theta_deg", "l_mm"))  # noqa: E741
-    for mu in (0.1, 0.2, 0.3):
-        robot = ctrplan.load_robot(ROBOTS / "three_tube_insertion.toml", [f"{key}={mu}" for key in FRICTION])
-        exact = robot.bound(*robot.collars(np.radians(theta), np.multiply(l, 1e-3))).position_m
-        print(f"  nominal tubes, friction {mu}: {exact * 1e3:.2f} mm")
     for k in np.argsort(-found.total).tolist():
-        print(
-            f"  {found.keys[k]:38} alone {found.first[k]:6.3f}  with others {found.total[k]:.3f} "
-            f"+- {found.total_interval[k]:.3f}"
-        )
+        shares = f"with others {found.total[k]:.3f} +- {found.total_interval[k]:.3f}"
+        print(f"  {found.keys[k]:38} alone {found.first[k]:6.3f}  {shares}")
 
 
 def draw(table: ctrplan.StudyTable, found: Sensitivity) -> None:
     figure, (cloud, bars) = plt.subplots(1, 2, figsize=(10, 3.6), layout="constrained")
     cloud.scatter(table[FRICTION[1]], table["bound_mm"], s=5, color=looks.SERIES[0], linewidths=0)
-    cloud.set_xlabel("friction between the inner two tubes")
-    cloud.set_ylabel("worst-case friction error (mm)")
-    cloud.set_ylim(0)
-    order = np.argsort(found.total)
-    bars.barh(
-        [found.keys[k] for k in order], found.total[order], xerr=found.total_interval[order], color=looks.SERIES[0]
-    )
+    cloud.set(xlabel="friction between the inner two tubes", ylabel="worst-case friction error (mm)", ylim=(0, None))
+    order, colour = np.argsort(found.total), looks.SERIES[0]
+    bars.barh([found.keys[k] for k in order], found.total[order], xerr=found.total_interval[order], color=colour)
     bars.set_xlabel("share of the variance, with all others")
     bars.tick_params(axis="y", labelsize=8)
     for axes in (cloud, bars):
@@ -54,12 +41,10 @@ def draw(table: ctrplan.StudyTable, found: Sensitivity) -> None:
 
 
 def main() -> None:
-    parser = common.parser(__doc__)
-    parser.add_argument("folder", type=Path)
-    asked = parser.parse_args()
+    asked = common.arguments(__doc__, "folder")
     study = ctrplan.Study.read(STUDY)
     table = study.run(asked.folder, workers=1)
     found = sensitivity(study, table, "bound_mm")
     assert found is not None
-    print_numbers(study, table, found)
+    print_numbers(table, found)
     draw(table, found)

@@ -12,8 +12,6 @@ Pictures of docs/images are renewed by `run.py --write places ...`.
 """
 
 import time
-from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 
 import common
@@ -24,7 +22,8 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 import ctrplan
-from ctrplan.planning.place import CONE_RAD, RADIUS_M, Placement, PoseScore, Screen, _patch
+from ctrplan import Placement
+from ctrplan.planning.place import CONE_RAD, RADIUS_M, PoseScore, Screen, _patch
 from ctrplan.reports import looks
 from ctrplan.reports.study_page import BasePoses
 from ctrplan.uncertainty.worst_case import wilson
@@ -43,20 +42,6 @@ def print_shares(name: str, table: ctrplan.StudyTable) -> None:
             low, high = wilson(reached)
             texts.append(f"{100 * reached.mean():5.1f} % ({100 * low:.1f} to {100 * high:.1f}) {words}")
         print(f"  {name:10} {len(table):5,} targets, within {near} mm: {'; '.join(texts)}")
-    lost = (table["free_within_1_mm"] == 1) & (table["within_1_mm"] != 1)
-    beyond = np.isfinite(table["worst_mm"])
-    z = table["target_z_mm"]
-    print(
-        f"  {'':10} reached without friction to 1 mm, not with it: {lost.sum():,}, of which {np.sum(lost & ~beyond):,} "
-        f"collide in some friction state, {np.sum(lost & beyond):,} stay clear but miss by up to "
-        f"{np.nanmax(np.where(lost, table['worst_mm'], np.nan)):.1f} mm, median "
-        f"{np.nanmedian(np.where(lost, table['worst_mm'], np.nan)):.1f} mm"
-    )
-    edges = np.quantile(z, (0, 0.25, 0.5, 0.75, 1))
-    for low, high in pairwise(edges.tolist()):
-        here = (z >= low) & (z <= high)
-        shares = [100 * np.mean(table[f"{column}_1_mm"][here] == 1) for column, _ in REGARDS]
-        print(f"  {'':10} z {low:6.1f} to {high:6.1f} mm: {shares[0]:5.1f} % and {shares[1]:5.1f} % within 1 mm")
 
 
 def draw_reach(axes: Axes, table: ctrplan.StudyTable, column: str, outline: NDArray[np.float64]) -> None:
@@ -126,9 +111,12 @@ def draw_entry(axes: Axes, name: str, worths: list[PoseScore], found: Placement)
         if pose.reached:
             axes.plot(*np.degrees(np.arcsin(pose.direction[:2])), "o", mfc="none", mec=looks.INK, ms=8, mew=0.8)
     axes.plot(*np.degrees(np.arcsin(found.own.direction[:2])), "x", color=looks.LIMIT, ms=9, mew=2)
-    axes.set_title(name, fontsize=10)
-    axes.set_xlabel("looks to x (deg)")
-    axes.set_aspect("equal")
+    dress(axes, name)
+
+
+def dress(axes: Axes, title: str) -> None:
+    axes.set(title=title, xlabel="looks to x (deg)", aspect="equal")
+    axes.title.set_fontsize(10)
     axes.spines[["top", "right"]].set_visible(False)
 
 
@@ -147,53 +135,35 @@ ENTRY_STUDY = STUDIES / "entry_ventricle.toml"
 MM_PER_DEG = 2.2  # of positions drawn around the direction that they belong to
 
 
-@dataclass(frozen=True)
-class Panel:
-    """One number of each pose."""
-
-    title: str
-    values: NDArray[np.float64]
-    colours: str = looks.HEAT
-
-
 def print_poses(poses: BasePoses, tilt_deg: NDArray[np.float64]) -> None:
     print(f"{len(poses.position_mm)} poses, {poses.count[0]} targets each")
-    for k in poses.order[:4]:
-        place, look = poses.position_mm[k].round(2).tolist(), poses.direction[k].round(3).tolist()
-        print(
-            f"  at {place} along {look}: {poses.reached[k]} reached, {poses.within[k]} within tolerance, "
-            f"{poses.mean[k]:.2f} mm at worst in the mean"
-        )
-    print(
-        f"  of all poses {np.mean(poses.reached == poses.count):.0%} reach all, {np.mean(poses.reached == 0):.0%} none"
-    )
+    k = poses.order[0]
+    place, look = poses.position_mm[k].round(2).tolist(), poses.direction[k].round(3).tolist()
+    print(f"  best at {place} along {look}: {poses.reached[k]} reached, {poses.within[k]} within tolerance,")
+    print(f"  {poses.mean[k]:.2f} mm at worst in the mean")
     for tilt in sorted(set(tilt_deg.round().tolist())):
         rows = tilt_deg.round() == tilt
-        print(
-            f"  {tilt:.0f} deg from the middle direction, {rows.sum()} poses: {poses.reached[rows].mean():.1f} reached "
-            f"in the mean, {poses.within[rows].mean():.1f} within tolerance, at most {poses.within[rows].max()}"
-        )
+        reached, within = poses.reached[rows].mean(), poses.within[rows]
+        shown = f"{reached:.1f} reached, {within.mean():.1f} within tolerance, at most {within.max()}"
+        print(f"  {tilt:.0f} deg from the middle direction, {rows.sum()} poses: {shown}")
 
 
 def draw_poses(poses: BasePoses) -> None:
     """Poses by where they look, those that look the same way laid out as they stand in the burr hole."""
     look = np.degrees(np.arcsin(poses.direction[:, :2])) + poses.position_mm[:, :2] / MM_PER_DEG
-    panels = (
-        Panel("targets reached", poses.reached.astype(float)),
-        Panel("of them within 2 mm whatever friction does", poses.within.astype(float)),
-        Panel("error at worst, mean of those reached (mm)", poses.mean, f"{looks.HEAT}_r"),
-    )
+    panels = {
+        "targets reached": (poses.reached.astype(float), looks.HEAT),
+        "of them within 2 mm whatever friction does": (poses.within.astype(float), looks.HEAT),
+        "error at worst, mean of those reached (mm)": (poses.mean, f"{looks.HEAT}_r"),
+    }
     figure, axes = plt.subplots(1, 3, figsize=(13, 4.2), layout="constrained")
-    for axis, panel in zip(axes, panels, strict=True):
-        known = np.isfinite(panel.values)
+    for axis, (title, (values, colours)) in zip(axes, panels.items(), strict=True):
+        known = np.isfinite(values)
         axis.scatter(*look[~known].T, s=10, color="#d5d9de", linewidths=0)
-        points = axis.scatter(*look[known].T, c=panel.values[known], s=20, cmap=panel.colours, linewidths=0)
+        points = axis.scatter(*look[known].T, c=values[known], s=20, cmap=colours, linewidths=0)
         plt.colorbar(points, ax=axis, shrink=0.8)
         axis.plot(*look[poses.order[0]], "o", mfc="none", mec=looks.LIMIT, ms=9, mew=1.5)
-        axis.set_title(panel.title, fontsize=10)
-        axis.set_xlabel("looks to x (deg)")
-        axis.set_aspect("equal")
-        axis.spines[["top", "right"]].set_visible(False)
+        dress(axis, title)
     axes[0].set_ylabel("looks to y (deg)")
     save(figure, "entry_study")
 
@@ -210,12 +180,7 @@ def poses_of_study(folder: Path, read: bool) -> None:
 
 
 def main() -> None:
-    parser = common.parser(__doc__)
-    parser.add_argument("section", choices=["reach", "entry", "poses"])
-    parser.add_argument("names", nargs="*", help="a folder, or scenarios")
-    parser.add_argument("--read", action="store_true", help="compute nothing")
-    parser.add_argument("--candidates", type=int, default=128)
-    given = parser.parse_args()
+    given = common.arguments(__doc__, ("section", ("reach", "entry", "poses")), "names*", read=False, candidates=128)
     if given.section == "entry":
         entry(given.names or ["ventricle", "airway", "ribs"], given.candidates)
     else:

@@ -5,21 +5,18 @@
     python benchmarks/run.py study_speed --bounds 8000 --plans 0             # bounds alone
 
 What it prints: tasks a second of a plain loop, of two plain loops in two processes at once without any engine (what the
-machine gives: caches and memory are shared), and of a study on two workers, in alternation, medians of all rounds;
-overhead of a task on its worker, and of client and scheduler, in ms.
+machine gives: caches and memory are shared), and of a study on two workers, in alternation, medians of all rounds.
 
 Times of the clock mean something on an idle machine only. Where others work on it, look at the ratio of processor
 times: that of the loop to that of workers, client and scheduler together, times the number of workers.
 """
 
-from __future__ import annotations
-
-import argparse
 import os
 import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -29,8 +26,9 @@ import numpy as np
 from common import ROBOTS, SCENARIOS, again
 
 import ctrplan
+from ctrplan import Study
 from ctrplan.base.long_work import one_core
-from ctrplan.studies.study.study import Doing, Study
+from ctrplan.studies.study.study import Doing
 
 ROBOT = str(ROBOTS / "three_tube.toml")
 SCENARIO = str(SCENARIOS / "pair_free.toml")
@@ -50,69 +48,39 @@ def plans_study(count: int) -> dict[str, Any]:
     return {"scenario": SCENARIO, "task": {"kind": "plan"}, "vary": seeds}
 
 
-def loop_of_bounds(study: Study) -> float:
-    """Processor time [s] of the same bounds in a plain loop over rows, one call each."""
+def loop_of_bounds() -> Callable[[dict[str, Any]], object]:
+    """The same bounds, one call each."""
     robot = ctrplan.load_robot(ROBOT)
-    rows = [study.tasks[k].settings for k in range(study.count)]
-    begun = time.process_time()
-    with one_core():
-        for settings in rows:
-            theta = np.radians([0, settings["theta_2"], settings["theta_3"]])
-            robot.bound_many(theta[None], np.array([[0, -17e-3, -62.8e-3]]))
-    return time.process_time() - begun
+
+    def bound(settings: dict[str, Any]) -> object:
+        theta = np.radians([0, settings["theta_2"], settings["theta_3"]])
+        return robot.bound_many(theta[None], np.array([[0, -17e-3, -62.8e-3]]))
+
+    return bound
 
 
-def loop_of_plans(study: Study) -> float:
-    """Processor time [s] of a plain loop over the study's plans."""
+def loop_of_plans() -> Callable[[dict[str, Any]], object]:
     scenario = ctrplan.load_scenario(SCENARIO, ["planner.time_s=0.5"])
-    begun = time.process_time()
-    with one_core():
-        for k in range(study.count):
-            ctrplan.plan(scenario, seed=study.tasks[k].settings["seed"])
-    return time.process_time() - begun
+    return lambda settings: ctrplan.plan(scenario, seed=settings["seed"])
 
 
 class Run:
     """A study on workers of this machine: from when they are there to the last row."""
 
-    def __init__(self, content: dict[str, Any], folder: Path, workers: int = WORKERS) -> None:
-        self.begun: tuple[int, float, float, float] | None = None
-        self.ended = (0, 0.0, 0.0, 0.0)
-        self.asked = time.monotonic()
+    def __init__(self, content: dict[str, Any], folder: Path) -> None:
+        self.told: list[tuple[int, float, float, float]] = []
         self.workers: list[str] = []
         study = Study.of(content, folder)
-        self.table = study.run(folder / f"out-{len(list(folder.iterdir()))}", progress=self.told, workers=workers)
+        self.table = study.run(folder / f"out-{len(list(folder.iterdir()))}", progress=self.tell, workers=WORKERS)
+        done, clock_s, client_s, workers_s = np.subtract(self.told[-1], self.told[0])
+        self.clock_s = clock_s / max(done, 1)  # of a task, as the following ones
+        self.client_s, self.workers_s = client_s / max(done, 1), workers_s / max(done, 1)  # of a processor
 
-    def told(self, doing: Doing) -> None:
-        if doing.stage != "tasks":
-            return
-        self.workers = self.workers or children()  # looked for once: what this costs counts as the client's
-        now = (doing.done, time.monotonic(), time.process_time(), sum(map(processor_s, self.workers)))
-        self.begun, self.ended = self.begun or now, now
-
-    @property
-    def rate(self) -> float:
-        """Tasks a second of the clock."""
-        assert self.begun is not None
-        return (self.ended[0] - self.begun[0]) / max(self.ended[1] - self.begun[1], 1e-9)
-
-    @property
-    def client_s(self) -> float:
-        """Processor time of client and scheduler for each task, meanwhile."""
-        assert self.begun is not None
-        return (self.ended[2] - self.begun[2]) / max(self.ended[0] - self.begun[0], 1)
-
-    @property
-    def workers_s(self) -> float:
-        """Processor time of all workers for each task, work beside tasks included."""
-        assert self.begun is not None
-        return (self.ended[3] - self.begun[3]) / max(self.ended[0] - self.begun[0], 1)
-
-    @property
-    def start_s(self) -> float:
-        """Seconds of the clock until all workers were there."""
-        assert self.begun is not None
-        return self.begun[1] - self.asked
+    def tell(self, doing: Doing) -> None:
+        if doing.stage == "tasks":
+            self.workers = self.workers or children()  # looked for once: what this costs counts as the client's
+            used = time.process_time(), sum(map(processor_s, self.workers))
+            self.told.append((doing.done, time.monotonic(), *used))
 
 
 def processor_s(process: str) -> float:
@@ -136,12 +104,15 @@ def serve_loop(name: str, count: int) -> None:
     """The plain loop in a process of its own: it warms up, waits for a line, and says how long it took."""
     content, loop = LOOPS[name]
     study = Study.of(content(count), Path())
-    loop(Study.of(content(1), Path()))
-    print("ready", flush=True)
-    sys.stdin.readline()
-    begun = time.monotonic()
-    processor = loop(study)
-    print(time.monotonic() - begun, processor, flush=True)
+    work, rows = loop(), [study.tasks[k].settings for k in range(study.count)]
+    with one_core():
+        work(rows[0])
+        print("ready", flush=True)
+        sys.stdin.readline()
+        begun = time.monotonic(), time.process_time()
+        for settings in rows:
+            work(settings)
+    print(time.monotonic() - begun[0], time.process_time() - begun[1], flush=True)
 
 
 def loops_at_once(name: str, count: int, processes: int) -> tuple[float, float]:
@@ -170,37 +141,24 @@ def compare(name: str, count: int, folder: Path, rounds: int) -> None:
     for _ in range(rounds):
         one, both = loops_at_once(name, count, 1), loops_at_once(name, count, WORKERS)
         found = Run(LOOPS[name][0](count), folder)
-        times.append((*one, *both, 1 / found.rate, found.workers_s, found.client_s, found.start_s))
+        times.append((*one, *both, found.clock_s, found.workers_s, found.client_s))
     print_rates(f"{name}: {len(found.table)} tasks", np.array(times))
 
 
 def print_rates(what: str, times: np.ndarray) -> None:
-    """times: (rounds, 8) as in `compare`, seconds a task but for the last."""
-    clock, processor, both, of_both, study, workers, client, start = times.T
+    """times: (rounds, 7) as in `compare`, seconds a task."""
+    clock, processor, both, of_both, study, workers, client = times.T
     seen = [("two loops at once", clock / both, WORKERS * processor / of_both)]
     seen += [("a study on two workers", clock / study, WORKERS * processor / (workers + client))]
     print(f"{what}, medians of {len(times)}; plain loop {1 / np.median(clock):.1f} a second of the clock")
     for name, by_clock, by_time in seen:
-        spread = f"{by_clock.min():.2f} to {by_clock.max():.2f}"
-        print(f"  {name}: {np.median(by_clock):.2f} times the loop by the clock ({spread}), "
-              f"{np.median(by_time):.2f} by processor time")  # fmt: skip
-    of_ceiling = np.median(both / study), np.median(of_both / (workers + client))
-    print(
-        f"  the study beside two loops at once: {of_ceiling[0]:.3f} by the clock, {of_ceiling[1]:.3f} by processor time"
-    )
-    own = 1e3 * np.median([workers - processor, workers - of_both, client], axis=1)
-    print(f"    overhead of a task: {own[0]:.3f} ms on its worker ({own[1]:.3f} beside two loops at once), "
-          f"{own[2]:.3f} of client and scheduler; {np.median(start):.1f} s to start workers", flush=True)  # fmt: skip
+        shown = f"{np.median(by_clock):.2f} times the loop by the clock ({by_clock.min():.2f} to {by_clock.max():.2f})"
+        print(f"  {name}: {shown}, {np.median(by_time):.2f} by processor time")
 
 
 def main() -> None:
-    parser = common.parser(__doc__)
-    parser.add_argument("--bounds", type=int, default=8000)
-    parser.add_argument("--plans", type=int, default=48)
-    parser.add_argument("--rounds", type=int, default=3, help="of loop, two loops and study")
-    parser.add_argument("--serve-loop", nargs=2, metavar=("NAME", "COUNT"), help=argparse.SUPPRESS)
-    asked = parser.parse_args()
-    if asked.serve_loop:
+    asked = common.arguments(__doc__, bounds=8000, plans=48, rounds=3, serve_loop=[""])
+    if any(asked.serve_loop):
         return serve_loop(asked.serve_loop[0], int(asked.serve_loop[1]))
     print(f"load of the machine {os.getloadavg()[0]:.1f}, {os.cpu_count()} cores, {WORKERS} workers")
     with tempfile.TemporaryDirectory() as name:

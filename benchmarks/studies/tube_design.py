@@ -10,8 +10,6 @@ and the robot that the scenario has, are then looked at with friction from more 
 again.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -25,9 +23,9 @@ from common import SCENARIOS, STUDIES, save, table
 from matplotlib.axes import Axes
 
 import ctrplan
+from ctrplan import Goal
 from ctrplan.base.long_work import one_core
 from ctrplan.reports import looks
-from ctrplan.scenario.scenario import Goal
 from ctrplan.studies.target_set import Search, SetValue, set_value
 
 FILE = STUDIES / "design_ventricle.toml"
@@ -53,20 +51,8 @@ def searches(folder: Path, trials: int, workers: int, plans: bool) -> tuple[ctrp
     found = []
     for name, own in (("friction", [f"plans={int(plans)}"]), ("literature", blind)):
         search = ctrplan.TubeDesign.read(FILE, [f"trials={trials}", *own])
-        found.append(search.run(folder / name, workers=workers, progress=Telling(name)))
+        found.append(search.run(folder / name, workers=workers))
     return found[0], found[1]
-
-
-class Telling:
-    """Says now and then how far a search is."""
-
-    def __init__(self, name: str) -> None:
-        self.name, self.told = name, -20
-
-    def __call__(self, doing: Any) -> None:
-        if doing.stage == "designs" and doing.done >= self.told + 20:
-            self.told = doing.done
-            print(f"{self.name}: {doing.done} of {doing.count} designs", flush=True)
 
 
 def judge(name: str, search: ctrplan.TubeDesign, overrides: Sequence[str]) -> Judged:
@@ -89,14 +75,8 @@ def print_table(rows: Sequence[Judged], tolerance_mm: float) -> None:
         shares = bare.reach, rub.reach, float(np.mean(rub.errors_mm <= tolerance_mm))
         sizes = rub.error_mm, rub.errors_mm.max(), bare.stability, rub.stability
         cells.append((row.name, *(f"{100 * x:.0f} %" for x in shares), *(f"{x:.2f}" for x in sizes)))
-    head = ("robot", "reach without friction", "reach", "within tolerance", "mean error, mm", "largest, mm")
-    table("tubes", (*head, "stability without friction", "stability"), cells)
-
-
-def print_design(name: str, entry: dict[str, Any]) -> None:
-    shown = {key: entry[key] for key in ("error_mm", "robust_mm", "reach", "robust_reach", "within", "stability")}
-    print(f"{name}, row {entry['row']} ({entry['stage']}): {json.dumps({k: round(v, 3) for k, v in shown.items()})}")
-    print(f"  {json.dumps(entry['choices'])}")
+    head = "robot | reach without friction | reach | within tolerance | mean error, mm | largest, mm"
+    table("tubes", f"{head} | stability without friction | stability", cells)
 
 
 def draw_front(axes: Axes, found: ctrplan.TubeDesigns) -> None:
@@ -108,9 +88,7 @@ def draw_front(axes: Axes, found: ctrplan.TubeDesigns) -> None:
     front = [looked.numbers for looked in found.front]
     ends = [row[name] for name in ("robust_mm", "stability") for row in front]
     axes.plot(ends[: len(front)], ends[len(front) :], "o", mfc="none", mec=looks.INK, ms=7, mew=0.8, label="front")
-    axes.set_xscale("log")
-    axes.set_xlabel("mean error at worst, within tolerances (mm)")
-    axes.set_ylabel("least stability on the way")
+    axes.set(xscale="log", xlabel="mean error at worst, within tolerances (mm)", ylabel="least stability on the way")
     axes.legend(frameon=False, fontsize=8)
 
 
@@ -122,9 +100,7 @@ def draw_targets(axes: Axes, rows: Sequence[Judged], unreached_mm: float) -> Non
         axes.bar(at, row.rubbing.errors_mm, width, color=COLOURS[row.name], label=row.name)
     axes.axhline(unreached_mm, color=looks.LIMIT, lw=0.8, ls=":")
     axes.text(-0.4, unreached_mm * 1.01, "not reached", fontsize=8, color=looks.LIMIT, va="bottom")
-    axes.set_xlabel("target")
-    axes.set_ylabel("error at worst (mm)")
-    axes.set_ylim(0, 1.12 * unreached_mm)
+    axes.set(xlabel="target", ylabel="error at worst (mm)", ylim=(0, 1.12 * unreached_mm))
     axes.legend(frameon=False, fontsize=8)
 
 
@@ -149,12 +125,8 @@ def print_plans(folder: Path) -> None:
 
 
 def main() -> None:
-    parser = common.parser(__doc__)
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("--trials", type=int, default=120)
-    parser.add_argument("--workers", type=int, default=1)
-    parser.add_argument("--plans", action="store_true")
-    asked = parser.parse_args()
+    asked = common.arguments(__doc__, "folder", trials=120, workers=1, plans=False)
+    asked.folder = Path(asked.folder)
     ours, blind = searches(asked.folder, asked.trials, asked.workers, asked.plans)
     first, theirs = ours.entries()[0], max(blind.entries(), key=lambda row: (row["reach"], row["stability"]))
     for name, found in (("with friction", ours), ("literature", blind)):
@@ -162,16 +134,10 @@ def main() -> None:
         seconds = float(np.nansum(found.table["seconds"]))
         print(f"{name}: {done} designs done, {given_up} given up, {unable} unable, {len(found.front)} on the front")
         print(f"  {seconds:.0f} s of processor time")
-    trials = [looked for looked in ours.archive.all if looked.is_done and looked.row["inputs"]["stage"] == "search"]
-    least = min(looked.numbers["robust_mm"] for looked in trials)
-    print(f"local steps: {least:.3f} mm of the best trial -> {first['robust_mm']:.3f} mm")
-    print_design("with friction", first)
-    print_design("literature, as it sees itself", {"robust_mm": 0.0, "robust_reach": 0.0, **theirs})
-    rows = [
-        judge("shipped", ours.search, []),
-        judge("literature", ours.search, theirs["set"]),
-        judge("with friction", ours.search, first["set"]),
-    ]
+    for name, entry in (("with friction", first), ("literature", theirs)):
+        print(f"{name}, row {entry['row']} ({entry['stage']}): {json.dumps(entry['choices'])}")
+    chosen = {"shipped": [], "literature": theirs["set"], "with friction": first["set"]}
+    rows = [judge(name, ours.search, overrides) for name, overrides in chosen.items()]
     print_table(rows, ours.search.job.task["tolerance_mm"])
     for row in first["tolerances"]:
         print(f"  {row['name']:32} {row['half_width']:.3g} {row['unit']:5} costs {row['costs_mm']:.4f} mm")

@@ -95,9 +95,7 @@ def visits() -> list[tuple[str, int]]:
 
 
 def main() -> None:
-    parser = common.parser(__doc__)
-    parser.add_argument("folder", type=Path, nargs="?", default=ROOT)
-    root = parser.parse_args().folder
+    root = Path(common.arguments(__doc__, "folder?").folder or ROOT)
     texts = {path: path.read_text(encoding="utf-8") for path in sorted((root / "ctrplan").rglob("*.py"))}
     trees, lines = {path: ast.parse(text) for path, text in texts.items()}, {}
     for path, text in texts.items():

@@ -12,7 +12,6 @@ each picture from inside.
 """
 
 import os
-import resource
 import subprocess
 import sys
 import tempfile
@@ -21,10 +20,9 @@ from pathlib import Path
 
 import common
 import numpy as np
-from common import ROBOTS, SCENARIOS, table
+from common import ROBOTS, SCENARIOS, spent, table
 
-from ctrplan import load_robot
-from ctrplan.files.plan_file import load_plan
+from ctrplan import load_plan, load_robot
 from ctrplan.reports.plan_scene import written_motion
 from ctrplan.reports.render.camera import VIEWS
 from ctrplan.reports.render.film import film
@@ -32,13 +30,6 @@ from ctrplan.reports.render.film import film
 COMMAND = "import sys; from ctrplan.__main__ import main; sys.exit(main(sys.argv[1:]))"
 WIDTH, HEIGHT, PICTURES = 960, 720, 6
 MODULES = "import sys; print(sum(name.split('.')[0] == 'ctrplan' for name in sys.modules))"
-
-
-def seconds(command: list[str]) -> float:
-    """By the clock, of a process from its start to its end."""
-    began = time.perf_counter()
-    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
-    return time.perf_counter() - began
 
 
 def modules(code: str, arguments: list[str]) -> int:
@@ -72,28 +63,19 @@ def pictures(plan: str) -> None:
 def plans(scenario: str, search_s: float, runs: int) -> None:
     """Prints seconds of a processor that `ctrplan plan` takes, processes of their own in turn."""
     kinds: dict[str, list[str]] = {"with report.html and plan.png": [], "--no-report": ["--no-report"]}
-    spent: dict[str, list[float]] = {kind: [] for kind in kinds}
+    taken: dict[str, list[float]] = {kind: [] for kind in kinds}
     with tempfile.TemporaryDirectory() as folder:
         command = [sys.executable, "-m", "ctrplan", "plan", str(SCENARIOS / f"{scenario}.toml"), "-o", folder]
         command += ["--time", f"{search_s:g}", "--quiet"]
         for _ in range(runs):
             for kind, options in kinds.items():
-                before = resource.getrusage(resource.RUSAGE_CHILDREN)
-                subprocess.run([*command, *options], check=True, stdout=subprocess.DEVNULL)
-                after = resource.getrusage(resource.RUSAGE_CHILDREN)
-                spent[kind].append(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
-    rows = [(kind, f"{min(taken):.2f} s", f"{np.median(taken):.2f} s") for kind, taken in spent.items()]
+                taken[kind].append(spent([*command, *options], os.environ, subprocess.DEVNULL)[2])
+    rows = [(kind, f"{min(each):.2f} s", f"{np.median(each):.2f} s") for kind, each in taken.items()]
     table(f"ctrplan plan, {scenario}, a search of {search_s:g} s: of a processor", ("what", "least", "median"), rows)
 
 
 def main() -> None:
-    parser = common.parser(__doc__)
-    parser.add_argument("--plan", type=float, metavar="S")
-    parser.add_argument("--pictures")
-    parser.add_argument("--runs", type=int, default=9)
-    parser.add_argument("--robot", default="three_tube")
-    parser.add_argument("--scenario", default="vessel")
-    given = parser.parse_args()
+    given = common.arguments(__doc__, plan=float, pictures=str, runs=9, robot="three_tube", scenario="vessel")
     if given.pictures:
         pictures(given.pictures)
         return
@@ -112,8 +94,7 @@ def main() -> None:
     rows = []
     for name, (code, arguments) in measured.items():
         command = [sys.executable, "-c", code, *arguments]
-        seconds(command)
-        taken = [seconds(command) for _ in range(given.runs)]
+        taken = [spent(command, os.environ, subprocess.DEVNULL)[1] for _ in range(given.runs + 1)][1:]
         rows.append((name, f"{min(taken):.3f} s", f"{np.median(taken):.3f} s", modules(code, arguments)))
     print(f"{given.runs} runs each, {os.cpu_count()} processors, load {os.getloadavg()[0]:.1f}")
     table("seconds by the clock", ("what", "least", "median", "modules of ctrplan"), rows)

@@ -24,11 +24,11 @@ from numpy.typing import NDArray
 from ctrplan.anatomy.image import Header, Image, ImageRefusal, Segment
 from ctrplan.anatomy.image_file import check_bytes, kept_locale, placed, quiet, reason, simpleitk
 from ctrplan.base.arrays import Array
+from ctrplan.errors import FEW
 
 UNEVEN_MM = 0.02  # by which gaps between slices may differ
 SAME_SPACING = 1e-2  # by which SpacingBetweenSlices may differ from the places before it is said
 TURNED = 1e-4  # of direction cosines: the same orientation
-SHOWN = 6
 CT_IMAGE = "1.2.840.10008.5.1.4.1.1.2"  # what an image is called while its pixels are unpacked
 GROUPS = ("PlanePosition", "PlaneOrientation", "PixelMeasures", "PixelValueTransformation", "SegmentIdentification")
 SCALING = ("RescaleSlope", "RescaleIntercept", "ModalityLUTSequence", "VOILUTSequence")
@@ -73,7 +73,7 @@ def read_series(folder: Path, series: str | None) -> Image:
     result, others = _series(folder)
     if not result:
         below = [part.name for part in sorted(folder.iterdir()) if part.is_dir() and _series(part)[0]]
-        hint = f": {', '.join(below[:SHOWN])} in it does, name that folder" if below else ""
+        hint = f": {', '.join(below[:FEW])} in it does, name that folder" if below else ""
         raise ImageRefusal(f"holds no DICOM images{hint}{_named(', but files that are none', others)}")
     if series is None and len(result) > 1:
         raise ImageRefusal(
@@ -117,8 +117,8 @@ def _series(folder: Path) -> tuple[dict[str, list[tuple[Path, Any]]], list[str]]
 
 
 def _named(what: str, names: Sequence[str]) -> str:
-    more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
-    return f"{what}: {', '.join(names[:SHOWN])}{more}" if names else ""
+    more = f" and {len(names) - FEW} more" if len(names) > FEW else ""
+    return f"{what}: {', '.join(names[:FEW])}{more}" if names else ""
 
 
 def _left_out(others: Sequence[str]) -> tuple[str, ...]:
@@ -148,9 +148,9 @@ def _listed(result: dict[str, list[tuple[Path, Any]]]) -> str:
     texts = [
         f"{uid} ({files[0][1].get('Modality', '?')} {str(files[0][1].get('SeriesDescription', ''))!r}, "
         f"{len(files)} images)"
-        for uid, files in list(result.items())[:SHOWN]
+        for uid, files in list(result.items())[:FEW]
     ]
-    return "; ".join(texts) + (f" and {len(result) - SHOWN} more" if len(result) > SHOWN else "")
+    return "; ".join(texts) + (f" and {len(result) - FEW} more" if len(result) > FEW else "")
 
 
 def _single_stack(files: Sequence[tuple[Path, Any]]) -> tuple[list[Slice], tuple[str, ...]]:
@@ -160,7 +160,7 @@ def _single_stack(files: Sequence[tuple[Path, Any]]) -> tuple[list[Slice], tuple
         raise ImageRefusal("holds colour images: must have one value a pixel")
     segmented = [path.name for path, tags in files if "SegmentSequence" in tags]
     if segmented:
-        raise ImageRefusal(f"holds segmentations beside other files in one series ({', '.join(segmented[:SHOWN])})")
+        raise ImageRefusal(f"holds segmentations beside other files in one series ({', '.join(segmented[:FEW])})")
     count = sum(_count(tags) for _, tags in files)
     if count < 2:
         raise ImageRefusal("holds one image of that series: a volume needs several slices")
@@ -173,12 +173,12 @@ def _single_stack(files: Sequence[tuple[Path, Any]]) -> tuple[list[Slice], tuple
     main = max(stacks, key=len)
     others = [part for stack in stacks if stack is not main for part in stack]
     if any(len(stack) > 1 and not all(part.is_localiser for part in stack) for stack in stacks if stack is not main):
-        shown = ", ".join(f"{len(stack)} from {stack[0].file.name}" for stack in stacks[:SHOWN])
+        shown = ", ".join(f"{len(stack)} from {stack[0].file.name}" for stack in stacks[:FEW])
         raise ImageRefusal(f"holds slices of different orientations or sizes ({shown}): must be one stack")
     left = [*(part.file.name for part in others), *(path.name for path, tags in files if _is_placeless_scout(tags))]
     if len(main) < 2:
         raise ImageRefusal(f"holds no stack of slices: {len(slices)} images, each of its own orientation or size")
-    names = ", ".join(left[:SHOWN]) + (f" and {len(left) - SHOWN} more" if len(left) > SHOWN else "")
+    names = ", ".join(left[:FEW]) + (f" and {len(left) - FEW} more" if len(left) > FEW else "")
     rule = f"is read without {names}, which lies across the other {len(main)} slices or differs in size (a scout)"
     return main, (rule,) if left else ()
 

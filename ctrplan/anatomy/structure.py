@@ -9,6 +9,7 @@ An image is kept while several structures of it are read.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -153,7 +154,7 @@ def _extent(inside: Mask, axis: int) -> tuple[int, int]:
 
 SIGMA = 1.5  # voxels
 TRUNCATED = 3.0  # standard deviations
-HALO = 7  # planes that smoothing looks at on either side
+HALO = math.ceil(TRUNCATED * SIGMA) + 1  # planes that smoothing and second differences look at on either side
 LEAST = 0.02  # by which a voxel stays on its side of 1/2
 TINY = 1e-6  # of the largest value: what grey values differ from the threshold by at least
 SLAB = 24  # planes looked at together

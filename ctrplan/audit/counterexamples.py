@@ -9,6 +9,7 @@ far. Histories begin with no other friction than the scenario allows at its star
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
@@ -27,7 +28,7 @@ PLACES = 8  # of a round
 DRAWN = 8  # states at a place, besides the corners
 STEPS, FINE_STEPS = (0.4, 0.2, 0.1, 0.05, 0.02), (0.05,)  # of phi in a descent; on the judge's mesh
 PLACE_PER_PHI = 0.1  # step of the place for one of phi
-GOLDEN = 0.6180339887498949
+GOLDEN = (math.sqrt(5) - 1) / 2  # whose multiples are spread evenly
 AIMS = ("clearance", "bound", "strain", "stability")
 
 
@@ -191,11 +192,10 @@ GRID = 64  # places of the way where tips are looked at
 LOOKS = 9  # bodies around the worst place of another equilibrium, on the judge's mesh
 STEPPED = HistoryOptions()  # of a history, for counting its work
 STEP_WORK: dict[Accuracy, int] = {"search": 8, "certificate": 20, "exact": 20}
-SMALL_DEG, LARGE_DEG = (1.0, 30.0), (30.0, 180.0)
+SMALL_DEG = (1.0, 30.0)
+LARGE_DEG = (SMALL_DEG[1], 180.0)
 MOST_TURNS = 4
 KEPT = 0.5  # share of histories that are the worst one so far, changed a little
-
-
 MOST_WINDINGS = 2  # whole turns of a joint before the start, either way
 MOST_WOUND = 60  # combinations of them
 COARSE = HistoryOptions(rotation_rad=0.1, translation_m=1e-3)  # without friction there is no state to step finely for

@@ -29,7 +29,7 @@ MOST_GRID = 3  # pairs of tubes whose friction states are a grid of -1, 0 and 1;
 SAME_PLACE = 0.004  # by which descents begin apart
 HALVINGS = 9  # of the steps of a descent
 CLOSE_M = 0.3e-3  # more than is claimed, within which the judge's mesh descends too: what meshes differ by
-SOLVE, STATE = 6, 1  # work of a configuration, of a friction state in it
+SOLVE = 6  # work of a configuration, in that of a friction state in it
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,7 +163,7 @@ class MotionSweep:
     def _bodies(self, place: float, phi: Array, axes: Array) -> tuple[Array, Array, Array] | None:
         """(S, N, 3) of the anatomy's frame, radii (N,), and which are solved (S,); None where none is."""
         case = self.case
-        case.work += SOLVE + STATE * len(phi)
+        case.work += SOLVE + len(phi)
         try:
             collars, robot = case.collars(place, axes), case.robot_at(axes)
             bodies = robot.mechanics.friction_bodies(*collars, phi, spacing_m=SPACING_M)

@@ -78,6 +78,8 @@ HOUR_S = 3600.0
 MM_DIGITS = 6  # of a length in mm that is written to files: a nanometre
 ROUNDING_M = 1e-9  # by which rounding may change a length
 NORM_TOLERANCE = 1e-3  # by which digits of a file may change the norm of a unit quaternion
+ORIGIN = (0.0, 0.0, 0.0)
+LEVEL = 0.95  # share of chance that intervals, radii and quantiles hold
 CI95 = 1.959964  # standard deviations on both sides that hold 95 % of a normal number
 CHI95 = 2.795483  # standard deviations within which 95 % of the lengths of three normal coordinates lie
 

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrplan.base.arrays import CI95, Array
+from ctrplan.base.arrays import CI95, LEVEL, Array
 from ctrplan.calibration.least_squares import Fit
+from ctrplan.effects.learned.learned import DIGITS
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.pipeline.term import SensorPrediction, Term
 
-DIGITS = 6
 SHOWN_DIGITS = 2  # of half an interval
 
 
@@ -103,7 +103,7 @@ def combinations(fit: Fit) -> list[Combination]:
 
 
 RESAMPLES, SEED = 400, 2
-SPAN_PERCENT = (2.5, 97.5)
+SPAN_PERCENT = (50 - 50 * LEVEL, 50 + 50 * LEVEL)
 
 
 @dataclass(frozen=True)

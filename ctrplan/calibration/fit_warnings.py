@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from ctrplan.base.arrays import Array
 from ctrplan.calibration.estimates import distances
 from ctrplan.calibration.least_squares import Fit
+from ctrplan.calibration.observed_noise import SURE
 from ctrplan.calibration.parameters import BaseParameters
 from ctrplan.calibration.residuals import residuals
 from ctrplan.measurement.measurements import Measurements
@@ -24,7 +25,6 @@ from ctrplan.pipeline.parametric_chain import ParametricChain
 from ctrplan.pipeline.term import term
 from ctrplan.robot.named_numbers import MOST_RATIO
 
-CONFLICT = 3.0  # standard deviations of the prior
 PHYSICAL_POISSON = (0.0, MOST_RATIO)
 CERTAIN = 2.0  # standard errors
 
@@ -64,8 +64,8 @@ def symptoms(fit: Fit) -> list[Symptom]:
             if value + CERTAIN * error < low or value - CERTAIN * error > high:
                 outside = f"outside {low:g} to {high:g}, which no tube has: something else hides in it"
                 results.append(Symptom(owner, f"{shown} is {outside}."))
-        if abs(value - parameter.neutral) > CONFLICT * parameter.prior:
-            times = f"more than {CONFLICT:g} times what is plausible"
+        if abs(value - parameter.neutral) > SURE * parameter.prior:
+            times = f"more than {SURE:g} times what is plausible"
             results.append(Symptom(owner, f"{owner}: {parameter.name} is {times} away from {parameter.neutral:g}."))
     return results
 
@@ -84,7 +84,7 @@ def other_tubes(fit: Fit) -> list[str]:
         kind, _, place = parameter.name.partition("_factor_")
         factor, tube = float(fit.p[j] / parameter.si), place.partition("_")[0]
         off = abs(factor - parameter.neutral)
-        if owner != BaseParameters.name or kind not in OF_A_TUBE or off <= CONFLICT * parameter.prior:
+        if owner != BaseParameters.name or kind not in OF_A_TUBE or off <= SURE * parameter.prior:
             continue
         if spread[j] / parameter.si < parameter.prior and tube not in clauses:
             says = f"{factor:.3g} times {OF_A_TUBE[kind]} ({parameter.name} = {factor:.3g})"

@@ -15,7 +15,7 @@ from math import comb
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrplan.base.arrays import Array
+from ctrplan.base.arrays import ROUNDING_M, Array
 from ctrplan.calibration.residuals import PAPER, Noise
 from ctrplan.measurement.approach import friction_state, last_directions, rest_began
 from ctrplan.measurement.measurements import LONGEST_LAG_S, Measurements
@@ -26,9 +26,9 @@ LEAST_WINDOWS = 100  # of differences, which overlap
 STILL_POSES = 5  # of a standstill that count as one kind: what changes more slowly is no noise
 FAR = 4.5  # times the typical distance of a repeat from its mean, beyond which one says nothing about noise
 UNEVEN = 0.1  # of the time between two poses, by which it may differ from the next
-LEAST_M, LEAST_RAD = 1e-9, 1e-8  # smaller ones are a held value
+LEAST_RAD = 1e-8  # smaller ones are a held value, as lengths below ROUNDING_M are
 MEDIAN = 0.6745  # of the size of a Gaussian number
-SURE = 3.0  # standard errors
+SURE = 3.0  # standard deviations or errors, which chance does not make
 
 
 @dataclass(frozen=True)
@@ -154,6 +154,6 @@ def _of_differences(vectors: Array, windows: NDArray[np.int_], order: int) -> fl
 
 def _noise(position_m: float, tangent_rad: float, data: Measurements) -> Noise | None:
     """None where the values were held, which says nothing."""
-    if position_m < LEAST_M:
+    if position_m < ROUNDING_M:
         return None
     return Noise(position_m, max(tangent_rad, LEAST_RAD) if data.has_tangents else PAPER.tangent_rad)

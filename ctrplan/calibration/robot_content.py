@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrplan.base.arrays import CHI95, CI95, Array
+from ctrplan.base.arrays import CHI95, CI95, LEVEL, Array
 from ctrplan.base.package import __version__
 from ctrplan.calibration.estimates import estimates
 from ctrplan.calibration.least_squares import Fit, fit
@@ -164,7 +164,6 @@ def calibrated_content(
 
 
 ERASED = 0.1  # of the bound: less than that the model leaves of two approaches to one configuration
-INSIDE = 0.95  # share of tips within a stated radius
 LEAST_PAIRS = 6  # of poses, from which a share is estimated
 
 
@@ -238,7 +237,7 @@ def model_error_m(error_m: np.ndarray[Any, np.dtype[np.float64]], position_sigma
     It is the distance of rank 0.95 (K + 1): a tip that nothing has read is as likely at each rank among K + 1 (split
     conformal prediction). Of fewer than 19 distances it is the largest.
     """
-    rank = min(math.ceil(INSIDE * (len(error_m) + 1)), len(error_m))
+    rank = min(math.ceil(LEVEL * (len(error_m) + 1)), len(error_m))
     excess = float(np.sort(error_m)[rank - 1]) ** 2 - (CHI95 * position_sigma_m) ** 2
     return math.sqrt(max(excess, 0.0))
 

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
 from ctrplan.base.long_work import cores
+from ctrplan.drive.drive import JOINT_ROUNDING
 from ctrplan.errors import CtrplanError
 from ctrplan.mechanics.history import HistoryState
 from ctrplan.robot.friction_calibration import friction_law
@@ -45,7 +46,6 @@ if TYPE_CHECKING:
     from ctrplan.scenario.scenario import Scenario
 
 FORGOTTEN = 0.01  # share of all friction states below which a pair has forgotten its past
-ROUNDING = 1e-9  # rad or m by which joints at rest may differ
 MOST_RESTARTS = 3  # waypoints that are tried, a budget
 COMPARED_EVERY = 5  # rows after which a detour is compared with the prediction
 LAST_LEGS = 2  # whose inexact execution is simulated: those before leave next to nothing, a budget
@@ -350,7 +350,7 @@ def _execution(robot: Robot, joints: Array, leg: NDArray[np.int_], prediction: P
     for row in last[-LAST_LEGS:].tolist():
         begin = max(int(np.argmax(leg == leg[row])) - 1, 0)
         moved = joints[row] - joints[begin]
-        way = np.where(np.abs(moved) > ROUNDING, np.sign(moved) * most, 0.0)
+        way = np.where(np.abs(moved) > JOINT_ROUNDING, np.sign(moved) * most, 0.0)
         moving = np.flatnonzero(way)
         beyond = np.clip(joints[row] + way, drive.lower, drive.upper)
         if row in kept and way.any() and space.allowed(beyond):  # else the drive is exact, or at a stop

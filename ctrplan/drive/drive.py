@@ -21,6 +21,7 @@ DriveTerm = Callable[[Array, Array], tuple[Array, Array]]
 
 ANGLE_STEP, LENGTH_STEP = 1e-4, 1e-6  # rad, m: of differences, exact to about their square
 
+STEP_RAD, STEP_M = np.radians(1.0), 0.25e-3  # of a joint, between rows of a way in time, where it is taken as straight
 JOINT_ROUNDING = 1e-9  # rad or m by which rounding may change a joint value or a collar
 
 # Unit in files and on screens, and its value in SI.

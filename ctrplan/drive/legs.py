@@ -23,7 +23,7 @@ class Collars:
 
 MERGE_TOLERANCE = 1e-9  # a merged leg passes its waypoints within this fraction of its length
 STILL_RAD, STILL_M = 1e-6, 1e-8  # collars of a file or a log that differ by less stand still
-REPEAT_TOLERANCE = 1e-12  # rad or m: a waypoint nearer than this to the one before it is the same waypoint
+LINE_TOLERANCE = 1e-12  # rad or m off its leg, or beside the waypoint that it repeats, that counts as none
 
 
 def merge_legs(waypoints: Array) -> Array:
@@ -73,7 +73,7 @@ def rounding(points: Array) -> float:
 
 
 def _without_repeats(waypoints: Array) -> Array:
-    same = REPEAT_TOLERANCE + rounding(waypoints)
+    same = LINE_TOLERANCE + rounding(waypoints)
     kept = [0]
     for k in range(1, len(waypoints)):
         if np.abs(waypoints[k] - waypoints[kept[-1]]).max() > same:

@@ -34,19 +34,16 @@ from numpy.typing import ArrayLike, NDArray
 from ctrplan.base.arguments import Flag, Made, Number, checked
 from ctrplan.base.arrays import Array, numbers
 from ctrplan.base.package import shown
-from ctrplan.drive.drive import JOINT_ROUNDING, Drive
-from ctrplan.drive.legs import distance_from_leg, merge_legs, rounding
+from ctrplan.drive.drive import JOINT_ROUNDING, STEP_M, STEP_RAD, Drive
+from ctrplan.drive.legs import LINE_TOLERANCE, distance_from_leg, merge_legs, rounding
 from ctrplan.errors import InputError, SolverError
 
 QUANTITIES = ("velocity", "acceleration", "jerk")
 RATIO_TOLERANCE = 1e-9  # relative excess of a limit that counts as rounding
 END_TOLERANCE = 1e-10  # of s, by which rounding may leave the end of a leg
-LINE_TOLERANCE = 1e-12  # rad or m by which a sample may leave its leg, rounding apart
 MAX_SAMPLES = 1_000_000
 PERIOD_S = 0.01
 PERIOD = Number(1e-9, 1e9, "s")
-STEP_RAD, STEP_M = np.radians(1.0), 0.25e-3  # of a joint, between rows of a way in time, where it is taken as straight
-PASSED = 1e-9  # rad or m, or share of a leg, by which rounding may carry a sample off its leg
 LegWay = tuple[int, Array]  # leg, and joints (S, m) [rad, m] driven on it, straight in between
 
 
@@ -383,4 +380,5 @@ def _is_passed(start: Array, end: Array, q: Array) -> bool:
     """Whether joints q lie beyond the end of a leg, or off it."""
     chord = end - start
     along = float((q - start) @ chord) / max(float(chord @ chord), 1e-300)
-    return along > 1 + PASSED or float(np.abs(q - start - min(max(along, 0.0), 1.0) * chord).max()) > PASSED
+    off = float(np.abs(q - start - min(max(along, 0.0), 1.0) * chord).max())
+    return along > 1 + JOINT_ROUNDING or off > JOINT_ROUNDING

@@ -21,8 +21,8 @@ from ctrplan.files.mapping_file import Source, sources
 from ctrplan.measurement.joint_path import JointPath, joined_paths, jumps, looks_wrapped, unwrapped
 from ctrplan.robot.robot import Robot, nesting_violation
 from ctrplan.storage.csv_table import CsvTable
+from ctrplan.storage.toml_document import LARGEST_NUMBER
 
-LARGEST_TIME_S = 1e12  # stamps in ns or ms are no seconds
 MOST_TURNS = 50  # of a tube; more are most likely degrees
 LARGEST_RUN = 10**15  # numbers of runs beyond it are not exact
 WHOLE_NUMBER = "must be a whole number of at most 15 digits"
@@ -127,8 +127,8 @@ def _check_order(table: CsvTable, sequence: Array, time_s: Array | None) -> None
         rule = "this run was over, its rows must stand together"
         raise table.fault(rule, resumed, "sequence", int(sequence[resumed]))
     if time_s is not None:
-        for row in np.flatnonzero(np.abs(time_s) > LARGEST_TIME_S).tolist():
-            rule = f"must be from {-LARGEST_TIME_S:g} to {LARGEST_TIME_S:g} s"
+        for row in np.flatnonzero(np.abs(time_s) > LARGEST_NUMBER).tolist():  # stamps in ns
+            rule = f"must be from {-LARGEST_NUMBER:g} to {LARGEST_NUMBER:g} s"
             raise table.fault(rule, row, "time_s", float(time_s[row]))
         for row in (np.flatnonzero(np.diff(time_s) < 0) + 1).tolist():
             rule = f"time runs backwards, the row before has {time_s[row - 1]:g} s"

@@ -16,7 +16,7 @@ from msgspec.structs import asdict
 from ctrplan.base.arrays import Array
 from ctrplan.base.package import shown
 from ctrplan.certificate.certificate import FIGURES, Closest
-from ctrplan.drive.drive import Drive
+from ctrplan.drive.drive import JOINT_ROUNDING, Drive
 from ctrplan.errors import InputError
 from ctrplan.files.joint_path_file import played_columns
 from ctrplan.files.plan_inputs import changed_files, plan_json_of, scenario_within
@@ -192,9 +192,6 @@ def _apart(row: Array, waypoints: Array) -> float:
     along = np.sum((row - waypoints[:-1]) * chords, axis=1) / np.where(squares > 0, squares, 1.0)
     feet = waypoints[:-1] + np.clip(along, 0.0, 1.0)[:, None] * chords
     return float(np.abs(row - feet).max(axis=1).min())
-
-
-SAME = 1e-9  # of a number of a leg in its two units, and of where legs meet, rad or m
 
 
 @shown
@@ -383,7 +380,7 @@ def _waypoints(entry: PlanEntry, scenario: Scenario, document: Document) -> Arra
             for k, leg in enumerate(entry.legs)]  # fmt: skip
     before = scenario.start
     for k, (start, end) in enumerate(ends):
-        if np.abs(start - before).max() > SAME:
+        if np.abs(start - before).max() > JOINT_ROUNDING:
             where = "the leg before ends" if k else "the scenario starts"
             raise document.fault(f"must be where {where}", "legs", k, "start")
         before = end
@@ -398,7 +395,7 @@ def _joints(
         both = given.get(name, {})
         if set(both) != {unit, SI_UNITS[unit]}:
             raise document.fault(f"must have {name!r} in {unit} and in {SI_UNITS[unit]}", "legs", k, end)
-        if abs(both[unit] * si_per_unit - both[SI_UNITS[unit]]) > SAME * max(1.0, abs(both[SI_UNITS[unit]])):
+        if abs(both[unit] * si_per_unit - both[SI_UNITS[unit]]) > JOINT_ROUNDING * max(1.0, abs(both[SI_UNITS[unit]])):
             rule = f"contradicts itself, {both[unit]:.9g} {unit} is not {both[SI_UNITS[unit]]:.9g} {SI_UNITS[unit]}"
             raise document.fault(rule, "legs", k, end, name)
         values.append(both[SI_UNITS[unit]])

@@ -20,6 +20,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from ctrplan.anatomy.image import data_files
+from ctrplan.anatomy.image_file import MOST_BYTES
 from ctrplan.errors import InputError
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.scenario.scenario import Scenario
@@ -28,7 +29,6 @@ from ctrplan.storage.toml_document import toml_text
 
 INPUTS, MANIFEST, SCENARIO = "inputs.zip", "manifest.json", "scenario.toml"
 SUFFIX = ".ctrplan"  # of a plan's folder as one file
-MOST_BYTES = 2_000_000_000  # of all that is unpacked
 MOST_PACKED = 300_000_000  # of all that is packed: a plan in larger images opens where they are
 _OPENED: dict[tempfile.TemporaryDirectory[str], Path] = {}  # what was unpacked into folders that end with this process
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arguments import Number, rows_of
-from ctrplan.base.arrays import ROUNDING_M, Array
+from ctrplan.base.arrays import ORIGIN, ROUNDING_M, Array
 from ctrplan.base.package import shown
 from ctrplan.errors import InputError
 
@@ -123,8 +123,6 @@ class Contact:
 
 Vector = tuple[float, float, float]
 
-ZERO: Vector = (0.0, 0.0, 0.0)
-
 
 @shown
 @dataclass(frozen=True)
@@ -134,9 +132,9 @@ class Loads:
     Vectors of three in the world frame, z along insertion. The front plate bears what reaches tube 1.
     """
 
-    tip_force_N: Vector = ZERO
-    tip_moment_Nm: Vector = ZERO
-    gravity_m_s2: Vector = ZERO
+    tip_force_N: Vector = ORIGIN
+    tip_moment_Nm: Vector = ORIGIN
+    gravity_m_s2: Vector = ORIGIN
 
     def __post_init__(self) -> None:
         """Raises InputError unless each is three finite numbers."""

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array, read_only
 from ctrplan.base.long_work import cores
-from ctrplan.drive.legs import REPEAT_TOLERANCE, Collars
+from ctrplan.drive.legs import LINE_TOLERANCE, Collars
 from ctrplan.errors import InputError
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.mechanics.shapes import Accuracy, Shape, Status, points_on_tubes
@@ -84,7 +84,7 @@ def _columns(robot: Robot, rows: Array, names: Sequence[str], accuracy: Accuracy
 
 def distinct(rows: Array) -> tuple[NDArray[np.int_], NDArray[np.int_]]:
     """The numbers (D,) of rows (K, c) that differ, and which of them each is (K,)."""
-    rounded = np.round(rows / REPEAT_TOLERANCE) * REPEAT_TOLERANCE
+    rounded = np.round(rows / LINE_TOLERANCE) * LINE_TOLERANCE
     _, first, back = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
     return first, back.ravel()
 

@@ -9,11 +9,10 @@ import plotly.graph_objects as go
 
 from ctrplan.calibration.calibrate import Calibration
 from ctrplan.calibration.estimates import Errors
+from ctrplan.calibration.observed_noise import SURE
 from ctrplan.reports import looks
 from ctrplan.reports.html_page import FIGURE_TEXT, plot, rendered
 from ctrplan.reports.words import term
-
-CHANCE_SIGMA = 3.0  # standard deviations of the rms of pure noise (1 / sqrt(6 poses) of it) that chance may add
 
 
 def calibration_report_html(calibration: Calibration) -> str:
@@ -99,7 +98,7 @@ def what_is_missing(calibration: Calibration) -> str:
     if noise is None:
         return ""
     floor, left = noise.position_sigma_m * math.sqrt(3), errors.rms_m
-    if left <= floor * (1 + CHANCE_SIGMA / math.sqrt(6 * errors.poses)):
+    if left <= floor * (1 + SURE / math.sqrt(6 * errors.poses)):  # what the rms of pure noise may be
         return ""
     return f"{left * 1e3:.2g} mm are left, {floor * 1e3:.2g} mm would be noise: something is missing in the model"
 

@@ -10,7 +10,7 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from ctrplan.base.arrays import MM_PER_M, Array
+from ctrplan.base.arrays import MM_PER_M, ROUNDING_M, Array
 from ctrplan.calibration.estimates import distances
 from ctrplan.calibration.fit_warnings import excused
 from ctrplan.diagnosis.remainder import quantities
@@ -20,7 +20,6 @@ from ctrplan.reports import looks
 from ctrplan.reports.html_page import FIGURE_TEXT
 
 PARTS = 8  # of a quantity's range, by rank
-LEAST_M = 1e-9  # a shift that has a direction
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +49,7 @@ def _signature(diagnosis: Diagnosis, term: Term, known: Mapping[str, Array]) -> 
     solved = ~(ends[0].failed | ends[1].failed)
     shift = np.where(solved[:, None], ends[0].position_m - ends[1].position_m, np.nan)
     size = np.linalg.norm(shift, axis=1)
-    direction = shift / np.maximum(size, LEAST_M)[:, None]
+    direction = shift / np.maximum(size, ROUNDING_M)[:, None]
     measured = np.sum((chain.data.position_m - ends[1].position_m) * direction, axis=1)
     shares = {name: _explained(size, values) for name, values in known.items()}
     quantity = max(shares, key=lambda name: shares[name])

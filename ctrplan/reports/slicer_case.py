@@ -172,9 +172,6 @@ def ply_model(surface: Surface, frame: Frame) -> bytes:
     return "\n".join(header).encode() + b"\n" + vertices.tobytes() + faces.tobytes()
 
 
-MADE = (1980, 1, 1, 0, 0, 0)  # the same plan makes the same file
-
-
 def model_sequence(name: str, times_s: Sequence[float], surfaces: Sequence[Surface], frame: Frame) -> bytes:
     """The content of a .seq.mrb file; surfaces in m, in the anatomy's frame. `name` is of letters, digits and _."""
     content = io.BytesIO()
@@ -185,7 +182,8 @@ def model_sequence(name: str, times_s: Sequence[float], surfaces: Sequence[Surfa
         files[f"Data/{name}_{k}.ply"] = ply_model(surface, frame)
     with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as bundle:
         for path, data in files.items():
-            bundle.writestr(zipfile.ZipInfo(f"{name}/{path}", MADE), data, zipfile.ZIP_DEFLATED)
+            member = zipfile.ZipInfo(f"{name}/{path}")  # of 1980: the same plan makes the same file
+            bundle.writestr(member, data, zipfile.ZIP_DEFLATED)
     return content.getvalue()
 
 

@@ -39,7 +39,7 @@ from ctrplan.studies.study.study_definition import StudyDefinition
 from ctrplan.studies.study.table import StudyTable, judged_by
 
 COLUMNS = (*(f"base_{axis}_mm" for axis in "xyz"), *(f"base_q{axis}" for axis in "wxyz"))
-MOST_BASES = 20  # that a table lists, the best first
+MOST_ROWS = 30  # base poses or designs that a table lists, the best first
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +98,7 @@ def poses_rows(rows: StudyTable, judged: Quantity) -> dict[str, Any] | None:
             f"{poses.within[k]}",
             digits(float(poses.mean[k])) if np.isfinite(poses.mean[k]) else "-",
         ]
-        for k in poses.order[:MOST_BASES].tolist()
+        for k in poses.order[:MOST_ROWS].tolist()
     ]
     head = ["Position (mm)", "Looks along", "With an answer", "Within tolerance whatever friction does"]
     return {"header": [*head, f"Mean of {judged.label}"], "rows": lines, "all": len(poses.count)}
@@ -210,7 +210,6 @@ OBJECTIVES = {
     "stability": Quantity("stability", "least stability on the way", "", 1),
     "clearance_mm": Quantity("clearance_mm", "least clearance beyond margins", "mm", 1),
 }
-MOST_ROWS = 30  # designs that a table lists, the best first
 
 
 def write_design_report(designs: TubeDesigns) -> None:

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ctrplan.base.arguments import SEED, Choice, Made, Whole, checked
-from ctrplan.base.arrays import CI95, Array, numbers, warn_of_degrees
+from ctrplan.base.arrays import CI95, LEVEL, Array, numbers, warn_of_degrees
 from ctrplan.base.package import of_this_process
 from ctrplan.drive.legs import STILL_M, STILL_RAD
 from ctrplan.errors import InputError, SolverError
@@ -32,8 +32,6 @@ if TYPE_CHECKING:
     from ctrplan.mechanics.core import Mechanics
     from ctrplan.mechanics.history import History, HistoryState
     from ctrplan.mechanics.shapes import Accuracy, HistoryOptions
-
-CARRIED = 0.95  # of the probability, by the histories between whose tips an interval extends
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +73,7 @@ def estimate(position_m: Array, tangent: Array, weight: Array, variance: Array) 
     """
     order = np.argsort(-weight, kind="stable")
     ordered = weight[order]
-    carried = order[np.cumsum(ordered) - ordered < CARRIED]
+    carried = order[np.cumsum(ordered) - ordered < LEVEL]
     likely, beyond = position_m[carried], CI95 * np.sqrt(variance[carried])
     mean_tangent = _mean(weight, tangent)
     return TipEstimate(

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ctrplan.base.arguments import Made, checked
 from ctrplan.base.arrays import MM_PER_M, ROUNDING_M, Array, numbers, read_only
-from ctrplan.drive.drive import Drive
+from ctrplan.drive.drive import STEP_M, STEP_RAD, Drive
 from ctrplan.errors import InputError
 from ctrplan.mechanics.tube import reach_inequalities
 from ctrplan.robot.robot import Robot, nesting_sentence
@@ -26,7 +26,7 @@ from ctrplan.scenario.scenario import CATALOGUE, DEFAULT, Goal, Margins, Scenari
 MotionStyle = Literal["rotations before translations", "simultaneous"]
 
 PROJECTIONS = 12  # rounds over limits and nesting, which are few and nearly orthogonal
-BENT_STEP_RAD, BENT_STEP_M = np.radians(2.0), 0.5e-3  # of a joint, along which a drive with effects moves straight
+BENT_STEP_RAD, BENT_STEP_M = 2 * STEP_RAD, 2 * STEP_M  # of a joint, along which a drive with effects moves straight
 MM_PER_RAD = 20.0  # where no scenario says otherwise
 
 

@@ -33,7 +33,7 @@ LOOK_EVERY = 5  # configurations after which a body is looked at
 # Differences of tips, tangents and friction below which histories have become one: a fiftieth of what they are
 # simulated to, so that what grows in passing stays below that.
 SAME_RAD = 1e-5  # of tangents; tips and friction as where an observer joins histories
-TIP_TOLERANCE_M = 0.05e-3  # of simulated tips (benchmarks/history.py)
+TIP_TOLERANCE_M = 0.05e-3  # of simulated tips (`history numerics` of benchmarks/run.py)
 _STEPS = HistoryOptions()
 QUARTER_STEPS = replace(
     _STEPS,

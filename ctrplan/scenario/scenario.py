@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 
 from ctrplan.anatomy.clearance_grid import SignedDistanceField, anatomy_field, field_bounds, shared_spacing_m
 from ctrplan.base.arguments import LONGEST_MM, PROGRESS, Limited, Text, checked, require, rows_of
-from ctrplan.base.arrays import MILLIMETRE, MM_PER_M, Array, content_sha256, numbers, read_only, unit, vector
+from ctrplan.base.arrays import MILLIMETRE, MM_PER_M, ORIGIN, Array, content_sha256, numbers, read_only, unit, vector
 from ctrplan.base.catalogue import AbstractStruct, Catalogue
 from ctrplan.base.package import shown
 from ctrplan.errors import InputError
@@ -200,7 +200,7 @@ StartFriction = Literal["unknown", "oscillated", "released", "observed"]
 StartTurns = Literal["unknown", "absolute", "followed"]
 
 
-ORIGIN, UNTURNED = (0.0, 0.0, 0.0), ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+UNTURNED = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 SKEWED = 1e-6  # of a rotation matrix that was written with a few digits
 
 

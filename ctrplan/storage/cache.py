@@ -18,7 +18,7 @@ from ctrplan.storage.output_folder import temporary
 
 MAX_TOTAL_BYTES = 1_000_000_000
 SUFFIX, FORMER_SUFFIX = ".grid", ".npz"  # the latter are not read any more
-DIGEST_BYTES = 32
+DIGEST_BYTES = hashlib.sha256().digest_size
 
 logger = logging.getLogger(__name__)
 

@@ -40,8 +40,6 @@ if TYPE_CHECKING:
     from ctrplan.robot.robot import Robot
     from ctrplan.scenario.scenario import Registration, Scenario
 
-SPACING_M = 1e-3  # between the points of a body
-
 
 @dataclass(frozen=True, eq=False)
 class BodySpread:
@@ -75,7 +73,7 @@ def solved_bodies(parameters: UncertainParameters, offset: Array, theta: Array, 
     """Bodies [m] in S friction states with parameters (P,) away from their values; NaN where a solve failed."""
     robot = parameters.robot_at(offset)
     theta_b, l_b = clamped_collars(parameters, robot, theta[None], l[None])
-    result = robot.mechanics.friction_bodies(theta_b[0], l_b[0], friction_states(robot), spacing_m=SPACING_M)
+    result = robot.mechanics.friction_bodies(theta_b[0], l_b[0], friction_states(robot))
     lost = ~result.solved
     return replace(result, point_m=np.where(lost[:, None, None], np.nan, result.point_m))
 

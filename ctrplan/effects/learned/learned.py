@@ -18,7 +18,7 @@ from ctrplan.effects.learned.parts import Part, formula, likeness
 from ctrplan.measurement.measurements import Measurements, Poses
 from ctrplan.robot.robot import Robot
 
-DIGITS = 6
+DIGITS = 6  # of numbers that a fit writes
 
 
 class Learned(Effect):

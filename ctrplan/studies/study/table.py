@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrplan.base.arrays import Array
+from ctrplan.base.arrays import LEVEL, Array
 from ctrplan.base.package import shown
 from ctrplan.errors import InputError
 from ctrplan.studies.study.axes import EXTRA, LEVELS, DrawAxis, check_salib, distributed, problem
@@ -218,7 +218,6 @@ def extreme_tasks(study: StudyDefinition, tasks: Sequence[Task], store: Store, f
 
 
 FEWEST = 4  # base samples or trajectories
-LEVEL = 0.95  # of the intervals
 
 
 @dataclass(frozen=True, eq=False)
