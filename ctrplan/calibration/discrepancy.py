@@ -342,10 +342,11 @@ def integral(H: Array, g: Array, precision: Array, least: Array | float = 1.0) -
     """
     scale, count = 1 / np.sqrt(precision), len(precision)
     whole = np.empty((*H.shape[:-2], count + 1, count + 1))
-    whole[..., :-1, :-1] = H * np.outer(scale, scale)
-    whole[..., range(count), range(count)] += np.asarray(least)[..., None]
+    np.multiply(H, np.outer(scale, scale), out=whole[..., :-1, :-1])
+    diagonal = np.einsum("...ii->...i", whole)  # a view
+    diagonal[..., :-1] += np.asarray(least)[..., None]
     whole[..., -1, :-1] = g * scale
-    whole[..., -1, -1] = 2 * (1.0 + (whole[..., -1, :-1] ** 2).sum(axis=-1))
+    diagonal[..., -1] = 2 * (1.0 + (whole[..., -1, :-1] ** 2).sum(axis=-1))
     factor = np.linalg.cholesky(whole)
     pivots = np.diagonal(factor, axis1=-2, axis2=-1)[..., :-1]
     added: Array = (factor[..., -1, :-1] ** 2).sum(axis=-1) - 2 * np.log(pivots).sum(axis=-1)
