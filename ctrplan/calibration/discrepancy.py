@@ -180,10 +180,10 @@ class SizeSums:
             if number not in self._known:
                 weighted = np.sqrt(self.weight[number])[:, None] * self.along
                 self._known[number] = weighted.T @ weighted + self.of_all[number] * self._of_same
-        at = columns[:, None], columns
-        return np.array([self._known[k][at] for k in numbers.ravel().tolist()]).reshape(
-            *numbers.shape, *2 * columns.shape
-        )
+        some = [self._known[k] for k in numbers.ravel().tolist()]
+        if len(columns) < self.g.shape[1] or np.any(columns != np.arange(len(columns))):
+            some = [H[columns[:, None], columns] for H in some]
+        return np.array(some).reshape(*numbers.shape, *2 * columns.shape)
 
     @cached_property
     def _of_same(self) -> Array:
@@ -213,6 +213,7 @@ class Spectrum:
     moved: Array = field(default_factory=lambda: np.zeros(0))  # (M,) by how much
     modes: int = 0  # last parameters of the sums, of unit priors: the amounts of a process, over which is integrated
     _known: dict[tuple[int, int], System] = field(default_factory=dict)  # beside the process, by numbers of sizes
+    _evidences: dict[tuple[int, int], float] = field(default_factory=dict)  # of these columns, by numbers of sizes
 
     @classmethod
     def at(cls, fit: Linearised, blocks: Sequence[Block]) -> Spectrum:
@@ -247,12 +248,12 @@ class Spectrum:
         priors = self.precision[kept] if precision is None else precision
         some = np.flatnonzero(moved) if moved is not None else kept[:0]
         amount = moved[some] if moved is not None else self.moved
-        return replace(self, precision=priors, columns=self.columns[[*kept, *some]], moved=amount)
+        return replace(self, precision=priors, columns=self.columns[[*kept, *some]], moved=amount, _evidences={})
 
     def of_residuals(self, r: Array, position: Sequence[Numbered], tangent: Sequence[Numbered]) -> Spectrum:
         """The spectrum of a fit with other residuals (K, 5), whose numbers have the same blocks."""
         sums = self.position.of_residuals(r, position), self.tangent.of_residuals(r, tangent)
-        return replace(self, position=sums[0], tangent=sums[1], _known={})
+        return replace(self, position=sums[0], tangent=sums[1], _known={}, _evidences={})
 
     def highest(self) -> tuple[float, float, float]:
         """The highest evidence, and the sizes of position and tangent that it has: one by one, until both stay.
@@ -279,8 +280,19 @@ class Spectrum:
         return float(self.evidences(0, 0))
 
     def evidences(self, position: Chosen, tangent: Chosen) -> Array:
-        """(S,) twice their logarithms, up to a constant, at numbers of the sizes; one of each is a single number."""
+        """(S,) twice their logarithms, up to a constant, at numbers of the sizes; one of each is a single number.
+
+        A pair of sizes is worked out once, however often a search comes by.
+        """
         p, t = np.arange(len(self.position.size))[position], np.arange(len(self.tangent.size))[tangent]
+        pairs = list(np.broadcast(p, t))
+        if new := [k for k, pair in enumerate(pairs) if pair not in self._evidences]:
+            worked_out = self._of_sizes(*(part[new] if part.ndim else part for part in (p, t)))
+            self._evidences.update(zip([pairs[k] for k in new], worked_out.ravel().tolist(), strict=True))
+        return np.array([self._evidences[pair] for pair in pairs]).reshape(np.broadcast_shapes(p.shape, t.shape))
+
+    def _of_sizes(self, p: NDArray[np.int_], t: NDArray[np.int_]) -> Array:
+        """(S,) the evidences at numbers (S,) of the sizes, one of them single."""
         H, g, likelihood = self._beside_process(p, t) if self.modes else self._systems(p, t, self.columns)
         if count := len(self.moved):  # residuals r become r + J moved
             of_moved = H[..., -count:] @ self.moved
@@ -330,10 +342,11 @@ def integral(H: Array, g: Array, precision: Array, least: Array | float = 1.0) -
     """
     scale, count = 1 / np.sqrt(precision), len(precision)
     whole = np.empty((*H.shape[:-2], count + 1, count + 1))
-    whole[..., :-1, :-1] = H * np.outer(scale, scale)
-    whole[..., range(count), range(count)] += np.asarray(least)[..., None]
+    np.multiply(H, np.outer(scale, scale), out=whole[..., :-1, :-1])
+    diagonal = np.einsum("...ii->...i", whole)  # a view
+    diagonal[..., :-1] += np.asarray(least)[..., None]
     whole[..., -1, :-1] = g * scale
-    whole[..., -1, -1] = 2 * (1.0 + (whole[..., -1, :-1] ** 2).sum(axis=-1))
+    diagonal[..., -1] = 2 * (1.0 + (whole[..., -1, :-1] ** 2).sum(axis=-1))
     factor = np.linalg.cholesky(whole)
     pivots = np.diagonal(factor, axis1=-2, axis2=-1)[..., :-1]
     added: Array = (factor[..., -1, :-1] ** 2).sum(axis=-1) - 2 * np.log(pivots).sum(axis=-1)

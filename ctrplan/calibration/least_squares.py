@@ -77,12 +77,12 @@ def inverse(matrix: Array) -> Array:
 
 
 def fit(
-    chain: ParametricChain, noise: Noise, group: Sequence[int] | NDArray[np.int_], start: Array | None = None
+    chain: ParametricChain, noise: Noise, group: Sequence[int] | NDArray[np.int_], start: Array | Fit | None = None
 ) -> Fit:
-    """The most probable parameters near `start` (P,)."""
-    groups = np.asarray(group)
-    p = np.clip(chain.start if start is None else start, chain.lower, chain.upper)
-    here = fit_at(chain, noise, groups, p)
+    """The most probable parameters near `start` (P,), or near what a fit would be there, of this chain and noise."""
+    groups, known = np.asarray(group), start.p if isinstance(start, Fit) else start
+    p = np.clip(chain.start if known is None else known, chain.lower, chain.upper)
+    here = start if isinstance(start, Fit) and np.array_equal(p, start.p) else fit_at(chain, noise, groups, p)
     damping = 0.0
     for _ in range(MOST_STEPS):
         if not len(p):

@@ -101,7 +101,7 @@ def _searched(partial: PartialDiagnosis, tell: Callable[[str], None]) -> Built |
     if not any(is_built(t) for t in here.terms):
         return None
     again = most_probable(bench, here, partial.known, partial.split, partial.block, partial.base, tell)
-    scored = again.chosen
+    scored, _ = again.chosen, again.parts  # its sets are asked for again on the held-out poses
     if not any(is_built(t) for t in scored.terms):
         return None
     plain = bench.scored([t for t in scored.terms if not is_built(t)], scored.fit)

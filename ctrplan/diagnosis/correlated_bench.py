@@ -11,6 +11,7 @@ On a continuous motion, friction follows the simulated history from the first co
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -67,6 +68,15 @@ class CorrelatedBench(Workbench):
         self.plain, self.restarts = noise, 0
         self._phi: Array | None = None
         self._handed: dict[Scored, Fit] = {}
+
+    def as_it_is(self) -> CorrelatedBench:
+        """A bench that stays as it is while this one goes on."""
+        other = copy(self)
+        for name, known in vars(self).items():
+            if isinstance(known, dict):
+                kept = {key: list(entry) if isinstance(entry, list) else entry for key, entry in known.items()}
+                setattr(other, name, kept)
+        return other
 
     def base(self, terms: Sequence[Term]) -> Term:
         """Ordinary calibration with Poisson's ratios that tubes have: nothing unexplained may hide in others."""

@@ -8,6 +8,7 @@ effect of the most probable set is told where it acts with 0.99, alone or togeth
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -62,11 +63,16 @@ class PartialDiagnosis:
     base: Scored  # calibrated without effects, and without a free frame
     chosen: Scored  # the most probable set
     judgement: Judgement
-    parts: tuple[Part, ...]
     rest: Remainder
     path: tuple[SelectionStep, ...]
     known: Candidates  # that were asked
     compared: Compared
+    then: CorrelatedBench  # the bench as it was when this was found
+
+    @cached_property
+    def parts(self) -> tuple[Part, ...]:
+        """What the listed effects close: some thirty fits, which a term that is built of the rest may make vain."""
+        return tuple(_part(self.then, self.base, self.chosen, f.term) for f in self.judgement.findings)
 
     def to_json(self) -> dict[str, Any]:
         """What remains, for diagnosis.json."""
@@ -112,7 +118,8 @@ def diagnose_partially(
         parts = Split(parts.selection[certain], parts.held_out_set)
     bench = _bench(robot, data, noise, parts, block)
     base = Workbench(robot, bench.data, noise, bench.group).scored([])
-    return most_probable(bench, bench.begun(), known, parts, block, base, tell)
+    result = most_probable(bench, bench.begun(), known, parts, block, base, tell)
+    return replace(result, then=bench.as_it_is())
 
 
 def _bench(robot: Robot, data: Measurements, noise: Noise, parts: Split, block: NDArray[np.int_]) -> CorrelatedBench:
@@ -141,9 +148,8 @@ def most_probable(
     beside, named = _by_name(bench, here)
     verdict: Verdict = "partial" if findings else "unexplained"
     judgement = Judgement(verdict, findings, left_by_names(beside, named))
-    closed = tuple(_part(bench, base, here, f.term) for f in findings)
     rest = remainder_beside(beside, named, bench.plain)
-    return PartialDiagnosis(bench, parts, block, base, here, judgement, closed, rest, path, known, compared)
+    return PartialDiagnosis(bench, parts, block, base, here, judgement, rest, path, known, compared, bench)
 
 
 def testable_beside(known: Candidates, bench: CorrelatedBench) -> Candidates:

@@ -15,9 +15,6 @@ parameters with the precision P of their priors, s changes the logarithm of the 
     1/2 sum_i (s^2 u_i^2 / (1 + s^2 v_i) - log(1 + s^2 v_i)),
 
 v_i the eigenvalues of B^T S B, u_i the components of B^T S r along their vectors, S = I - J (J^T J + P)^-1 J^T.
-Computed is the same from the eigenvalues d_i of B^T B, which no set of effects changes: with A and a what J and r have
-along their vectors and w_i = s^2 / (1 + s^2 d_i), the process takes A^T w A off J^T J and A^T w a off J^T r, and adds
-1/2 sum_i (w_i a_i^2 - log(1 + s^2 d_i)).
 """
 
 from __future__ import annotations
@@ -253,7 +250,7 @@ class UnknownErrors:
         processes = list(_processes(bench, base, counts)) if with_stages else []
         self.inputs = [name for name, _ in processes]  # of each process
         self.processes = [modes for _, modes in processes]
-        self._known: dict[object, list[tuple[Array, Array | None]]] = {}  # processes apart from each other, by peak
+        self._known: dict[object, list[Array]] = {}  # squares of processes, by peak
 
     def spectra(self, fit: Linearised) -> list[Spectrum]:
         """A fit beside every smooth error, of every size; whoever asks for some of its parameters shares their sums."""
@@ -313,31 +310,29 @@ class UnknownErrors:
 
     def _gains(self, fit: Linearised, peak: Peak | None = None) -> Array:
         """(M, S) logarithm of what each process, of each size, multiplies the evidence by; beside a smooth error."""
+        from scipy.linalg import solve_triangular  # slow to import
+
         own = _with_unit_priors(fit)
         over = own if peak is None else peak.over_covariance(own)
         whole, gains = own.T @ over, list[Array]()
-        square = SIZES[:, None] ** 2
-        for B, (values, vectors) in zip(self.processes, self._apart(peak), strict=True):
-            along, spread = B.T @ over, np.log1p(square * values).sum(axis=1)
-            along = along if vectors is None else vectors.T @ along
-            taken = (along.T * (square / (1 + square * values))[:, None]) @ along
-            gains.append(_marginal(whole - taken) - spread / 2)
-        of_sizes = np.array(gains).reshape(-1, len(SIZES))
-        return of_sizes - of_sizes[:, :1]  # of size zero there is no process
+        H, g, square = whole[:-1, :-1], whole[:-1, -1], SIZES[:, None] ** 2
+        factor = np.linalg.cholesky(H + _least(H) * np.eye(len(H)))
+        of_r = solve_triangular(factor, g, lower=True, check_finite=False)
+        for B, own_square in zip(self.processes, self._squares(peak), strict=True):
+            along = B.T @ over
+            taken = solve_triangular(factor, along[:, :-1].T, lower=True, check_finite=False)
+            values, vectors = np.linalg.eigh(own_square - taken.T @ taken)
+            v, u = np.maximum(values, 0.0), vectors.T @ (along[:, -1] - taken.T @ of_r)
+            gains.append((square * u**2 / (1 + square * v) - np.log1p(square * v)).sum(axis=1) / 2)
+        return np.array(gains).reshape(-1, len(SIZES))
 
-    def _apart(self, peak: Peak | None) -> list[tuple[Array, Array | None]]:
-        """Eigenvalues (m,) and vectors (m, m) of every process over the noise and the smooth error of a peak.
-
-        Beside noise alone modes are their own.
-        """
-        if peak is None:
-            return [((B**2).sum(axis=0), None) for B in self.processes]
-        key = peak.error, peak.position, peak.tangent
+    def _squares(self, peak: Peak | None) -> list[Array]:
+        """(m, m) of every process over the noise and the smooth error of a peak."""
+        key = None if peak is None else (peak.error, peak.position, peak.tangent)
         if key not in self._known:
-            squares = [np.linalg.eigh(B.T @ peak.over_covariance(B)) for B in self.processes]
             if len(self._known) >= RECENT:
                 del self._known[next(iter(self._known))]  # the oldest
-            self._known[key] = [(np.maximum(values, 0.0), vectors) for values, vectors in squares]
+            self._known[key] = [B.T @ (B if peak is None else peak.over_covariance(B)) for B in self.processes]
         return self._known[key]
 
 
@@ -347,14 +342,16 @@ def _with_unit_priors(fit: Linearised) -> Array:
 
 
 def _marginal(square: Array) -> Array:
-    """(...) logarithm of the evidence by the squares (..., P + 1, P + 1) of what `_with_unit_priors` has.
-
-    Rounding of the largest of them may not take more than the priors add.
-    """
+    """(...) logarithm of the evidence by the squares (..., P + 1, P + 1) of what `_with_unit_priors` has."""
     H, g, of_r = square[..., :-1, :-1], square[..., :-1, -1], square[..., -1, -1]
-    least = 1 + 4 * np.finfo(np.float64).eps * np.trace(H, axis1=-2, axis2=-1)
-    logarithm: Array = (integral(H, g, np.ones(H.shape[-1]), least) - of_r) / 2
+    logarithm: Array = (integral(H, g, np.ones(H.shape[-1]), _least(H)) - of_r) / 2
     return logarithm
+
+
+def _least(H: Array) -> Array:
+    """(...) what the priors add to squares (..., P, P), and rounding of the largest of them may not take."""
+    least: Array = 1 + 4 * np.finfo(np.float64).eps * np.trace(H, axis1=-2, axis2=-1)
+    return least
 
 
 def _averaged(logarithms: Array, axis: int) -> Array:

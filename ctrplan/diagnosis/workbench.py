@@ -204,18 +204,20 @@ class Workbench:
             scored = self.scored(scored.terms, scored.fit)
         return scored
 
-    def _start(self, chain: ParametricChain, near: Sequence[Fit | None], compared: bool = False) -> tuple[Array, float]:
-        """The one of several starts whose first step promises most, and the loss that it promises.
+    def _start(self, chain: ParametricChain, near: Sequence[Fit | None], compared: bool = False) -> tuple[Fit, float]:
+        """What a fit would be at the one of several starts whose first step promises most, and the loss promised.
 
         Without anything to compare with nothing is promised.
         """
         starts = [start for place in near or (None,) for start in self._starts(chain, place)]
         if len(starts) == 1 and not compared:
-            return starts[0], np.nan
+            starts = [np.clip(starts[0], chain.lower, chain.upper)]
         fits = [fit_at(chain, self.noise, self.whitening_group, start) for start in starts]
+        if len(starts) == 1 and not compared:
+            return fits[0], np.nan
         promised = [float(robust_square(np.linalg.norm(linear(f).refitted().r, axis=1)).sum()) for f in fits]
         best = int(np.argmin(promised))
-        return starts[best], promised[best]
+        return fits[best], promised[best]
 
     def _starts(self, chain: ParametricChain, near: Fit | None) -> list[Array]:
         """Known values of the parameters, and the effects' own suggestions for those not known yet."""
@@ -292,8 +294,7 @@ class Workbench:
         terms = completed([t for t in here.terms if t.name != other.name], other)
         chain = self.chain([*self.basis(terms), *terms])
         start, _ = self._start(chain, [here.fit])
-        there = linear(fit_at(chain, self.noise, self.whitening_group, start)).refitted()
-        return Screened(other, there, chain.owners)
+        return Screened(other, linear(start).refitted(), chain.owners)
 
 
 def _widened(t: Term, factor: float) -> Term:

@@ -21,6 +21,7 @@ from ctrplan.base.long_work import MOST_THREADS, Progress, core_threads, part_of
 from ctrplan.base.package import shown
 from ctrplan.errors import InputError
 from ctrplan.mechanics.core_arrays import (
+    Near,
     core_density,
     core_grid,
     core_limits,
@@ -309,14 +310,13 @@ class Mechanics:
         threads: int = 0,
         accuracy: Accuracy = "search",
         progress: Progress | None = None,
+        near: Near | None = None,
     ) -> Tips:
         """Tips of K friction states, theta_b, l_b (K, n), phi (K, n - 1), and their derivatives by P parameters.
 
-        Parameters are named as in `ctrplan.mechanics.gradients`. Rows of one configuration are solved
-        faster when they follow each other. Derivatives are those of the discretised equations; NaN where a
-        solve FAILED, where a collar, joint or tip would pass another one, by the compliance of a shaft that is
-        rigid, and where a load is so large that its own change does not settle. Collars, joints and tips that
-        coincide are taken to move together.
+        Named as in `ctrplan.mechanics.gradients`. Rows of one configuration in turn or near known solutions are faster.
+        Derivatives of the discretised equations; NaN where a solve FAILED, by what would pass another, by compliance
+        of a rigid shaft, where a load's own change does not settle. What coincides is taken to move together.
         """
         thetas, ls = self._configurations(theta_b, l_b)
         states = np.ascontiguousarray(numbers(phi, "phi"))
@@ -327,7 +327,7 @@ class Mechanics:
         given = directions(parameters, *self.numbers)
         with input_errors():
             result = self._model.tips_with_friction(
-                thetas, ls, states, given, accuracy, core_threads(threads), progress
+                thetas, ls, states, given, accuracy, core_threads(threads), progress, *(near or (None, []))
             )
         return promised(Tips(**result))
 

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from ctrplan.mechanics.tube import Loads
 
 Table = TypeVar("Table", Bounds, PathSamples, Tips)
+TipMemory = _model.TipMemory
+Near = tuple[TipMemory, list[int]]  # solutions of robots that hardly differ, and the places of rows among them
 
 
 def joint_row(values: ArrayLike, n: int) -> Array:

@@ -117,16 +117,18 @@ class StageColumns:
 
     def _sensor_columns(self, poses: Poses, by: Array) -> None:
         """Columns of the sensor's own parameters. Effects before that of a parameter act once for all its values."""
-        data, before = self.of.data, dict[str, tuple[int, Poses]]()
-        for k, acting in enumerate(self.chain.of_stage("sensor")):
+        data, sensing, before = self.of.data, self.chain.of_stage("sensor"), dict[str, tuple[int, Poses]]()
+        for k, acting in enumerate(sensing):
             before[acting.effect.name] = k, poses
             poses = acting.effect.sensor(acting.values, poses, data)
-        names = [t.name for t in self.of.terms for _ in t.parameters]
+        names = [(t.name, q.name) for t in self.of.terms for q in t.parameters]
         for j in self.of.stages()["sensor"]:
-            first, given = before[names[j]]
+            effect, name = names[j]
+            first, given = before[effect]
 
-            def read(p: Array, first: int = first, given: Poses = given) -> Array:
-                return _stacked(self.of.at(p).sensor(given, data, first))
+            def read(p: Array, j: int = j, name: str = name, first: int = first, given: Poses = given) -> Array:
+                own = Acting(sensing[first].effect, {**sensing[first].values, name: float(p[j])})
+                return _stacked(Chain(self.chain.ideal, (own, *sensing[first + 1 :])).sensor(given, data))
 
             by[:, :, j] = self._difference(read, j)
 

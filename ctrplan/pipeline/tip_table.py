@@ -30,6 +30,7 @@ from ctrplan.base.long_work import cores
 from ctrplan.drive.legs import LINE_TOLERANCE, Collars
 from ctrplan.errors import InputError
 from ctrplan.measurement.measurements import Measurements
+from ctrplan.mechanics.core_arrays import Near, TipMemory
 from ctrplan.mechanics.shapes import Accuracy, Shape, Status, points_on_tubes
 from ctrplan.mechanics.tube import Loads, Tube, is_in_order, moved_to_nest
 from ctrplan.robot.robot import Robot
@@ -54,31 +55,42 @@ class TipTable:
 
 
 def tip_table(
-    robot: Robot, theta_b: Array, l_b: Array, phi: Array, names: Sequence[str] = (), accuracy: Accuracy = "search"
+    robot: Robot,
+    theta_b: Array,
+    l_b: Array,
+    phi: Array,
+    names: Sequence[str] = (),
+    accuracy: Accuracy = "search",
+    near: Near | None = None,
 ) -> TipTable:
-    """Tips at (K, n) [rad], (K, n) [m] in friction states (K, n - 1); names as in `parameters`, or theta_b.1, l_b.1."""
+    """Tips at (K, n) [rad], (K, n) [m] in friction states (K, n - 1); names as in `parameters`, or theta_b.1, l_b.1.
+
+    near: solutions near which those of the rows, by their places, are sought.
+    """
     rubbing, inside = robot.friction[:, 1] > 0, nested(robot, l_b)
     fresh = {f"contact.{i + 1}.friction_coefficient" for i in np.flatnonzero(~rubbing)}
     of_friction, others = ([name for name in names if (name in fresh) is asked] for asked in (True, False))
     rows = np.hstack([theta_b, inside, phi * rubbing])
     if of_friction and others:  # without friction its state matters to derivatives by friction alone
-        whole = _columns(robot, rows, others, accuracy)
-        more = _columns(robot, np.hstack([theta_b, inside, phi]), of_friction, accuracy)
+        whole = _columns(robot, rows, others, accuracy, near)
+        more = _columns(robot, np.hstack([theta_b, inside, phi]), of_friction, accuracy, near)
         order = [(others + of_friction).index(name) for name in names]
         by = (np.concatenate([getattr(whole, key), getattr(more, key)], axis=2)[:, :, order] for key in BY)
         table = TipTable(whole.position_m, whole.tangent, whole.sound, whole.failed, *by)
     else:
-        table = _columns(robot, np.hstack([theta_b, inside, phi]) if of_friction else rows, names, accuracy)
+        table = _columns(robot, np.hstack([theta_b, inside, phi]) if of_friction else rows, names, accuracy, near)
     return replace(table, sound=table.sound & is_in_order(robot.tubes, l_b, NESTED_M))
 
 
 BY = ("position_by", "tangent_by")
+_NEAR: WeakKeyDictionary[Measurements, TipMemory] = WeakKeyDictionary()  # a fit asks for the same poses of like robots
 
 
-def _columns(robot: Robot, rows: Array, names: Sequence[str], accuracy: Accuracy) -> TipTable:
+def _columns(robot: Robot, rows: Array, names: Sequence[str], accuracy: Accuracy, near: Near | None) -> TipTable:
     """The table of rows (K, 3 n - 1) of collars and friction states."""
     first, back = distinct(rows)
-    table = _solved(_TipRequest.of(robot, rows[first], accuracy), robot, tuple(names))
+    at = near and (near[0], np.array(near[1])[first].tolist())
+    table = _solved(_TipRequest.of(robot, rows[first], accuracy), robot, tuple(names), at)
     return TipTable(*(getattr(table, key)[back] for key in TipTable.__dataclass_fields__))
 
 
@@ -123,13 +135,15 @@ def _remembered(request: _TipRequest) -> _Remembered:
     return _Remembered()
 
 
-def _solved(request: _TipRequest, robot: Robot, names: tuple[str, ...]) -> TipTable:
+def _solved(request: _TipRequest, robot: Robot, names: tuple[str, ...], near: Near | None) -> TipTable:
     known = _remembered(request)
     missing = tuple(name for name in dict.fromkeys(names) if name not in known.by)
     if known.tips is None or missing:
         n = robot.n
         theta_b, l_b, phi = np.split(np.frombuffer(request.rows).reshape(-1, 3 * n - 1), [n, 2 * n], axis=1)
-        tips = robot.mechanics.tips_with_friction(theta_b, l_b, phi, parameters=missing, accuracy=request.accuracy)
+        tips = robot.mechanics.tips_with_friction(
+            theta_b, l_b, phi, parameters=missing, accuracy=request.accuracy, near=near
+        )
         failed = tips.status == Status.FAILED
         none = np.zeros((len(failed), 3, 0))
         known.tips = TipTable(
@@ -216,7 +230,8 @@ def point_table(
 ) -> TipTable:
     """The measured points at collars (K, n), in friction states (K, n - 1); derivatives of tips only, else zero."""
     body = on_body(robot, data)
-    tips = tip_table(robot, collars.theta[~body], collars.l[~body], phi[~body], names, accuracy)
+    near = (_NEAR.setdefault(data, TipMemory()), np.flatnonzero(~body).tolist()) if accuracy == "search" else None
+    tips = tip_table(robot, collars.theta[~body], collars.l[~body], phi[~body], names, accuracy, near)
     if not body.any():
         return tips
     result = TipTable(

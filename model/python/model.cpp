@@ -10,6 +10,7 @@
 #include "bindings.hpp"
 #include "bounds.hpp"
 #include "configurations.hpp"
+#include "ctr/tip_solver.hpp"
 #include "history.hpp"
 #include "shapes.hpp"
 #include "unlocked.hpp"
@@ -86,12 +87,13 @@ std::vector<ctr::Direction> read(const Directions& given, int names) {
 }
 
 nb::dict tips_with_friction(const Model& model, Matrix theta, Matrix l, Matrix phi, const Directions& given, const std::string& level, int threads,
-                           const nb::object& progress) {
+                           const nb::object& progress, ctr::TipMemory* memory, const std::vector<std::size_t>& places) {
     const std::vector<ctr::Configuration> all = valid_configurations(model.robot(), theta, l);
+    if (memory && places.size() != all.size()) throw ctr::InvalidInput("places needs one number per configuration");
     if (phi.shape(0) != all.size() || phi.shape(1) != model.robot().pairs.size())
         throw ctr::InvalidInput("phi needs one row per configuration, one value per pair");
     const std::vector<ctr::Direction> directions = read(given, static_cast<int>(ctr::number_names(model.robot()).size()));
-    ctr::FrictionTipRows rows = unlocked([&] { return model.friction_tips(all, phi.data(), directions, accuracy(level), threads); },
+    ctr::FrictionTipRows rows = unlocked([&] { return model.friction_tips(all, phi.data(), directions, accuracy(level), threads, memory, places); },
                                            progress);
     nb::dict made;
     made["position_m"] = array(std::move(rows.tip));
@@ -157,6 +159,7 @@ std::unique_ptr<PathHistory> history(const Model& model, const std::string& leve
 }  // namespace
 
 void bind_model(nb::module_& m) {
+    nb::class_<ctr::TipMemory>(m, "TipMemory", "Solutions near which those of the same places are sought").def(nb::init<>());
     nb::class_<Model>(m, "Model")
         .def("__init__", &make_model, "tubes"_a, "pairs"_a, "loads"_a, "guide"_a.none())
         .def("zero_clearance", &zero_clearance, "theta_b"_a.noconvert(), "l_b"_a.noconvert())
@@ -168,7 +171,7 @@ void bind_model(nb::module_& m) {
         .def("history", &history, "accuracy"_a, "breakaway"_a, "rotation"_a, "translation"_a, "state_change"_a)
         .def("number_names", [](const Model& model) { return ctr::number_names(model.robot()); })
         .def("tips_with_friction", &tips_with_friction, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "phi"_a.noconvert(), "directions"_a,
-             "accuracy"_a, "threads"_a, "progress"_a.none())
+             "accuracy"_a, "threads"_a, "progress"_a.none(), "memory"_a.none(), "places"_a)
         .def("body_derivatives", &body_derivatives, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "phi"_a.noconvert(), "directions"_a,
              "accuracy"_a, "spacing"_a)
         .def("check_path", &check_path, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "field"_a.none(), "density"_a, "limits"_a, "accuracy"_a,

@@ -144,11 +144,14 @@ void differentiate_each(const Case& made, const ctr::Accuracy& accuracy, const s
 }
 
 // One gradient of the tip says of every number what its own right-hand side and backbones say, and that is what solutions
-// beside each other differ by; with shafts that twist, precurvature that varies, loads. Turning everything turns the tip.
+// beside each other differ by; with shafts that twist, tubes that soften or are oval, precurvature that varies, loads. Turning
+// everything turns the tip.
 void check_derivatives(int seed, Case made) {
     std::mt19937 random(seed);
     for (ctr::Tube& tube : made.robot.tubes) {
         if (seed % 3 == 0) tube.shaft_compliance = uniform(random, 0.1, 2);
+        if (seed % 5 < 2) tube.softening_strain = uniform(random, 2e-3, 1e-2), tube.softening_fraction = uniform(random, 0.3, 0.9);
+        if (seed % 7 < 2) tube.ovality = uniform(random, -0.1, 0.1), tube.ovality_axis = uniform(random, -3, 3);
         for (ctr::Section& section : tube.sections) section.gradient = seed % 2 ? uniform(random, -2, 2) : 0;
     }
     const bool loaded = seed % 4 == 1;

@@ -18,7 +18,9 @@ from ctrplan.errors import InputError
 from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.mechanics.shapes import BoundGradient
+from ctrplan.mechanics.tube import Loads
 from ctrplan.motion.checker import MotionChecker
+from ctrplan.robot.named_numbers import value_of, with_values
 from ctrplan.robot.robot import Robot
 
 LIMIT = 1e-5  # of the size of a derivative
@@ -284,3 +286,42 @@ def test_the_end_of_a_motion_on_which_all_pairs_slip(n: int) -> None:
     assert np.isnan(history.gradient().theta_b).all()
     with pytest.raises(InputError, match="has no state before its first advance"):
         robot.history().gradient()
+
+
+SOFT = {"softening_strain": 0.004, "softening_fraction": 0.6}
+TIP_STEPS = {  # in SI units
+    **{"theta_b.2": 2e-5, "l_b.3": 1e-6, "tube.1.bending_stiffness_Nm2": 2e-5, "tube.2.poisson_ratio": 3e-4},
+    **{"tube.3.section.2.curvature_y_per_m": 8e-3, "tube.2.softening_strain": 4e-6, "tube.3.softening_fraction": 6e-4},
+    **{"tube.2.ovality": 1e-4, "tube.2.ovality_axis_rad": 7e-4, "contact.1.friction_coefficient": 2e-4},
+    **{"loads.tip_force_N.2": 1e-4, "loads.tip_moment_Nm.3": 1e-4, "loads.gravity_m_s2.1": 3e-3},
+}
+DIGITS = 1e-6  # of a derivative, that differences across small steps agree with it
+
+
+@pytest.mark.parametrize("changes", [{}, SOFT, {"ovality": 0.1, "ovality_axis_rad": 0.7}, {**SOFT, "ovality": -0.1}])
+@pytest.mark.parametrize("force_N", [0.0, 0.05])
+def test_tips_of_softened_oval_and_loaded_tubes(changes: dict[str, float], force_N: float) -> None:
+    """By every kind of number: what differences of tips say, extrapolated from two steps, to six digits."""
+    robot, (theta_b, l_b) = nested_robot(3), configurations(3)
+    tubes = [replace(tube, **changes, density_kg_m3=6450.0) for tube in robot.tubes]
+    robot = replace(robot, tubes=tuple(tubes), loads=Loads(tip_force_N=(force_N, 0.5 * force_N, 0.0)))
+    phi = np.random.default_rng(3).uniform(-0.9, 0.9, (ROWS, 2))
+    names = [name for name in TIP_STEPS if changes.get("softening_strain") or "softening" not in name]
+    by = robot.mechanics.tips_with_friction(theta_b, l_b, phi, parameters=names).position_by
+
+    def tip(name: str, h: float) -> Array:
+        joints, moved = {"theta_b": theta_b.copy(), "l_b": l_b.copy()}, robot
+        if (kind := name[:-2]) in joints:
+            joints[kind][:, int(name[-1]) - 1] += h
+        else:
+            moved = with_values(robot, {name: value_of(robot, name) + h})
+        return moved.mechanics.tips_with_friction(*joints.values(), phi).position_m
+
+    for k, name in enumerate(names):
+        step = TIP_STEPS[name]
+        wide, narrow = ((tip(name, h) - tip(name, -h)) / (2 * h) for h in (step, step / 2))
+        apart, off = (np.abs(part).max(axis=1) for part in (wide - narrow, (4 * narrow - wide) / 3 - by[:, :, k]))
+        size = max(np.abs(by[:, :, k]).max(), 1e-6)  # m: a round tube has no oval axis
+        smooth = apart <= LIMIT * size  # not where an element is added or a point begins to soften between the steps
+        assert smooth.mean() >= 0.75, name
+        assert np.all(off[smooth] <= DIGITS * size), name

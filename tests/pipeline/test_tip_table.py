@@ -10,8 +10,10 @@ from measured_data import pair_robot
 
 from ctrplan.base.arrays import Array
 from ctrplan.mechanics.core import Mechanics
+from ctrplan.mechanics.core_arrays import TipMemory
 from ctrplan.pipeline import tip_table as tip_table_module
 from ctrplan.pipeline.tip_table import TipTable, tip_table
+from ctrplan.robot.named_numbers import with_values
 from ctrplan.robot.robot import Robot
 
 FRICTION = "contact.1.friction_coefficient"
@@ -41,6 +43,22 @@ def test_derivatives_by_friction_know_the_state() -> None:
     assert size > 1e-4
     np.testing.assert_allclose(by[0], -by[2], atol=0.02 * size)
     assert np.linalg.norm(by[1]) < 0.02 * size
+
+
+def test_solutions_near_known_ones_are_those_found_afresh() -> None:
+    """Of robots that hardly differ, and where the places stand for other configurations than before."""
+    random, near = np.random.default_rng(2), (TipMemory(), list(range(24)))
+    theta = np.column_stack([np.zeros(24), random.uniform(-np.pi, np.pi, 24)])
+    l_b = np.column_stack([np.zeros(24), random.uniform(-0.04, -0.02, 24)])
+    state, order = random.uniform(-1, 1, (24, 1)), np.arange(24)
+    for k in range(6):
+        changes = {"tube.2.poisson_ratio": random.uniform(0.25, 0.35), FRICTION: random.uniform(0.1, 0.3)}
+        mechanics = with_values(pair_robot(), changes).mechanics
+        rows = theta[order], l_b[order], state[order]
+        known, afresh = mechanics.tips_with_friction(*rows, near=near), mechanics.tips_with_friction(*rows)
+        np.testing.assert_allclose(known.position_m, afresh.position_m, atol=1e-9)
+        np.testing.assert_array_equal(known.status, afresh.status)
+        order = random.permutation(24) if k == 3 else order
 
 
 def test_derivatives_that_are_asked_together_are_those_asked_alone(monkeypatch: pytest.MonkeyPatch) -> None:

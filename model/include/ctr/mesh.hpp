@@ -100,6 +100,7 @@ class Mesh : private MeshArrays {
         const int row = element_regime_[element] / 2;
         return row >= tubes_ && (ghosts_[row - tubes_].second >> tube & 1);
     }
+    const BendingLaw* laws() const { return laws_.data(); }  // [tube], of linear round ones too
     const std::vector<double>& contact_s() const { return contact_s_; }
     const std::vector<double>& contact_weight() const { return contact_weight_; }
 

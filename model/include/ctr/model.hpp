@@ -13,6 +13,7 @@
 namespace ctr {
 
 class SolverPool;
+struct TipMemory;  // tip_solver.hpp
 
 // The friction bound with the shapes that it is between.
 struct BoundShapes {
@@ -99,8 +100,10 @@ class Model {
     TipRows zero_clearance_tips(const std::vector<Configuration>& all, int threads);
     ClearanceRows zero_clearance_clearances(const std::vector<Configuration>& all, const SignedDistanceField& field, double spacing, int threads);
     // phi: [row][pair], outermost pair first. Rows of one configuration that follow each other share their mesh.
+    // memory: solutions near which those of as many places, one a row, are sought.
     FrictionTipRows friction_tips(const std::vector<Configuration>& all, const double* phi, const std::vector<Direction>& directions,
-                                  const Accuracy& accuracy, int threads) const;
+                                  const Accuracy& accuracy, int threads, TipMemory* memory = nullptr,
+                                  const std::vector<std::size_t>& places = {}) const;
     // The body in one friction state; without any point where it has no solution.
     BodyDerivatives body_derivatives(const Configuration& q, const Accuracy& accuracy, const std::vector<double>& phi,
                                      const std::vector<Direction>& directions, double spacing) const;

@@ -11,6 +11,7 @@
 
 namespace ctr {
 
+class LoadMoments;
 class TipGradient;
 
 // Every number of a robot and of a configuration, in one order; names like "tube.1.section.2.length", from 1, outermost
@@ -42,7 +43,7 @@ struct BodyDerivatives {
 
 // Differentiates the converged equations (d)-(e) of docs/model.md at constant barrier level. With F(x, lambda, w; p) = 0,
 // contact multipliers and gaps eliminated as in a Newton step, H dx/dp = -dF/dp; the tip follows along dx and dp. Where tubes
-// are linear and round and carry nothing, one gradient of the tip serves all directions (tip_gradient.hpp).
+// carry nothing, one gradient of the tip serves all directions, loads among them (tip_gradient.hpp).
 class Sensitivities {
   public:
     Sensitivities();
@@ -61,7 +62,7 @@ class Sensitivities {
                       const std::vector<Direction>& directions, double spacing, BodyDerivatives& out);
 
   private:
-    enum class Way { gradient, alone, none };  // how a direction is taken; none: it leads nowhere
+    enum class Way { gradient, loaded, none };  // how a direction is taken; loaded: it brings loads; none: it leads nowhere
     struct Side {  // the problem at parameter +- step
         FrictionSolver* solver = nullptr;      // the one asked about where only base rotations change, else its own
         std::unique_ptr<FrictionSolver> own;
@@ -74,6 +75,8 @@ class Sensitivities {
     bool shift(FrictionSolver& solver, const Configuration& q, const Direction& direction, double amount, Side& side) const;
     void prepare(const FrictionSolver& solver, const Configuration& q, const std::vector<Direction>& directions);
     Way read_change(const FrictionSolver& solver, const Configuration& q, const Direction& direction, std::vector<std::pair<int, double>>& change);
+    void add_loads(const FrictionSolver& solver, LaneState& state, const Configuration& q, const Direction& direction,
+                   std::vector<std::pair<int, double>>& change);
     bool only_turns(const FrictionSolver& solver, const Direction& direction) const;
     void start(FrictionSolver& solver, LaneState& state, const Configuration& q, const std::vector<Direction>& directions);
     TipDerivative follow(FrictionSolver& solver, LaneState& state, const Configuration& q, const std::vector<double>& phi,
@@ -102,6 +105,7 @@ class Sensitivities {
     Backbone backbone_;
     BackboneTracer tracer_;
     std::unique_ptr<TipGradient> gradient_;
+    std::unique_ptr<LoadMoments> loads_;
     // What the directions change in a row of numbers, for the configuration and the mesh that were asked about last.
     std::vector<Direction> directions_;
     Configuration q_;

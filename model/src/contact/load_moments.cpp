@@ -17,8 +17,7 @@ Vec3 difference(const Vec3& a, const Vec3& b) { return {a[0] - b[0], a[1] - b[1]
 
 // Moment about p(s) of what acts beyond s: m(s) = m_tip + (p_tip - p) x f_tip + int (p(sigma) - p) x q dsigma, summed from
 // the tip for each tube; as a curvature vector (t' = kappa) in the twist-free frame it is (m_y, -m_x).
-void LoadMoments::update(const FrictionSolver& solver, LaneState& state, double base_l, double* changes) {
-    const Robot& robot = solver.robot();
+void LoadMoments::update(const FrictionSolver& solver, const Robot& robot, LaneState& state, double base_l, double* changes) {
     const KernelProblem& pb = solver.mesh().problem();
     const Loads& loads = robot.loads;
     Vec3 force[kMaxTubes], moment[kMaxTubes];  // on each tube beyond the distal node, about it
@@ -71,7 +70,7 @@ void LoadMoments::update(const FrictionSolver& solver, LaneState& state, double 
 }
 
 void FrictionSolver::weigh(LaneState& state) {
-    if (loads_) loads_->update(*this, state, base_l_, load_change_.data());
+    if (loads_) loads_->update(*this, robot_, state, base_l_, load_change_.data());
 }
 
 // Steps are scaled by what the last two say of the slowest mode (Aitken), per lane: by themselves they go astray where a load

@@ -12,9 +12,9 @@ namespace ctr {
 // shape, so that a solve repeats this between its Newton steps; nothing is done for a robot without loads.
 class LoadMoments {
   public:
-    // The moments bend the shape that they are taken from. changes, per lane: by how much they differ at most from those
-    // before, over the largest and the robot's own.
-    void update(const FrictionSolver& solver, LaneState& state, double base_l, double* changes);
+    // Loads and weights are those of `robot`. The moments bend the shape that they are taken from. changes, per lane: by how
+    // much they differ at most from those before, over the largest and the robot's own.
+    void update(const FrictionSolver& solver, const Robot& robot, LaneState& state, double base_l, double* changes);
 
   private:
     Backbone backbone_;

@@ -10,10 +10,10 @@ namespace {
 
 }  // namespace
 
-// Torsion and bending: the virtual work sum_tl P_tl k_t . dk_l along the adjoint, k the bending against the outermost tube
-// less the turned precurvature, by the numbers it is made of.
-void TipGradient::add_elements(const KernelProblem& pb, const LaneState& state, int e) {
-    const int M = pb.element_tubes[e], n = pb.tubes, offsets = offsets_of(pb, e);
+// Torsion and bending: the virtual work along the adjoint, of moments with curvatures and of torques with angles, by the
+// numbers it is made of. A moment m of tube t at constant curvature counts chi_t + turn_t J kappa_t less what the mean takes.
+void TipGradient::add_elements(const KernelProblem& pb, const BendingLaw* laws, const LaneState& state, int e) {
+    const int M = pb.element_tubes[e], offsets = offsets_of(pb, e);
     const ElementBend& bend = bend_[e];
     const double h = pb.length[e], weight = 0.5 * h;
     TipValues& by_length = gradient_[at_.length + e];
@@ -28,26 +28,14 @@ void TipGradient::add_elements(const KernelProblem& pb, const LaneState& state, 
         gradient_[at_.shaft_stiffness + t] += (state.unknown(e, 5 * t, 0) - pb.shaft_angle[t]) * unknown(e, 5 * t);
         gradient_[at_.shaft_angle + t] -= pb.shaft_stiffness[t] * unknown(e, 5 * t);
     }
-    if (offsets == 0) return;
-    const int regime = pb.element_regime[e] * n * n;
-    const double* P = pb.stiffness + regime;
     for (int g = 0; g < 2; ++g) {
-        double b[4], against[kMaxTubes][2], moment[kMaxTubes][2], stretched_moment[kMaxTubes][2];
+        double b[4];
         hermite_second(kGauss[g], h, b);
-        for (int t = 0; t < M; ++t)
-            for (int plane = 0; plane < 2; ++plane) against[t][plane] = bend.running[g][t][plane] - bend.turned[g][t][plane];
-        for (int t = 0; t < M; ++t)
-            for (int plane = 0; plane < 2; ++plane) {
-                moment[t][plane] = stretched_moment[t][plane] = 0;
-                for (int l = 0; l < M; ++l) {
-                    moment[t][plane] += P[t * n + l] * against[l][plane];
-                    stretched_moment[t][plane] += P[t * n + l] * bend.stretched[g][l][plane];
-                }
-            }
-        TipValues change[kMaxTubes][2], turn[kMaxTubes], running[2], stretched[2], work;  // work: per half length
+        TipValues along[kMaxTubes][2], by_bend[kMaxTubes][2], running[2], stretched[2], sum[2], work;  // work: per half length
         for (int t = M - 1; t >= 0; --t) {
-            const double* w = bend.turned[g][t];
-            turn[t] = linear(0, g) * unknown(e, 5 * t) + linear(1, g) * unknown(e + 1, 5 * t);
+            const BentTube& tube = bend.tube[g][t];
+            const double *m = tube.moment, *K = tube.tangent;
+            const TipValues turn = linear(0, g) * unknown(e, 5 * t) + linear(1, g) * unknown(e + 1, 5 * t);
             for (int plane = 0; plane < 2; ++plane) {
                 if (t < offsets) {
                     const int d = offset_index(t, plane), slope = slope_index(t, plane);
@@ -56,25 +44,29 @@ void TipGradient::add_elements(const KernelProblem& pb, const LaneState& state, 
                     running[plane] += by_offset + by_slope;
                     stretched[plane] -= 2.0 * by_offset + by_slope;
                 }
-                change[t][plane] = running[plane] - (plane ? w[0] : -w[1]) * turn[t];
-                work += moment[t][plane] * (change[t][plane] + stretched[plane]) + stretched_moment[t][plane] * change[t][plane];
+                work += m[plane] * (running[plane] + stretched[plane]);
+                load(e, g, t, plane) -= weight * running[plane];
             }
+            work += (m[0] * tube.kappa[1] - m[1] * tube.kappa[0]) * turn;
+            along[t][0] = running[0] + tube.kappa[1] * turn;
+            along[t][1] = running[1] - tube.kappa[0] * turn;
+            by_bend[t][0] = K[0] * along[t][0] + K[1] * along[t][1] - m[1] * turn;
+            by_bend[t][1] = K[1] * along[t][0] + K[2] * along[t][1] + m[0] * turn;
+            for (int plane = 0; plane < 2; ++plane) sum[plane] += by_bend[t][plane];
         }
         by_length += 0.5 * work;
+        const double* S = bend.inverse[g];
+        const TipValues mean[2] = {S[0] * sum[0] + S[1] * sum[1], S[1] * sum[0] + S[2] * sum[1]};
         for (int t = 0; t < M; ++t) {
-            TipValues push[2];  // P change
-            for (int l = 0; l < M; ++l) {
-                for (int plane = 0; plane < 2; ++plane) push[plane] += P[t * n + l] * change[l][plane];
-                gradient_[at_.stiffness + regime + t * n + l] +=
-                    weight * (against[l][0] * change[t][0] + against[l][1] * change[t][1]);
-            }
-            const double *w = bend.turned[g][t], *m = moment[t], c = bend.cosine[g][t], s = bend.sine[g][t];
-            const TipValues x = weight * (push[0] + m[1] * turn[t]), y = weight * (push[1] - m[0] * turn[t]);
-            TipValues* by_precurvature = &gradient_[at_.precurvature + ((e * 2 + g) * n + t) * 2];
-            by_precurvature[0] -= c * x + s * y;
-            by_precurvature[1] -= c * y - s * x;
+            const BentTube& tube = bend.tube[g][t];
+            const double* K = tube.tangent;
+            by_length += (0.5 * tube.stretched[0]) * (by_bend[t][0] - (K[0] * mean[0] + K[1] * mean[1])) +
+                         (0.5 * tube.stretched[1]) * (by_bend[t][1] - (K[1] * mean[0] + K[2] * mean[1]));
+            const TipValues by_moment[2] = {weight * (along[t][0] - mean[0]), weight * (along[t][1] - mean[1])};
+            add_moment(e, g, t, laws[t], tube, by_moment);
+            for (int plane = 0; plane < 2; ++plane) load(e, g, t, plane) += weight * mean[plane];
             if (pb.shaft_node[t] == e && 5 * t >= pb.node_unknowns[e])
-                gradient_[at_.base + t] += (weight * linear(0, g)) * (w[1] * push[0] - w[0] * push[1] + (m[0] * w[0] + m[1] * w[1]) * turn[t]);
+                gradient_[at_.base + t] += linear(0, g) * (tube.by_angle[0] * by_moment[0] + tube.by_angle[1] * by_moment[1]);
         }
     }
 }

@@ -15,9 +15,9 @@ NumberLayout::NumberLayout(int n, int e) : tubes(n), elements(e) {
     take(base, n);
     take(length, e);
     take(precurvature, 4 * n * e);
-    take(stiffness, 2 * n * n * n);
-    for (int* place : {&torsional, &bending, &shaft_stiffness, &shaft_angle}) take(*place, n);
+    for (int* place : {&bending, &ovality, &axis, &knee, &fraction, &torsional, &shaft_stiffness, &shaft_angle}) take(*place, n);
     for (int* place : {&half_square, &outer_arm, &inner_arm, &scale, &friction}) take(*place, n);
+    take(load, 4 * n * e + 1);
     count = next;
 }
 
@@ -30,9 +30,10 @@ void read_numbers(const Mesh& mesh, const Robot& robot, const Configuration& q, 
     auto append = [&](const double* values, int count) { row.insert(row.end(), values, values + count); };
     append(pb.length, pb.elements);
     append(pb.precurvature, 4 * n * pb.elements);
-    append(pb.stiffness, 2 * n * n * n);
-    for (const double* values : {pb.torsional_stiffness, pb.bending_stiffness, pb.shaft_stiffness, pb.shaft_angle,
-                                 pb.half_square_clearance, pb.outer_torque_arm, pb.inner_torque_arm, pb.barrier_scale})
+    for (double BendingLaw::*number : {&BendingLaw::stiffness, &BendingLaw::ovality, &BendingLaw::axis, &BendingLaw::knee, &BendingLaw::fraction})
+        for (int t = 0; t < n; ++t) row.push_back(mesh.laws()[t].*number);
+    for (const double* values : {pb.torsional_stiffness, pb.shaft_stiffness, pb.shaft_angle, pb.half_square_clearance, pb.outer_torque_arm,
+                                 pb.inner_torque_arm, pb.barrier_scale})
         append(values, n);
     for (int p = 0; p < n; ++p) row.push_back(p < n - 1 ? robot.pairs[n - 2 - p].friction : 0.0);
 }

@@ -3,11 +3,12 @@
 #include <algorithm>
 #include <limits>
 
+#include "contact/load_moments.hpp"
 #include "derivatives/tip_gradient.hpp"
 
 namespace ctr {
 
-Sensitivities::Sensitivities() : gradient_(std::make_unique<TipGradient>()) {}
+Sensitivities::Sensitivities() : gradient_(std::make_unique<TipGradient>()), loads_(std::make_unique<LoadMoments>()) {}
 Sensitivities::~Sensitivities() = default;
 
 TipDerivative TipDerivative::nowhere() {
@@ -53,17 +54,32 @@ Sensitivities::Way Sensitivities::read_change(const FrictionSolver& solver, cons
         return Way::gradient;
     }
     set(solver, q, direction, -direction.step, minus_);
-    for (const Side* side : {&plus_, &minus_})
-        if (side->robot.loaded() || !side->robot.linear_round()) return Way::alone;
     for (auto [side, row] : {std::pair{&plus_, &upper_}, {&minus_, &lower_}}) {
         if (!moved_.build_elements_like(solver.mesh(), side->robot, side->q)) return Way::none;
         read_numbers(moved_, side->robot, side->q, *row);
         const double unit = FrictionSolver::barrier_unit(side->robot) / FrictionSolver::barrier_unit(solver.robot());
         for (int p = 0; p < pb.tubes; ++p) (*row)[at.scale + p] *= unit;  // a barrier is level times scale
     }
-    for (int i = 0; i < at.count; ++i)
+    for (int i = 0; i < at.load; ++i)
         if (upper_[i] != lower_[i]) change.push_back({i, (upper_[i] - lower_[i]) / (2 * direction.step)});
-    return Way::gradient;
+    return plus_.robot.loaded() || minus_.robot.loaded() ? Way::loaded : Way::gradient;
+}
+
+// What a load that there is none of asks of the tubes, on the shape of this friction state.
+void Sensitivities::add_loads(const FrictionSolver& solver, LaneState& state, const Configuration& q, const Direction& direction,
+                              NumberChange& change) {
+    const std::size_t count = state.load_moment_count();
+    const int load = NumberLayout(solver.mesh().problem().tubes, solver.mesh().problem().elements).load;
+    double unused;
+    upper_moments_.assign(count, 0.0);
+    for (const double amount : {direction.step, -direction.step}) {
+        set(solver, q, direction, amount, plus_);
+        loads_->update(solver, plus_.robot, state, solver.base_l(), &unused);
+        for (std::size_t i = 0; i < count; ++i) upper_moments_[i] += state.load_moments()[i] / (2 * amount);
+        std::fill_n(state.load_moments(), count, 0.0);
+    }
+    for (std::size_t i = 0; i < count; ++i)
+        if (upper_moments_[i] != 0) change.push_back({load + static_cast<int>(i), upper_moments_[i]});
 }
 
 void Sensitivities::compute(FrictionSolver& solver, LaneState& state, const Configuration& q, const std::vector<double>& phi,
@@ -71,13 +87,14 @@ void Sensitivities::compute(FrictionSolver& solver, LaneState& state, const Conf
     if (!TipGradient::applies(solver, state)) return compute_each(solver, state, q, phi, directions, out);
     solver.factorise(state);
     prepare(solver, q, directions);
-    if (std::find(ways_.begin(), ways_.end(), Way::gradient) != ways_.end()) gradient_->compute(solver, state, phi);
-    if (std::find(ways_.begin(), ways_.end(), Way::alone) != ways_.end()) start(solver, state, q, directions);
+    if (std::any_of(ways_.begin(), ways_.end(), [](Way way) { return way != Way::none; })) gradient_->compute(solver, state, phi);
     out.assign(directions.size(), TipDerivative::nowhere());
+    NumberChange change;
     for (std::size_t j = 0; j < directions.size(); ++j) {
-        if (ways_[j] == Way::alone) out[j] = follow(solver, state, q, phi, directions[j]);
-        if (ways_[j] != Way::gradient) continue;
-        const TipValues by = gradient_->along(changes_[j]);
+        if (ways_[j] == Way::none) continue;
+        change = changes_[j];
+        if (ways_[j] == Way::loaded) add_loads(solver, state, q, directions[j], change);
+        const TipValues by = gradient_->along(change);
         std::copy_n(by.value.begin(), 3, out[j].position.begin());
         std::copy_n(by.value.begin() + 3, 3, out[j].tangent.begin());
     }

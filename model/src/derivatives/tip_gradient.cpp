@@ -36,22 +36,24 @@ Vec3 seen_from(const Frame& frame, const Vec3& v) { return {dot(frame.column(0),
 }  // namespace
 
 bool TipGradient::applies(const FrictionSolver& solver, const LaneState& state) {
-    return !solver.mesh().problem().law && !state.is_exact() && !solver.mesh().has_ghosts();
+    return !solver.robot().loaded() && !state.is_exact() && !solver.mesh().has_ghosts();
 }
 
 void TipGradient::compute(const FrictionSolver& solver, LaneState& state, const std::vector<double>& phi) {
     const KernelProblem& pb = solver.mesh().problem();
+    const BendingLaw* laws = solver.mesh().laws();
     at_ = NumberLayout(pb.tubes, pb.elements);
     stride_ = pb.stride;
     gradient_.assign(at_.count, {});
     adjoint_.assign(static_cast<std::size_t>(pb.nodes) * pb.stride, {});
     bend_.resize(pb.elements);
-    for (int e = 0; e < pb.elements; ++e) measure_bend(pb, state, e, bend_[e]);
+    for (int e = 0; e < pb.elements; ++e) measure_bend(pb, laws, state, e, bend_[e]);
     differentiate_tip(solver, state);
     for (int t = 0; t < pb.tubes; ++t)  // where a tube begins its angle is given, unless its shaft twists
         if (5 * t >= pb.node_unknowns[pb.shaft_node[t]]) gradient_[at_.base + t] = unknown(pb.shaft_node[t], 5 * t);
     solve_transposed(pb, state.view());
-    for (int e = 0; e < pb.elements; ++e) add_elements(pb, state, e);
+    for (int e = 0; e < pb.elements; ++e) add_elements(pb, laws, state, e);
+    gradient_[at_.count - 1] -= unknown(pb.nodes - 1, 0);  // the torque of a tip moment
     add_contacts(pb, state, solver.last_level(), phi);
 }
 
@@ -59,32 +61,6 @@ TipValues TipGradient::along(const NumberChange& change) const {
     TipValues sum;
     for (const auto& [place, amount] : change) sum += amount * gradient_[place];
     return sum;
-}
-
-void TipGradient::measure_bend(const KernelProblem& pb, const LaneState& state, int e, ElementBend& out) const {
-    const int M = pb.element_tubes[e], n = pb.tubes, offsets = offsets_of(pb, e);
-    for (int g = 0; g < 2; ++g) {
-        double b[4], running[2] = {0, 0}, stretched[2] = {0, 0};
-        hermite_second(kGauss[g], pb.length[e], b);
-        for (int t = M - 1; t >= 0; --t) {
-            const double* v = pb.precurvature + ((e * 2 + g) * n + t) * 2;
-            const double angle = linear(0, g) * state.unknown(e, 5 * t, 0) + linear(1, g) * state.unknown(e + 1, 5 * t, 0);
-            const double c = out.cosine[g][t] = std::cos(angle), s = out.sine[g][t] = std::sin(angle);
-            out.turned[g][t][0] = c * v[0] - s * v[1];
-            out.turned[g][t][1] = s * v[0] + c * v[1];
-            for (int plane = 0; plane < 2; ++plane) {
-                if (t < offsets) {
-                    const int d = offset_index(t, plane), slope = slope_index(t, plane);
-                    const double by_offset = b[0] * state.unknown(e, d, 0) + b[2] * state.unknown(e + 1, d, 0);
-                    const double by_slope = b[1] * state.unknown(e, slope, 0) + b[3] * state.unknown(e + 1, slope, 0);
-                    running[plane] += by_offset + by_slope;
-                    stretched[plane] -= 2 * by_offset + by_slope;
-                }
-                out.running[g][t][plane] = running[plane];
-                out.stretched[g][t][plane] = stretched[plane];
-            }
-        }
-    }
 }
 
 // The tip by every unknown into adjoint_, and by every number at fixed unknowns into gradient_.
@@ -112,51 +88,39 @@ void TipGradient::differentiate_tip(const FrictionSolver& solver, const LaneStat
             }
         gradient_[at_.length + e] += slope(from, beyond(kappa, h + length_step, position, tangent),
                                            beyond(kappa, h - length_step, position, tangent), length_step);
-        add_curvature(pb, e, by_curvature);
+        add_curvature(pb, solver.mesh().laws(), e, by_curvature);
     }
 }
 
-// What the curvature of the innermost tube, running_0 + sum_t a_t (turned_t - running_t) with a_t = EI_t / sum EI where the
-// mean bending is free, takes from unknowns and numbers.
-void TipGradient::add_curvature(const KernelProblem& pb, int e, const TipValues (&by_curvature)[2][2]) {
-    const int M = pb.element_tubes[e], n = pb.tubes, offsets = offsets_of(pb, e);
-    const ElementBend& bend = bend_[e];
+// What the curvature of the innermost tube takes from unknowns and numbers: against the outermost one, and where the mean
+// bending is free through the mean, whose change is -S^-1 times that of the sum of moments.
+void TipGradient::add_curvature(const KernelProblem& pb, const BendingLaw* laws, int e, const TipValues (&by_curvature)[2][2]) {
+    const int M = pb.element_tubes[e], offsets = offsets_of(pb, e);
     const double h = pb.length[e];
-    double share[kMaxTubes] = {}, total = 0;
-    for (int t = 0; t < M; ++t) total += pb.bending_stiffness[t];
-    const bool free = pb.element_regime[e] % 2 == 0;
-    for (int t = 0; free && t < M; ++t) share[t] = pb.bending_stiffness[t] / total;
     for (int g = 0; g < 2; ++g) {
         double b[4];
         hermite_second(kGauss[g], h, b);
         const TipValues* by = by_curvature[g];
-        double rest = 1;
-        for (int p = 0; p < offsets; ++p) {
-            rest -= share[p];
-            for (int plane = 0; plane < 2; ++plane)
-                for (int node = 0; node < 2; ++node) {
-                    unknown(e + node, offset_index(p, plane)) += (rest * b[2 * node]) * by[plane];
-                    unknown(e + node, slope_index(p, plane)) += (rest * b[2 * node + 1]) * by[plane];
-                }
-        }
-        double stretched[2], mean[2] = {0, 0};
-        for (int plane = 0; plane < 2; ++plane) {
-            stretched[plane] = bend.stretched[g][0][plane];
-            for (int t = 0; t < M; ++t) {
-                stretched[plane] -= share[t] * bend.stretched[g][t][plane];
-                mean[plane] += share[t] * (bend.turned[g][t][plane] - bend.running[g][t][plane]);
-            }
-            gradient_[at_.length + e] += (stretched[plane] / h) * by[plane];
-        }
-        for (int t = 0; free && t < M; ++t) {
-            const double *w = bend.turned[g][t], c = bend.cosine[g][t], s = bend.sine[g][t];
-            const TipValues by_angle = share[t] * (w[0] * by[1] - w[1] * by[0]);
+        const double* S = bend_[e].inverse[g];
+        const TipValues mean[2] = {-S[0] * by[0] + -S[1] * by[1], -S[1] * by[0] + -S[2] * by[1]};
+        TipValues rest[2] = {by[0], by[1]};
+        for (int t = 0; t < M; ++t) {
+            const BentTube& tube = bend_[e].tube[g][t];
+            const TipValues pulled[2] = {tube.tangent[0] * mean[0] + tube.tangent[1] * mean[1],
+                                         tube.tangent[1] * mean[0] + tube.tangent[2] * mean[1]};
+            const TipValues by_angle = tube.by_angle[0] * mean[0] + tube.by_angle[1] * mean[1];
             for (int node = 0; node < 2; ++node) unknown(e + node, 5 * t) += linear(node, g) * by_angle;
-            TipValues* by_precurvature = &gradient_[at_.precurvature + ((e * 2 + g) * n + t) * 2];
-            by_precurvature[0] += share[t] * (c * by[0] + s * by[1]);
-            by_precurvature[1] += share[t] * (c * by[1] - s * by[0]);
-            for (int plane = 0; plane < 2; ++plane)
-                gradient_[at_.bending + t] += ((w[plane] - bend.running[g][t][plane] - mean[plane]) / total) * by[plane];
+            for (int plane = 0; plane < 2; ++plane) {
+                const TipValues stretch = t == 0 ? by[plane] + pulled[plane] : pulled[plane];
+                gradient_[at_.length + e] += (tube.stretched[plane] / h) * stretch;
+                load(e, g, t, plane) -= mean[plane];
+                rest[plane] += pulled[plane];
+                for (int node = 0; node < 2 && t < offsets; ++node) {
+                    unknown(e + node, offset_index(t, plane)) += b[2 * node] * rest[plane];
+                    unknown(e + node, slope_index(t, plane)) += b[2 * node + 1] * rest[plane];
+                }
+            }
+            add_moment(e, g, t, laws[t], tube, mean);
         }
     }
 }

@@ -31,7 +31,8 @@ struct TipValues {
 };
 
 // With F(x; a) = 0 the balance of forces and y(x, a) the tip, dy/da = y_a - F_a^T H^-T y_x: six solves, however many numbers.
-// For linear round tubes that carry no loads, with the constitutive relation of docs/model.md; the barrier's level is held.
+// For tubes that carry no loads, with the constitutive relation of docs/model.md; the barrier's level is held. Among the
+// numbers are the moments of loads, all zero: a load is felt through what it is on the shape as it stands.
 class TipGradient {
   public:
     static bool applies(const FrictionSolver& solver, const LaneState& state);
@@ -41,19 +42,28 @@ class TipGradient {
     TipValues along(const NumberChange& change) const;
 
   private:
-    struct ElementBend {  // bending against the outermost tube present, and the precurvature as turned, at the Gauss points
-        double sine[2][kMaxTubes], cosine[2][kMaxTubes];
-        double running[2][kMaxTubes][2];
-        double stretched[2][kMaxTubes][2];  // length of the element times the derivative of `running` by it
-        double turned[2][kMaxTubes][2];
+    struct BentTube {  // at a Gauss point; moments and curvatures as vectors in the twist-free frame
+        double kappa[2], moment[2], tangent[3], by_angle[2];  // tangent: moment by curvature, xx, xy, yy
+        double stretched[2];                                  // length of the element times kappa against the outermost by it
+        double sine, cosine, curved[2];                       // of the first oval axis, and the precurvature along the axes
     };
-    void measure_bend(const KernelProblem& pb, const LaneState& state, int element, ElementBend& out) const;
+    struct ElementBend {
+        BentTube tube[2][kMaxTubes];
+        double inverse[2][3];  // of the sum of tangents, where the mean bending is free, else 0
+    };
+    static void measure_bend(const KernelProblem& pb, const BendingLaw* laws, const LaneState& state, int element, ElementBend& out);
+    // What numbers of a tube's law and its precurvature change, where `by` are derivatives by its moment.
+    void add_moment(int element, int gauss, int tube, const BendingLaw& law, const BentTube& bent, const TipValues (&by)[2]);
     void differentiate_tip(const FrictionSolver& solver, const LaneState& state);
-    void add_curvature(const KernelProblem& pb, int element, const TipValues (&by_curvature)[2][2]);
+    void add_curvature(const KernelProblem& pb, const BendingLaw* laws, int element, const TipValues (&by_curvature)[2][2]);
     void solve_transposed(const KernelProblem& pb, const KernelState& state);
-    void add_elements(const KernelProblem& pb, const LaneState& state, int element);
+    void add_elements(const KernelProblem& pb, const BendingLaw* laws, const LaneState& state, int element);
     void add_contacts(const KernelProblem& pb, const LaneState& state, double level, const std::vector<double>& phi);
     TipValues& unknown(int node, int index) { return adjoint_[static_cast<std::size_t>(node) * stride_ + index]; }
+
+    TipValues& load(int element, int gauss, int tube, int plane) {
+        return gradient_[at_.load + ((element * 2 + gauss) * at_.tubes + tube) * 2 + plane];
+    }
 
     NumberLayout at_;
     int stride_ = 0;

@@ -99,14 +99,19 @@ ClearanceRows Model::zero_clearance_clearances(const std::vector<Configuration>&
 }
 
 FrictionTipRows Model::friction_tips(const std::vector<Configuration>& all, const double* phi, const std::vector<Direction>& directions,
-                                     const Accuracy& accuracy, int threads) const {
+                                     const Accuracy& accuracy, int threads, TipMemory* memory, const std::vector<std::size_t>& places) const {
     const std::size_t pairs = robot_.pairs.size();
+    std::unique_lock<std::mutex> having;
+    if (memory) having = std::unique_lock(memory->busy, std::try_to_lock);
+    for (const std::size_t place : places)
+        if (having && place >= memory->places.size()) memory->places.resize(place + 1);
     FrictionTipRows out(all.size(), directions.size());
     const std::vector<std::size_t> first = runs(all);
     auto work = [&](TipSolver& solver, std::size_t run) {
         std::vector<TipDerivative> derivatives;
         for (std::size_t k = first[run]; k < first[run + 1]; ++k) {
-            const Status status = solver.solve(all[k], accuracy, std::vector<double>(phi + k * pairs, phi + (k + 1) * pairs));
+            const Status status = solver.solve(all[k], accuracy, std::vector<double>(phi + k * pairs, phi + (k + 1) * pairs),
+                                               having ? &memory->places[places[k]] : nullptr);
             fill_tip(solver, status, k, out);
             if (directions.empty() || status == Status::failed) continue;
             solver.differentiate(directions, derivatives);
