@@ -17,7 +17,7 @@ from ctrplan.planning.goal_states import goal_state
 from ctrplan.planning.search.polish import Polish
 from ctrplan.scenario.joint_space import bare_scenario
 from ctrplan.scenario.prediction import predict_end, start_states
-from ctrplan.scenario.scenario import Goal, Scenario
+from ctrplan.scenario.scenario import CostTerm, Goal, Scenario
 
 START, GOAL = np.radians([0, 0, 0, 0]), np.append(np.radians([20.0, 80.0, 130.0]), -20e-3)
 START[3] = -60e-3
@@ -124,3 +124,32 @@ def test_a_path_is_polished_where_compensation_will_bring_it(case: Scenario, che
     assert np.linalg.norm(tip - target) < CLOSE_M
     to_joints = MotionChecker(replace(case, goal=replace(case.goal, tip_m=None, joints=GOAL)))
     assert aimed(to_joints, path) == (to_joints, path)
+
+
+TURNED = CostTerm("turned", 100.0, lambda q: np.abs(q[:, 1]))
+WITHDRAWN = CostTerm("withdrawn", 1e4, lambda q: GOAL[3] - q[:, 3])
+
+
+@pytest.mark.parametrize("term", [TURNED, WITHDRAWN])
+def test_legs_are_divided_where_that_pays(case: Scenario, term: CostTerm) -> None:
+    """Half of a turn follows an insertion during which it is dear; half of an insertion precedes a turn alike."""
+    bare = replace(case, goal=Goal(GOAL, None, 1e-3), cost=replace(case.cost, error_along=0.0))
+    path = np.array([START, np.append(GOAL[:3], START[3]), GOAL])
+    whole, divided = Polish(MotionChecker(bare), path, 0), Polish(MotionChecker(replace(bare, terms=(term,))), path, 0)
+    before_mm = divided.cost_mm
+    assert list(whole._divide()) == list(divided._divide()) == [False, False]
+    np.testing.assert_array_equal(whole.corners, path)
+    assert divided.cost_mm < before_mm and len(divided.corners) == 5
+    is_turned, is_slid = (np.diff(divided.corners, axis=0) != 0)[:, [1, 3]].T
+    assert np.array_equal(is_turned, ~is_slid)
+    np.testing.assert_array_equal(divided.corners[[0, -1]], path[[0, -1]])
+
+
+def test_new_legs_are_those_that_changed(checker: MotionChecker) -> None:
+    polish = Polish(checker, roundabout(), 0)
+    for rows in ([2], [2, 3], [5], list(range(1, 7))):
+        moved = polish.corners.copy()
+        moved[rows, :] += 1e-3
+        np.testing.assert_array_equal(polish._new_legs(moved), moved[rows[0] - 1 : rows[-1] + 2])
+    shorter = np.delete(polish.corners, 3, axis=0)
+    np.testing.assert_array_equal(polish._new_legs(shorter), shorter[2:4])

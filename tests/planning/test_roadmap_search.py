@@ -187,11 +187,30 @@ def test_a_path_leaves_the_room_that_certificates_turned_out_to_need(vessel: Mot
     assert [path and path.cost_mm for path in paths] == [1.0, 2.0, None]
 
 
+def test_goals_are_promising_by_what_cannot_be_shortened(vessel: MotionChecker) -> None:
+    """Of those with a known path first the one with less left, though the way there is dearer by nearly as much."""
+    goals = goal_states(vessel, np.random.default_rng(0))[:3]
+    joints = np.vstack([vessel.scenario.start, *(goal.joints for goal in goals)])
+    search = RoadmapSearch(vessel, Roadmap(joints, np.array([[0, 1], [0, 2], [0, 3]]), np.array([1, 2, 3])), goals)
+    weights = vessel.scenario.cost
+    straight_mm = search._least_mm(vessel.space.difference(joints[0], joints[1:]))
+    search.left_m = {k: (100.0 - straight_mm[k - 1]) / weights.error_goal / MM_PER_M for k in (1, 2, 3)}
+    search.left_m[2] -= 50.0 / weights.error_goal / MM_PER_M
+    search.known[:], search.left[:], search.cost[:] = [True, True, False], 0.0, [100.0, 149.0, 0.0]
+    assert (order := list(search.promising_goals()))[0] == 2 and sorted(order) == [1, 2, 3]
+    for k in (1, 2):
+        known = search.known_path(k)
+        assert known is not None and np.array_equal(known.states[-1], joints[k])
+    assert search.known_path(3) is None
+    cheapest = search.known_path()
+    assert cheapest is not None and np.array_equal(cheapest.states[-1], joints[1])
+
+
 def test_no_random_state_is_drawn_twice() -> None:
     """Where the search for a first path grew the roadmap, and that for the cheapest does so again."""
     checker = MotionChecker(load_scenario(SCENARIOS / "pair_free.toml"))
-    goals, clock = goal_states(checker, np.random.default_rng(0)), SearchClock(checker.meter, timed=False, budget_s=2.0)
-    search = StageSearch(checker, goals, 0, time.monotonic(), 2.0, clock, lambda _: None, threading.Event())
+    goals, clock = goal_states(checker, np.random.default_rng(0)), SearchClock(checker.meter, timed=False, budget_s=3.0)
+    search = StageSearch(checker, goals, 0, time.monotonic(), 3.0, clock, lambda _: None, threading.Event())
     drawn: list[Array] = []
 
     def grow(_: RoadmapSearch, rng: np.random.Generator, count: int) -> None:

@@ -149,7 +149,9 @@ class Polish:
         for first, is_end in ((len(self.corners) - 3, True), (0, False)) if len(self.corners) > 2 else ():
             yield False
             a, b, c = self.corners[first : first + 3]
-            between = [(a + b) / 2, (a + b) / 2 + c - b] if is_end else [a + (c - b) / 2, (b + c) / 2]
+            moves = a != b if is_end else b != c  # the joints whose motion is divided
+            between = np.array([a, c] if is_end else [a, b])
+            between[:, moves] = ((a + b if is_end else b + c) / 2)[moves]
             self._takes(merge_legs(np.concatenate([self.corners[: first + 1], between, self.corners[first + 2 :]])))
 
     def _downhill(self, levels: list[Level]) -> list[Array]:

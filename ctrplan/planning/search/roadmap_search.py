@@ -413,7 +413,7 @@ class RoadmapSearch:
         return self._nodes(before, goal) if np.isfinite(distance[goal + len(self.joints)]) else None
 
     def _tree(self, cost: Array, left: Array) -> tuple[Array, NDArray[np.int_]]:
-        """Costs of the cheapest paths from node 0 to all, twice: to pass there and to end there; and the nodes before."""
+        """Costs of the cheapest paths from node 0 to all, to pass there and then to end there; and the nodes before."""
         self.checker.meter.add(EDGE_NS * len(cost))
         is_open, count = np.isfinite(cost), len(self.joints)
         last = is_open & np.isfinite(left)

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -183,17 +183,17 @@ class StageSearch:
         round_s = half = latest = (self.clock.now() + until) / 2
         for goal in roadmap.promising_goals():
             known = roadmap.known_path(goal)
-            states = known.states if known else roadmap.path_to(goal, lambda latest=latest: self._is_over(latest))
+            states = known.states if known else roadmap.path_to(goal, partial(self._is_over, latest))
             if self._is_over(half):
                 break
             began = self.clock.now()
             if states is not None:
                 racers.append(self._racer(roadmap.checker, self._expanded(states)))
-                racers[-1].run_round(lambda: self._is_over(until))
+                racers[-1].run_round(partial(self._is_over, until))
                 round_s = self.clock.now() - began
             latest = min(half, self.clock.now() + round_s)
         for racer in sorted(racers, key=lambda racer: racer.cost_mm):
-            racer.run(lambda: self._is_over(until))
+            racer.run(partial(self._is_over, until))
 
     def _without_reserve(self) -> None:
         """No path keeps more clearance than the certificate asks for: what keeps no more is looked for."""
