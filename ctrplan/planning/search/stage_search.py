@@ -145,9 +145,8 @@ class StageSearch:
             until = min(until, self.budget)
         racers, begun_mm = list[Polish](), before.cost_mm
         with self._ending(until):
-            if self.is_compensated:
-                checker, corners = aimed(before.checker, before.corners)
-                begun_mm = checker.cost_mm(checker.along(corners), ends_at_goal=True)
+            if driven := self._as_driven(before.checker, before.corners):
+                begun_mm = driven[0].cost_mm(driven[0].along(driven[1]), ends_at_goal=True)
             self._race(racers, roadmap, until)
         for racer in sorted(racers, key=lambda racer: racer.cost_mm):
             checker, polished, cost_mm, reached_mm = roadmap.checker, racer.corners, None, racer.cost_mm
@@ -155,9 +154,10 @@ class StageSearch:
                 break
             if racer.checker is not checker:
                 back = brought_to_goal(checker, racer.corners)
-                if back is None:
+                driven = None if back is None else self._as_driven(checker, back)
+                if back is None or driven is None:
                     continue
-                polished, (there, moved) = back, aimed(checker, back)  # from there compensation goes another way
+                polished, (there, moved) = back, driven  # from there compensation goes another way
                 reached_mm = there.cost_mm(there.along(moved), ends_at_goal=True)
                 cost_mm = before.cost_mm - (begun_mm - reached_mm)
                 if not begun_mm - reached_mm > WORTH_A_CERTIFICATE * begun_mm:
@@ -168,14 +168,16 @@ class StageSearch:
                 break
         return False
 
-    def _racer(self, checker: MotionChecker, corners: Array) -> Polish:
-        """A path (K, m) to be polished, as it will be driven."""
-        if self.is_compensated:
-            checker, corners = aimed(checker, corners)
-        return Polish(checker, corners, self.seed, moves_goal=self.moves_goal)
+    def _as_driven(self, checker: MotionChecker, corners: Array) -> tuple[MotionChecker, Array] | None:
+        """A path (K, m) as it is compensated, and a checker with its goal there; None where that has no room."""
+        goal = checker.scenario.goal
+        if not self.is_compensated or goal.tip_m is None or goal.joints is not None or goal.line_m is not None:
+            return checker, corners
+        there, moved = aimed(checker, corners)
+        return None if there is checker else (there, moved)
 
     def _race(self, racers: list[Polish], roadmap: RoadmapSearch, until: float) -> None:
-        """Polishes paths to promising goals, and puts them into `racers`.
+        """Polishes paths to promising goals that can be compensated, and puts them into `racers`.
 
         Half of the time is for a round of each, and for seeking the next no longer than a round took; the rest
         for the cheapest then.
@@ -187,8 +189,9 @@ class StageSearch:
             if self._is_over(half):
                 break
             began = self.clock.now()
-            if states is not None:
-                racers.append(self._racer(roadmap.checker, self._expanded(states)))
+            driven = None if states is None else self._as_driven(roadmap.checker, self._expanded(states))
+            if driven:
+                racers.append(Polish(*driven, self.seed, moves_goal=self.moves_goal))
                 racers[-1].run_round(partial(self._is_over, until))
                 round_s = self.clock.now() - began
             latest = min(half, self.clock.now() + round_s)
