@@ -23,8 +23,9 @@ from ctrplan.planning.room import (
     ClearanceSurrogate,
     expected_share,
 )
-from ctrplan.planning.search.insertion_chains import Roadmap
+from ctrplan.planning.search.insertion_chains import Roadmap, direct_roadmap
 from ctrplan.planning.search.ompl_set_up import SearchProblem
+from ctrplan.planning.search.polish import Polish
 from ctrplan.planning.search.roadmap_search import RoadmapSearch
 from ctrplan.planning.search.stage_search import StageSearch
 from ctrplan.scenario.scenario import anatomy_grid
@@ -329,3 +330,22 @@ def test_what_a_search_has_solved_tells_which_states_are_valid() -> None:
     truly = np.array([checker.state(row).valid for row in beside])
     assert 10 < valid.sum() < 50
     assert np.mean(is_expected == truly) > 0.95 > np.mean(is_guessed == truly)
+
+
+def test_only_what_can_be_compensated_is_polished(vessel: MotionChecker, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A cheap path that misses its target is none."""
+    goals = goal_states(vessel, np.random.default_rng(0))[:2]
+    clock = SearchClock(vessel.meter, timed=False, budget_s=2.0)
+    search = StageSearch(vessel, goals, 0, time.monotonic(), 2.0, clock, lambda _: None, threading.Event())
+    search.is_compensated = True
+    roadmap = RoadmapSearch(vessel, direct_roadmap(vessel, goals), goals)
+    assert roadmap.any_path(lambda: False) is not None
+    for has_room in (True, False):
+        if not has_room:
+            monkeypatch.setattr(
+                "ctrplan.planning.search.stage_search.aimed", lambda checker, corners: (checker, corners)
+            )
+        racers: list[Polish] = []
+        search._race(racers, roadmap, clock.now() + 0.2)
+        assert bool(racers) == has_room
+        assert all(racer.checker is not vessel for racer in racers)
