@@ -49,7 +49,7 @@ def plans_study(count: int) -> dict[str, Any]:
 
 
 def loop_of_bounds() -> Callable[[dict[str, Any]], object]:
-    """The same bounds, one call each."""
+    """Bounds as of a batch, one call each."""
     robot = ctrplan.load_robot(ROBOT)
 
     def bound(settings: dict[str, Any]) -> object:

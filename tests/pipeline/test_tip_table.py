@@ -46,7 +46,7 @@ def test_derivatives_by_friction_know_the_state() -> None:
 
 
 def test_solutions_near_known_ones_are_those_found_afresh() -> None:
-    """Of robots that hardly differ, and where the places stand for other configurations than before."""
+    """Solutions kept of robots that hardly differ, and places that stand for other configurations than before."""
     random, near = np.random.default_rng(2), (TipMemory(), list(range(24)))
     theta = np.column_stack([np.zeros(24), random.uniform(-np.pi, np.pi, 24)])
     l_b = np.column_stack([np.zeros(24), random.uniform(-0.04, -0.02, 24)])

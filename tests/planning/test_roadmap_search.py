@@ -189,7 +189,7 @@ def test_a_path_leaves_the_room_that_certificates_turned_out_to_need(vessel: Mot
 
 
 def test_goals_are_promising_by_what_cannot_be_shortened(vessel: MotionChecker) -> None:
-    """Of those with a known path first the one with less left, though the way there is dearer by nearly as much."""
+    """With known paths to two, the one with less left comes first, though its way is dearer by nearly as much."""
     goals = goal_states(vessel, np.random.default_rng(0))[:3]
     joints = np.vstack([vessel.scenario.start, *(goal.joints for goal in goals)])
     search = RoadmapSearch(vessel, Roadmap(joints, np.array([[0, 1], [0, 2], [0, 3]]), np.array([1, 2, 3])), goals)

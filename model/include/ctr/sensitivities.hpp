@@ -111,6 +111,7 @@ class Sensitivities {
     Configuration q_;
     std::vector<double> s_;
     std::vector<std::vector<std::pair<int, double>>> changes_;
+    std::vector<std::pair<int, double>> with_loads_;  // a change of those, and what its loads ask of the tubes
     std::vector<Way> ways_;
     Mesh moved_;
     std::vector<double> upper_, lower_;

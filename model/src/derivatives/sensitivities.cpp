@@ -89,12 +89,11 @@ void Sensitivities::compute(FrictionSolver& solver, LaneState& state, const Conf
     prepare(solver, q, directions);
     if (std::any_of(ways_.begin(), ways_.end(), [](Way way) { return way != Way::none; })) gradient_->compute(solver, state, phi);
     out.assign(directions.size(), TipDerivative::nowhere());
-    NumberChange change;
     for (std::size_t j = 0; j < directions.size(); ++j) {
         if (ways_[j] == Way::none) continue;
-        change = changes_[j];
-        if (ways_[j] == Way::loaded) add_loads(solver, state, q, directions[j], change);
-        const TipValues by = gradient_->along(change);
+        with_loads_ = changes_[j];
+        if (ways_[j] == Way::loaded) add_loads(solver, state, q, directions[j], with_loads_);
+        const TipValues by = gradient_->along(with_loads_);
         std::copy_n(by.value.begin(), 3, out[j].position.begin());
         std::copy_n(by.value.begin() + 3, 3, out[j].tangent.begin());
     }

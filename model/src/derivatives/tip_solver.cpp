@@ -30,8 +30,8 @@ void TipSolver::share() {
     if (is_shared_) return;
     const KernelProblem& pb = solver_.mesh().problem();
     shared_.resize(pb, 1);
-    const std::vector<double> none(solver_.robot().pairs.size() + 1, 0.0);
-    shared_.set_phi(solver_.robot(), pb, 0, none.data());
+    constexpr double none[kMaxTubes] = {};
+    shared_.set_phi(solver_.robot(), pb, 0, none);
     const BarrierPath path = BarrierPath::shared();
     solver_.start(shared_, q_, zero_, path.first);
     Convergence convergence;
