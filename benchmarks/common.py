@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import functools
 import io
-import itertools
 import json
 import os
 import subprocess
@@ -20,7 +19,9 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[1]
 SCENARIOS, IMAGES = ROOT / "scenarios", ROOT / "docs" / "images"
 ROBOTS, STUDIES = SCENARIOS / "robots", SCENARIOS / "studies"
+SHIPPED = sorted(path.stem for path in SCENARIOS.glob("*.toml"))  # names of scenarios
 is_writing = [False]  # whether documents get what is printed and drawn
+tables: dict[str, dict[str, Any]] = {}  # columns and rows of what was printed, by title
 
 
 class Parser(argparse.ArgumentParser):
@@ -60,11 +61,26 @@ def arguments(doc: str | None, *places: str | tuple[str, Iterable[str]], **optio
 Table = tuple[str, str, Callable[[], Iterable[Sequence[object]]]]  # title, head and rows
 
 
+def chosen(names: Sequence[str], known: Iterable[str]) -> list[str]:
+    """The given names, all that are known if there are none; ends with a sentence for a name that is not known."""
+    there = list(known)
+    for name in set(names).difference(there):
+        sys.exit(f"no {name}: there are {', '.join(there)}")
+    return list(names) or there
+
+
 def sections(names: Sequence[str], known: Mapping[str, Callable[[], object] | Table]) -> None:
     """Runs the sections that are named, all if none is."""
-    for name in names or known:
+    for name in chosen(names, known):
         work = known[name]
         table(work[0], work[1], work[2]()) if isinstance(work, tuple) else work()
+
+
+def end_searches_by_count() -> None:
+    """From here on a search ends when it has counted its work, however busy the machine is."""
+    from ctrplan.base import long_work
+
+    long_work.LEAST_REAL_S = np.inf
 
 
 def again(name: str, *arguments: str) -> list[str]:
@@ -91,6 +107,13 @@ def keep(file: Path, row: Mapping[str, Any]) -> None:
         stream.write(json.dumps(row) + "\n")
 
 
+def took(work: Callable[..., object], *given: Any) -> tuple[float, float]:
+    """Seconds of a call, by the clock and of this process's processors."""
+    began = time.perf_counter(), time.process_time()
+    work(*given)
+    return time.perf_counter() - began[0], time.process_time() - began[1]
+
+
 def spent(command: Sequence[str], environment: Mapping[str, str], output: Any) -> tuple[int, float, float, float]:
     """Exit code, seconds by the clock and of the processor, peak memory [MB] of a command, which prints to `output`."""
     began = time.perf_counter()
@@ -105,15 +128,22 @@ def table(title: str, head: str | Sequence[str], rows: Iterable[Sequence[object]
 
     A head may be one text with bars between its cells.
     """
-    cells = head.split(" | ") if isinstance(head, str) else head
-    print(f"\n{title}")
-    for line in itertools.chain((cells, ["---"] * len(cells)), rows):
-        print(row(line), flush=True)
+    columns = head.split(" | ") if isinstance(head, str) else list(head)
+    written = tables.setdefault(title, {"columns": columns, "rows": []})["rows"]
+    print(f"\n{title}\n{line(columns)}\n{line(['---'] * len(columns))}")
+    for row in rows:
+        written.append([f"{cell:.3g}" if isinstance(cell, float) else str(cell) for cell in row])
+        print(line(written[-1]), flush=True)
 
 
-def row(cells: Sequence[object]) -> str:
+def line(cells: Iterable[str]) -> str:
     """A line of a Markdown table."""
-    return f"| {' | '.join(f'{x:.3g}' if isinstance(x, float) else str(x) for x in cells)} |"
+    return f"| {' | '.join(cells)} |"
+
+
+def processors() -> str:
+    """What times by the clock depend on, as words of a line."""
+    return f"{os.cpu_count()} processors, load {os.getloadavg()[0]:.1f}"
 
 
 def tube(

@@ -26,7 +26,7 @@ from typing import Any, TextIO
 
 FOLDER = Path(__file__).resolve().parent
 ROOT = FOLDER.parent
-END = "<!-- end of table -->"
+END = "<!-- end of "  # of a table, how each such mark begins
 
 
 class Tee:
@@ -58,26 +58,6 @@ def listed() -> str:
     return "\n".join(sorted(lines))
 
 
-def tables_and_lines(text: str) -> tuple[dict[str, Any], list[str]]:
-    """Markdown tables by the line before each, and all lines that are in none."""
-    tables: dict[str, Any] = {}
-    lines: list[str] = []
-    title = ""
-    for line in text.splitlines():
-        if not line.startswith("| "):
-            title = line.strip() if line.strip() and not line.startswith("|") else title
-            lines += [line] if line.strip() and not line.startswith("|") else []
-            continue
-        cells = [cell.strip() for cell in line.strip()[1:-1].split("|")]
-        if set("".join(cells)) <= set("-|: "):
-            continue
-        if title not in tables:
-            tables[title] = {"columns": cells, "rows": []}
-        else:
-            tables[title]["rows"].append(cells)
-    return tables, [line for line in lines if line.strip() not in tables]
-
-
 def without_places(arguments: list[str]) -> str:
     """The arguments as one line, paths as what they end with."""
     return " ".join(Path(text).name if "/" in text else text for text in arguments)
@@ -92,13 +72,12 @@ def origin() -> dict[str, Any]:
     return {"commit": commit, "date": time.strftime("%Y-%m-%d"), "processors": os.cpu_count(), "load": load}
 
 
-def keep(name: str, arguments: list[str], text: str, began: dict[str, Any], file: Path) -> dict[str, Any]:
-    """Adds a run to the file of a benchmark, a row of a table on a line of its own; returns its tables."""
-    tables, lines = tables_and_lines(text)
+def keep(name: str, arguments: list[str], text: str, tables: dict[str, Any], began: dict[str, Any], file: Path) -> None:
+    """Adds a run to the file of a benchmark: its tables, and what it printed beside them."""
+    lines = [line for line in text.splitlines() if line.strip() not in tables and line[:1] not in ("", "|")]
     runs = json.loads(file.read_text(encoding="utf-8"))["runs"] if file.exists() else {}
     runs[without_places(arguments)] = {"measured": began, "tables": tables, "lines": lines}
     write_json(file, name, runs)
-    return tables
 
 
 def write_json(file: Path, name: str, runs: dict[str, Any]) -> None:
@@ -133,7 +112,7 @@ def put_into_documents(name: str, tables: dict[str, Any]) -> None:
                 before, rest = text.split(mark)
                 rows = [table["columns"], ["---"] * len(table["columns"]), *table["rows"]]
                 new = "".join(f"| {' | '.join(row)} |\n" for row in rows)
-                text = before + mark + new + END + rest.split(END, 1)[1]
+                text = before + mark + new + rest[rest.index(END) :]
         if text != old:
             page.write_text(text, encoding="utf-8")
 
@@ -159,7 +138,8 @@ def main() -> int:
     os.environ["CTRPLAN_CACHE_DIR"] = str(ROOT / "build" / "benchmark-cache")
     os.environ["MPLBACKEND"] = "Agg"
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # its threads only fight over small matrices
-    importlib.import_module("common").is_writing[0] = given.write
+    common = importlib.import_module("common")
+    common.is_writing[0] = given.write
     module, began = importlib.import_module(given.name), origin()
     if given.bare:
         return int(module.main() or 0)
@@ -167,9 +147,9 @@ def main() -> int:
     code = int(module.main() or 0)
     sys.stdout = shown.stream
     file = given.json or FOLDER / "results" / f"{given.name}.json"
-    tables = keep(given.name, given.arguments, shown.text, began, file)
+    keep(given.name, given.arguments, shown.text, common.tables, began, file)
     if given.write:
-        put_into_documents(given.name, tables)
+        put_into_documents(given.name, common.tables)
     return code
 
 

@@ -1,35 +1,36 @@
 """What a certificate costs: of a plan of every shipped scenario with one target, alone or against another checkout.
 
-python benchmarks/run.py certificate_cost plan FILE                       writes the legs of a plan of each
-python benchmarks/run.py certificate_cost time FILE [--against CHECKOUT]  seconds by the clock, in alternation
+    python benchmarks/run.py certificate_cost plan FILE [SCENARIO ...]    writes the legs of a plan of each
+    python benchmarks/run.py certificate_cost time FILE [--against CHECKOUT] [--rounds 3]    seconds by the clock
 
 A checkout needs its compiled core in ctrplan/. The certificate as it is stated with a plan, histories simulated; and
 the walk alone as a search asks for it. The first of a run is not counted: grids and friction laws are kept then.
 """
 
 import json
-import time
-from collections.abc import Callable, Iterator
+import sys
+from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import common
 import numpy as np
-from common import ROOT, SCENARIOS, elsewhere, table
+from common import ROOT, SCENARIOS, SHIPPED, elsewhere, table, took
 
 SPARE_M = 0.5e-3  # that a search asks for
 SEARCH_TIME_S = 10.0
 KINDS = ("certificate", "walk of a search")
 
 
-def planned() -> dict[str, list[list[float]]]:
+def planned(names: list[str]) -> dict[str, list[list[float]]]:
     """Joint values at the corners of a plan of each scenario."""
     import ctrplan
 
     found = {}
-    for path in sorted(SCENARIOS.glob("*.toml")):
-        scenario = ctrplan.load_scenario(path)
+    for name in names or SHIPPED:
+        scenario = ctrplan.load_scenario(SCENARIOS / f"{name}.toml")
         if not scenario.via and scenario.goal.line_m is None:
-            found[path.stem] = ctrplan.plan(scenario, time_s=SEARCH_TIME_S).waypoints.tolist()
+            found[name] = ctrplan.plan(scenario, time_s=SEARCH_TIME_S).waypoints.tolist()
     return found
 
 
@@ -42,15 +43,8 @@ def once(legs: dict[str, list[list[float]]]) -> Iterator[float]:
     for name, rows in legs.items():
         scenario, corners = ctrplan.load_scenario(SCENARIOS / f"{name}.toml"), np.array(rows)
         certify(scenario, corners)
-        yield timed(lambda: certify(scenario, corners))  # noqa: B023 (called at once)
-        yield timed(lambda: walk_legs(scenario, corners, spare_m=SPARE_M))  # noqa: B023
-
-
-def timed(work: Callable[[], object]) -> float:
-    """Seconds by the clock."""
-    began = time.perf_counter()
-    work()
-    return time.perf_counter() - began
+        yield took(certify, scenario, corners)[0]
+        yield took(partial(walk_legs, spare_m=SPARE_M), scenario, corners)[0]
 
 
 def compare(file: Path, names: list[str], against: Path | None, rounds: int) -> None:
@@ -68,11 +62,14 @@ def compare(file: Path, names: list[str], against: Path | None, rounds: int) -> 
 
 
 def main() -> None:
-    given = common.arguments(__doc__, ("command", ("plan", "time", "once")), "file", against=Path, rounds=3)
+    places = ("command", ("plan", "time", "once")), "file", ("scenarios*", SHIPPED)
+    given = common.arguments(__doc__, *places, against=Path, rounds=3)
     file = Path(given.file)
     if given.command == "plan":
-        file.write_text(json.dumps(planned(), indent=1), encoding="utf-8")
+        file.write_text(json.dumps(planned(given.scenarios), indent=1), encoding="utf-8")
         return
+    if not file.exists():
+        sys.exit(f"{file}: is not there; `certificate_cost plan {file}` writes it")
     legs = json.loads(file.read_text(encoding="utf-8"))
     if given.command == "once":
         print(*once(legs))

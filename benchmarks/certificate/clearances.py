@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import common
 import numpy as np
-from common import ROBOTS, SCENARIOS, table
+from common import ROBOTS, SCENARIOS, SHIPPED, table
 
 import ctrplan
 from ctrplan import Scenario, scenario_from_dict
@@ -85,7 +85,7 @@ def meshes(names: list[str]) -> Iterator[tuple[str, ...]]:
 
 
 def main() -> None:
-    given = common.arguments(__doc__, ("section", ("claims", "meshes")), "scenarios*", robots=60, seed=0)
+    given = common.arguments(__doc__, ("section", ("claims", "meshes")), ("scenarios*", SHIPPED), robots=60, seed=0)
     if given.section == "claims":
         print_claims(given.robots, given.seed)
     else:

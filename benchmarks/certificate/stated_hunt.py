@@ -381,7 +381,7 @@ def _descended(w: World, case: Scenario, joints: Array, draw: Draw, rows: Array,
 
 
 def main() -> None:
-    given = common.arguments(__doc__, "kinds*", scenes=300, first=0, seed=1, only=int)
+    given = common.arguments(__doc__, ("kinds*", KINDS), scenes=300, first=0, seed=1, only=int)
     kinds = tuple(given.kinds) or KINDS
     if given.only is not None:
         print(json.dumps(scene(given.only, given.seed, kinds), indent=1))

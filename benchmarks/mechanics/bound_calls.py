@@ -16,7 +16,7 @@ from typing import Any
 
 import common
 import numpy as np
-from common import ROBOTS, SCENARIOS, tube
+from common import ROBOTS, SCENARIOS, took, tube
 
 import ctrplan
 from ctrplan import CtrplanError, Robot, robot_from_dict
@@ -103,13 +103,7 @@ def threads() -> Iterator[tuple[str, ...]]:
         return ctrplan.MotionChecker(scenario).motions(*ends, threads=count)
 
     for name, call in {"bounds": lambda count: ROBOT.bounds(turn, l_b, threads=count), "motions": motions}.items():
-        least = np.full((2, 2), np.inf)
-        for _ in range(TRIES):
-            for k in (0, 1):
-                begun = time.perf_counter(), time.process_time()
-                call(k + 1)
-                ended = time.perf_counter(), time.process_time()
-                least[k] = np.minimum(least[k], np.subtract(ended, begun))
+        least = np.min([[took(call, count) for count in (1, 2)] for _ in range(TRIES)], axis=0)
         yield name, *(f"{x:.2f}" for x in (*least[:, 0], least[0, 0] / least[1, 0], *least[:, 1]))
 
 
@@ -120,6 +114,7 @@ PAST_THE_WALL_M = 12e-3
 
 def tracks() -> dict[str, tuple[Any, Any, Any]]:
     """Robot or scenario, joints (m,) at the start and points (K, 3) by name; through the lumen at 2/3 of full speed."""
+    common.end_searches_by_count()
     tip = frictionless(ROBOT, LED[None])[0]
     turn, way = np.linspace(0, 2.4, POINTS), np.linspace(0, 1, POINTS)
     circle = tip + 6e-3 * np.stack([np.cos(turn) - 1, np.sin(turn), 0 * turn], axis=1)
@@ -174,17 +169,14 @@ def ways() -> Iterator[tuple[object, ...]]:
         for _ in range(TRIES):
             begun = time.process_time()
             result = ctrplan.inverse_kinematics(scenario, scenario.targets[0].tip_m)
-            found = time.process_time()
-            branches = len(set(result.branches))
-            spent.append((found - begun, time.process_time() - found))
+            spent.append((time.process_time() - begun, took(lambda: result.branches)[1]))  # noqa: B023 (called at once)
         least = (f"{x:.3f}" for x in np.min(spent, axis=0))
-        yield name, *least, len(result.configurations), len(result.valid), branches
+        yield name, *least, len(result.configurations), len(result.valid), len(set(result.branches))
 
 
-KINDS, WHAT = ("all", "extreme"), ("corners", "time, s", "memory, MB", "bound, mm")
-OF_TIMES = (f"{kind}: {what}" for kind in KINDS for what in WHAT)
+WHAT = "{0}: corners | {0}: time, s | {0}: memory, MB | {0}: bound, mm"
 SECTIONS: dict[str, common.Table] = {
-    "times": ("bounds of many tubes", " | ".join(["tubes", *OF_TIMES]), times),
+    "times": ("bounds of many tubes", f"tubes | {WHAT.format('all')} | {WHAT.format('extreme')}", times),
     "extremes": (
         "extreme corners",
         "tubes | configurations | largest shortfall of position, % | of tangent, % | exactly the same",

@@ -1,9 +1,11 @@
 """What is a bound? Corner shapes of a three-tube robot and the tip farthest from the frictionless one, for README.md.
 
-python benchmarks/run.py corner_shapes [--output FILE.png]     without --output it renews docs/images/corner_shapes.png
+python benchmarks/run.py corner_shapes [--output FILE.png]
+python benchmarks/run.py --write corner_shapes                # renews docs/images/corner_shapes.png
 """
 
 import itertools
+from pathlib import Path
 
 import common
 import numpy as np
@@ -98,17 +100,13 @@ def styles(bound: Bound) -> list[tuple[Shape, str, float]]:
     return [*corners, (bound.frictionless, looks.INK, 2.6)]
 
 
-def picture() -> Figure:
+def main() -> None:
+    output = common.arguments(__doc__, output=Path).output or (PICTURE if common.is_writing[0] else None)
     bound = ctrplan.load_robot(ROBOT).bound(THETA_RAD, L_M, accuracy="certificate")
-    fig = Figure(figsize=(10.4, 4.2), dpi=130, facecolor="white", layout="constrained")
-    left, right = fig.subplots(1, 2, width_ratios=[1.35, 1])
+    figure = Figure(figsize=(10.4, 4.2), dpi=130, facecolor="white", layout="constrained")
+    left, right = figure.subplots(1, 2, width_ratios=[1.35, 1])
     draw_side(prepare(left), bound)
     draw_tips(prepare(right), bound)
-    return fig
-
-
-def main() -> None:
-    output = common.arguments(__doc__, output=PICTURE).output
-    picture().savefig(output, metadata={"Software": ""})
-    bound = ctrplan.load_robot(ROBOT).bound(THETA_RAD, L_M, accuracy="certificate")
+    if output:
+        figure.savefig(output, metadata={"Software": ""})
     print(f"bound {bound.position_m * 1e3:.1f} mm")

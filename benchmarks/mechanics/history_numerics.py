@@ -1,6 +1,5 @@
-"""Loading and release of a pair, step size, energy, slip and speed of simulated histories."""
+"""Loading and release of a pair, step size, energy and slip of simulated histories."""
 
-import time
 from dataclasses import dataclass
 
 import numpy as np
@@ -96,18 +95,16 @@ def release() -> None:
     axes[0, 1].set(ylabel="tip deviation left, % of the corner's")
     axes[0, 0].legend(frameon=False, fontsize=9)
     save(figure, "history/release")
-    table(
-        "release", "configuration | corner | 10 deg | 30 deg | 45 deg | 90 deg | left after 0.5 mm | 2 mm | 10 mm", rows
-    )
+    head = "configuration | corner | 10 deg | 30 deg | 45 deg | 90 deg | left after 0.5 mm | 2 mm | 10 mm"
+    table("release", head, rows)
 
 
 PATHS = 20  # of each robot, for the energy
 HALVED_PATHS: dict[Accuracy, int] = {"search": 20, "certificate": 8}
-STEPS = 500  # for the speed
 
 
 def numerics() -> None:
-    for work in (energy, slip_front, speed, halving):
+    for work in (energy, slip_front, halving):
         work()
 
 
@@ -173,29 +170,3 @@ def slip_front() -> None:
     axes[0, 0].set(xlabel="arc length from the plate (mm)", ylabel="friction state of the contacts that carry force")
     axes[0, 0].legend(frameon=False, fontsize=8, ncols=2, title="turned back by")
     save(figure, "history/slip_front")
-
-
-def speed() -> None:
-    """CPU time of steps."""
-    rows = []
-    for label, robot in LABELLED:
-        for kind in ("rotation", "translation"):
-            theta_b, l_b = fine_path(robot, kind)
-            history = robot.history((1,) * (robot.n - 1))
-            history.follow(theta_b[:1], l_b[:1])
-            begun = time.process_time()
-            history.follow(theta_b[1:], l_b[1:])
-            taken_s = time.process_time() - begun
-            rows.append((label, kind, STEPS, f"{taken_s:.2f} s"))
-    table("speed", "robot | path | steps | CPU time", rows)
-
-
-def fine_path(robot: Robot, kind: str) -> tuple[Array, Array]:
-    """STEPS waypoints one step apart."""
-    part = np.linspace(0, 1, STEPS + 1)[:, None]
-    l_b, turn, back = np.array([0.0, -0.017, -0.07]) if robot is THREE else PAIR_L_M, np.zeros(3), np.zeros(robot.n)
-    if kind == "rotation":
-        turn = np.array([0.0, 10.0, 25.0])
-    else:
-        back[-1] = -0.03
-    return np.array([0.0, 0.7, 1.9])[: robot.n] + part * turn[: robot.n], l_b + part * back

@@ -3,14 +3,12 @@
     python benchmarks/run.py mechanics [references] [pairs] [order] [meshes] [fineness] [gradients] [speed] [--count N]
 
 All of them if none is named; --count says how many random configurations `meshes` and `fineness` look at. `gradients`
-compares derivatives with central differences. References
-are in tests/reference, each with its own uncertainty. Times are of one core unless a row says otherwise; medians,
-because the machine may be doing other things.
+compares derivatives with central differences. References are in tests/reference, each with its own uncertainty. Times
+are medians, of one core.
 """
 
 import itertools
 import json
-import os
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -19,9 +17,8 @@ from typing import Any
 
 import common
 import numpy as np
-import paper_oracle as paper
 from bound_calls import nested_robot
-from common import ROBOTS, ROOT, SCENARIOS, distance_mm, table
+from common import ROBOTS, ROOT, SCENARIOS, distance_mm, processors, table, took
 from paper_pairs import table_3_joints
 from scipy.spatial.transform import Rotation
 from table_1_pair import table_1_pair
@@ -62,14 +59,6 @@ def references() -> None:
         rows.append((accuracy, len(errors), *(f"{x:.3f}" for x in (np.median(errors), max(errors), max(beyond)))))
     head = "accuracy | tips | median, mm | largest, mm | largest beyond their uncertainty, mm"
     table("clearance and friction, three tubes", head, rows)
-    q = np.deg2rad(points[0]["theta_b_deg"]), points[0]["l_b_m"]
-    nodes, robot = paper.mesh(THREE_TUBES.tubes, q[1], 2.5e-3, 5e-4, 5e-3), THREE_TUBES
-    problem = paper.Problem(robot.tubes, robot.clearance_m, robot.friction[:, 1], *q, (1.0, 1.0), nodes)
-    tip_m = paper.refine(problem).tip_m
-    tips = {accuracy: robot.solve(*q, 1.0, accuracy=accuracy).tip_m for accuracy in ACCURACIES[1:]}
-    tips["reference"] = np.array(points[0]["tip_m"]["+,+"])
-    apart = [(name, f"{distance_mm(tip, tip_m):.3f}") for name, tip in tips.items()]
-    table("first point, phi = (1, 1), mm from the paper's algorithm on 223 nodes", "tip | mm", apart)
 
 
 def pairs() -> None:
@@ -184,16 +173,10 @@ def random_joints(count: int) -> tuple[Array, Array]:
     return rng.uniform(-np.pi, np.pi, (count, 3)), l_b
 
 
-def took_ms(work: Callable[..., object], *arguments: Any) -> float:
-    start = time.perf_counter()
-    work(*arguments)
-    return 1e3 * (time.perf_counter() - start)
-
-
 def times_ms(work: Callable[..., object], *arguments: Array) -> Array:
     """Times of one call per row of the arguments."""
     work(*(rows[0] for rows in arguments))
-    return np.array([took_ms(work, *row) for row in zip(*arguments, strict=True)])
+    return np.array([1e3 * took(work, *row)[0] for row in zip(*arguments, strict=True)])
 
 
 def path_ms(theta_step: float, l_step: float) -> Array:
@@ -214,14 +197,13 @@ def path_ms(theta_step: float, l_step: float) -> Array:
 def zero_clearance_ms(q: tuple[Array, Array]) -> Array:
     """Per configuration, tips of batches on one thread."""
     tips = partial(THREE_TUBES.mechanics.tips, threads=1)
-    return np.array(
-        [took_ms(tips, *row) / len(row[0]) for row in zip(*(np.split(part, 20) for part in q), strict=True)]
-    )
+    batches = zip(*(np.split(part, 20) for part in q), strict=True)
+    return np.array([1e3 * took(tips, *batch)[0] / len(batch[0]) for batch in batches])
 
 
 def speed() -> None:
     """Three-tube robot, four corners and the frictionless solution per bound."""
-    print(f"\n{os.cpu_count()} CPUs, load {os.getloadavg()[0]:.1f}, kernel {kernel_name()}")
+    print(f"\n{processors()}, kernel {kernel_name()}")
     q = random_joints(1000)
     few = q[0][:200], q[1][:200]
     measured = {

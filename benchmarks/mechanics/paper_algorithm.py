@@ -9,32 +9,19 @@ with the solution of the same equations on the same mesh by Newton's method. CPU
 extrapolated. ctrplan places its own elements, as its accuracy demands.
 """
 
-import os
-import statistics
 import time
-from collections.abc import Callable
 from typing import Any
 
 import common
 import numpy as np
 import paper_oracle as paper
-from common import ROOT
+from common import ROBOTS, processors, took
 
 from ctrplan import load_robot
 
 THETA_B, L_B = np.deg2rad([0, 0, 90]), np.array([0, -0.017, -0.0916])
 SPACING_M, MAX_INNER, NEAR_M = 2.5e-3, 1000, 5e-5
 PAPER_S = 11.7  # Table VIII, friction, its machine
-
-
-def seconds(work: Callable[[], object], repeats: int) -> float:
-    """Median."""
-    taken = []
-    for _ in range(repeats):
-        start = time.process_time()
-        work()
-        taken.append(time.process_time() - start)
-    return statistics.median(taken)
 
 
 def ascent(problem: Any, tip_m: Any, limit_s: float) -> dict[str, Any]:
@@ -57,7 +44,7 @@ def ascent(problem: Any, tip_m: Any, limit_s: float) -> dict[str, Any]:
 
 def main() -> None:
     limit_s = common.arguments(__doc__, limit=110.0).limit
-    robot = load_robot(ROOT / "scenarios" / "robots" / "three_tube.toml")
+    robot = load_robot(ROBOTS / "three_tube.toml")
     nodes = paper.mesh(robot.tubes, L_B, SPACING_M)
     friction = [mu for _, mu in robot.friction]
     problem = paper.Problem(robot.tubes, robot.clearance_m, friction, THETA_B, L_B, [1.0, 1.0], nodes)
@@ -65,18 +52,17 @@ def main() -> None:
     newton = paper.refine(problem)
     newton_s = time.process_time() - start
     run = ascent(problem, newton.tip_m, limit_s)
-    bound_s = seconds(lambda: robot.bound(THETA_B, L_B), 100)
+    bound_s = float(np.median([took(robot.bound, THETA_B, L_B)[1] for _ in range(100)]))
 
     elements, contacts = len(problem.u_hat), len(problem.contacts.node)
-    print(f"{os.cpu_count()} CPUs, load {os.getloadavg()[0]:.1f}; CPU seconds of one thread")
+    print(f"{processors()}; CPU seconds of one thread")
     print(f"{elements} elements of all tubes together, {3 * elements} unknowns, {contacts} contacts")
     done = "to |Delta u| < 1e-6 / mm" if run["done"] else "CUT SHORT: a lower bound"
     near = f"{run['near_s']:.1f} s" if run["near_s"] else "more than that"
     print(f"paper's algorithm, one friction evaluation: {run['s']:.1f} s ({PAPER_S} s on the paper's machine)")
     print(f"  {done}, {run['outer']} linearisations, {run['inner']} inner iterations;")
-    print(
-        f"  tip {1e3 * run['error_m']:.4f} mm from the solution on this mesh, within {1e3 * NEAR_M:g} mm after {near}"
-    )
+    error = f"{1e3 * run['error_m']:.4f} mm from the solution on this mesh"
+    print(f"  tip {error}, within {1e3 * NEAR_M:g} mm after {near}")
     print(f"same by Newton's method in numpy: {newton_s:.1f} s{'' if newton.converged else ', NOT CONVERGED'}")
     ratio = f"ratio {run['s'] / bound_s:,.0f}, of the five solves {5 * run['s'] / bound_s:,.0f}"
     print(f"Robot.bound, frictionless + 4 corners, search accuracy: {1e3 * bound_s:.2f} ms; {ratio}")

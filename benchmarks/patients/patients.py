@@ -2,7 +2,6 @@
 
     python benchmarks/run.py patients FOLDER OUT [CASE ...]         # of public_patients.toml; default: all
     python benchmarks/run.py patients FOLDER OUT --page             # the cases of docs/patients.md
-    python benchmarks/run.py patients FOLDER OUT --table            # what OUT holds already
     python benchmarks/run.py patients FOLDER OUT --commands         # what would be run
 
 FOLDER has the clones that docs/patients.md lists. Each case is a folder below OUT, as `ctrplan case` writes it.
@@ -50,8 +49,10 @@ class PublicCase:
     page: bool = False  # whether docs/patients.md has it
 
     def command(self, root: Path) -> list[str]:
-        """Arguments of ctrplan, without the output folder."""
+        """Arguments of ctrplan, without the output folder; ends with a sentence where there is no such patient."""
         own = root / self.folder
+        if not own.is_dir():
+            sys.exit(f"{own}: is not there, and needed for {self.name}; docs/patients.md says what to clone")
         files = [str(own / file) for file in (*self.lumen, *self.avoid) if file not in self.phases]
         roles = [word for file in self.lumen for word in ("--lumen", file)]
         roles += [word for file in self.avoid for word in ("--avoid", file)]
@@ -91,7 +92,7 @@ def judge_case(case: PublicCase, out: Path) -> None:
     folder = out / case.name.replace(" ", "_")
     found = json.loads((folder / "result.json").read_text())
     if found["made"]["code"] == 0:
-        measure = again("patients", str(folder / "case"), "--measure")  # a process of its own: this one stays
+        measure = again("patients", str(out), str(folder / "case"), "--measure")  # of its own: this process stays
         found |= json.loads(subprocess.run(measure, capture_output=True, check=True).stdout)  # small for what it starts
         plan = ["plan", str(folder / "case" / "placed.toml"), "--allow-outside", "--quiet", "--formats", "csv"]
         found["without"] = _run([*plan, "-o", str(folder / "without"), *WITHOUT], folder, "without.log", core=-1)
@@ -168,17 +169,15 @@ def run(chosen: list[PublicCase], root: Path, out: Path) -> None:
 
 
 def main() -> None:
-    switches = dict.fromkeys(("page", "table", "commands", "measure"), False)
-    given, cases = common.arguments(__doc__, "folder", "out?", "cases*", **switches), all_cases()
-    given.folder, given.out = Path(given.folder), Path(given.out or ".")
+    cases, switches = all_cases(), dict.fromkeys(("page", "commands", "measure"), False)
+    given = common.arguments(__doc__, "folder", "out", ("cases*", cases), **switches)
+    root, out = Path(given.folder).resolve(), Path(given.out).resolve()
     if given.measure:
-        print(json.dumps(_figures(given.folder)))
+        print(json.dumps(_figures(out)))
     elif given.commands:
         for case in cases.values():
-            print(shlex.join(["ctrplan", *case.command(given.folder), "-o", case.name.replace(" ", "_")]))
+            print(shlex.join(["ctrplan", *case.command(root), "-o", case.name.replace(" ", "_")]))
     else:
-        some = bool(given.cases) or given.page
-        chosen = [c for c in cases.values() if not some or c.name in given.cases or (given.page and c.page)]
-        if not given.table:
-            run(chosen, given.folder.resolve(), given.out.resolve())
-        print_table(given.out)
+        named = given.cases or [case.name for case in cases.values() if case.page or not given.page]
+        run([cases[name] for name in named], root, out)
+        print_table(out)

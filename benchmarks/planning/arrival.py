@@ -24,11 +24,10 @@ from typing import Any
 import common
 import msgspec
 import numpy as np
-from common import ROBOTS, SCENARIOS, finer, table, tube
+from common import ROBOTS, SCENARIOS, SHIPPED, finer, table, tube
 
 import ctrplan
 from ctrplan import CtrplanError, Goal, NoAnswerError, Robot, Scenario, robot_from_dict
-from ctrplan.base import long_work
 from ctrplan.base.arrays import Array
 from ctrplan.mechanics.history import HistoryState
 from ctrplan.mechanics.shapes import Accuracy
@@ -36,16 +35,12 @@ from ctrplan.scenario.joint_space import JointSpace, bare_scenario
 from ctrplan.scenario.prediction import STEP_M, STEP_RAD, predict_end, rows_to_simulate, start_states, step_error
 from ctrplan.storage.toml_document import read_document
 
-long_work.REAL_PER_COUNTED = np.inf  # searches end by work counted, however busy the machine is
 MERGED_EVERY = 4  # steps of simulation after which states of the hunt are compared
 BOUND_M = 0.3e-3  # by which a past may leave the bound at the start and still be of its branch
 WOUND = 2.5  # times the precurvature of the pair, so that it has a second stable shape
 SHARE = 0.3  # by which friction coefficients are uncertain in the hunt
 
-
-OF_SCENARIOS = (
-    "scenario | tolerance | bound at the target | arrival before | arrival | within | largest causes | longer by"
-)
+OF_SCENARIOS = "scenario | tolerance | bound at the target | arrival before | arrival | within | largest causes"
 
 
 def compared(name: str) -> Iterator[tuple[str, ...]]:
@@ -277,15 +272,12 @@ OF_STEPS = "robot | histories | apart from the finest, median | largest | said, 
 def main() -> None:
     options = {"pasts": 10_000, "sets": 50, "seed": 0, "accuracy": "search"}
     given = common.arguments(__doc__, ("section", ("scenarios", "hunt", "steps")), "names*", **options)
-    chosen = {name: content for name, content in robots().items() if not given.names or name in given.names}
+    common.end_searches_by_count()
+    files = robots()
+    names = common.chosen(given.names, SHIPPED if given.section == "scenarios" else files)
     if given.section == "scenarios":
-        names = given.names or sorted(path.stem for path in SCENARIOS.glob("*.toml"))
-        table("scenarios", f"{OF_SCENARIOS} | processor", (row for name in names for row in compared(name)))
+        table("scenarios", f"{OF_SCENARIOS} | longer by | processor", (row for name in names for row in compared(name)))
     elif given.section == "hunt":
-        table(
-            "hunt",
-            f"{OF_HUNT} | bound",
-            (row for name, content in chosen.items() for row in hunted(name, content, given)),
-        )
+        table("hunt", f"{OF_HUNT} | bound", (row for name in names for row in hunted(name, files[name], given)))
     else:
-        table("steps", OF_STEPS, (steps_matter(name, content) for name, content in chosen.items()))
+        table("steps", OF_STEPS, (steps_matter(name, files[name]) for name in names))

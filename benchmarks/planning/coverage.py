@@ -1,6 +1,6 @@
 """Do plans keep what their uncertainty promises? Virtual robots drawn from a calibrated file's intervals drive them.
 
-python benchmarks/run.py coverage [--robots N] [--scenarios NAME ...] [--processes N] [--seed N]
+    python benchmarks/run.py coverage [SCENARIO ...] [--robots N] [--processes N] [--seed N]
 
 The robot file comes from `ctrplan.calibrate` on made-up measurements of the three-tube robot, friction among what is
 fitted, so that it has 95 % intervals, their correlation and model_error_mm. The base is registered within REGISTRATION.
@@ -182,7 +182,7 @@ COLUMNS += " | chance to enter the margin, stated | seen at the narrowest sample
 
 def rows(given: Any, robot: Content) -> Iterator[list[str]]:
     with tempfile.TemporaryDirectory() as folder:
-        for name in given.scenarios:
+        for name in given.scenarios or NAMES:
             scenario = placed(SCENARIOS / f"{name}.toml", robot, Path(folder))
             try:
                 plan, how = planned(scenario)
@@ -196,7 +196,7 @@ def rows(given: Any, robot: Content) -> Iterator[list[str]]:
 
 
 def main() -> None:
-    given = common.arguments(__doc__, robots=1000, scenarios=NAMES, processes=2, seed=0)
+    given = common.arguments(__doc__, ("scenarios*", NAMES), robots=1000, processes=2, seed=0)
     robot = calibrated(given.seed)
     print(f"model_error_mm {robot['model_error_mm']:.2f}")
     table("plans", COLUMNS, rows(given, robot))

@@ -2,20 +2,22 @@
 
     python benchmarks/run.py memory runs [--plans 1000] [--bounds 100000]
     python benchmarks/run.py memory plan [SCENARIO ...] [--triangles 200000]
-    python benchmarks/run.py memory growth [triangles] [tubes] [targets] [legs]
+    python benchmarks/run.py memory growth [spheres] [triangles] [tubes] [targets] [legs]
 
 runs: plans a tiny scenario again and again, each time from the file with another seed, and asks for bounds at random
 configurations, one at a time and in batches. Resident memory after the first WARM_UP plans (a twentieth of the bounds)
 is compared with that at the end. Exits with 1 where it grew by GROWTH or more. plan: peak memory and CPU time of
 `ctrplan plan` of each scenario, as a process of its own with empty caches; with --triangles its meshes are divided into
 smaller triangles, whose corners are moved by hundredths of a millimetre so that nothing can be taken together again.
-growth: seconds of a processor by triangles of an anatomy, tubes, targets of a tour in free space, legs of a path.
+growth: seconds by the clock by spheres of an anatomy; of a processor by its triangles, tubes, targets of a tour in free
+space, legs of a path.
 """
 
 import contextlib
 import copy
 import gc
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -27,9 +29,10 @@ from typing import Any
 
 import common
 import numpy as np
+import tomli_w
 import trimesh
 from arrival import robots
-from common import ROBOTS, SCENARIOS, spent, table
+from common import ROBOTS, SCENARIOS, SHIPPED, spent, table
 
 import ctrplan
 from ctrplan import Goal, robot_from_dict
@@ -112,10 +115,8 @@ def prepare(folder: Path, scenario: str, at_least: int) -> int:
     """Writes the scenario with finer meshes, robots beside it; the number of triangles."""
     text, total = (SCENARIOS / f"{scenario}.toml").read_text(encoding="utf-8"), 0
     (folder / "scenario.toml").write_text(text, encoding="utf-8")
-    for kind in ("robots", "meshes"):
-        (folder / kind).mkdir()
-    for robot in (SCENARIOS / "robots").glob("*.toml"):
-        (folder / "robots" / robot.name).write_bytes(robot.read_bytes())
+    shutil.copytree(ROBOTS, folder / "robots")
+    (folder / "meshes").mkdir()
     files = [file for file in sorted((SCENARIOS / "meshes").glob("*.stl")) if f"meshes/{file.name}" in text]
     rng = np.random.default_rng(0)
     for file in files:
@@ -180,6 +181,7 @@ def by_targets() -> Iterator[tuple[object, ...]]:
 
 def by_legs() -> Iterator[tuple[object, ...]]:
     """The certificate of a path that goes to and fro between two configurations of a scenario."""
+    common.end_searches_by_count()
     plan = ctrplan.plan(ctrplan.load_scenario(SCENARIOS / "vessel.toml"), time_s=1.0)
     there = plan.waypoints
     for count in (1, 2, 4, 8):
@@ -194,12 +196,47 @@ def by_triangles() -> Iterator[tuple[object, ...]]:
     return (plan_apart("vessel", count)[1:] for count in (1_000, 10_000, 100_000, 1_000_000))
 
 
+COUNTS, RADIUS_MM = (10, 1000, 10_000), (0.5, 2.0)  # of spheres
+BOX_MM = ((-120, -120, 0), (120, 120, 220))
+FREE_MM = 45.0  # around the axis, so that there is a way; the robot still passes some spheres
+
+
+def among(count: int) -> dict[str, Any]:
+    """A scenario of the three-tube robot, which turns by 90 degrees, with so many spheres around it."""
+    random, spheres = np.random.default_rng(count), list[dict[str, Any]]()
+    while len(spheres) < count:
+        center, radius = random.uniform(*BOX_MM), random.uniform(*RADIUS_MM)
+        if np.hypot(*center[:2]) - radius > FREE_MM:
+            spheres.append({"kind": "sphere", "center_mm": center.round(3).tolist(), "radius_mm": round(radius, 3)})
+    start, turned = (
+        {"rotate outer": 0, "rotate middle": turn, "rotate inner": 0, "translate inner": -86.4} for turn in (0, 90)
+    )
+    content = {"robot": "three_tube.toml", "start": start, "goal": {"joints": turned}, "planner": {"time_s": 3}}
+    return {"name": "spheres", **content, "anatomy": spheres}
+
+
+def by_spheres() -> Iterator[tuple[str, ...]]:
+    """Reading a scenario and planning in it, nothing known beforehand; its search takes 3 s."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        shutil.copy(ROBOTS / "three_tube.toml", folder)
+        os.environ["CTRPLAN_CACHE_DIR"] = name
+        for count in COUNTS:
+            (folder / "spheres.toml").write_text(tomli_w.dumps(among(count)))
+            begun = time.perf_counter()
+            read = ctrplan.load_scenario(folder / "spheres.toml")
+            loaded = time.perf_counter()
+            valid = ctrplan.plan(read, seed=1).certificate.valid
+            yield f"{count:,}", f"{loaded - begun:.1f} s", f"{time.perf_counter() - loaded:.0f} s", str(valid)
+
+
 OUTCOME = "triangles | outcome | peak memory | CPU time | by the clock"
 BY: dict[str, common.Table] = {
     "triangles": ("growth with triangles", OUTCOME, by_triangles),
     "tubes": ("growth with tubes", "robot | bound | certificate, a sample", by_tubes),
     "targets": ("growth with targets", "targets | joint length | CPU time", by_targets),
     "legs": ("growth with legs", "legs | samples | CPU time of the certificate", by_legs),
+    "spheres": ("growth with spheres", "spheres | read | plan | certified", by_spheres),
 }
 
 
@@ -211,6 +248,6 @@ def main() -> int:
     if given.section == "growth":
         common.sections(given.names, BY)
     else:
-        names = given.names or sorted(path.stem for path in SCENARIOS.glob("*.toml"))
-        table("a plan by itself", f"scenario | {OUTCOME}", (plan_apart(name, given.triangles) for name in names))
+        rows = (plan_apart(name, given.triangles) for name in common.chosen(given.names, SHIPPED))
+        table("a plan by itself", f"scenario | {OUTCOME}", rows)
     return 0

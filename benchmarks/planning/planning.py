@@ -1,6 +1,6 @@
 """Does the bound pay? Queries known to be feasible, planned with the bound in the cost and blind to it, several seeds.
 
-    python benchmarks/run.py planning [--seeds 5] [--count S] [--only SCENARIO ...]
+    python benchmarks/run.py planning [SCENARIO ...] [--seeds 5] [--count S]
 
 A search ends by work counted, about what takes the scenario's planner.time_s, or the one given with --count, so that
 plans do not depend on the load of the machine. For each certified plan one random history, friction at a random corner
@@ -14,8 +14,8 @@ from typing import Any
 
 import common
 import numpy as np
-from common import table
-from planning_queries import Query, queries
+from common import SHIPPED, distance_mm, table
+from first_paths import Query, queries
 
 import ctrplan
 from ctrplan import CtrplanError, MotionChecker, Plan
@@ -31,41 +31,38 @@ HISTORY_STEPS = 8  # a leg
 
 def run(query: Query, mode: str, seed: int, count_s: float | None) -> dict[str, Any]:
     """A plan's figures, or why there is none."""
-    row: dict[str, Any] = {"query": query.name, "scenario": query.scenario, "mode": mode, "seed": seed}
+    row: dict[str, Any] = {"query": query.name, "mode": mode, "seed": seed}
     overrides = MODES[mode] + ([] if count_s is None else [f"planner.time_s={count_s}"])
     try:
         plan = ctrplan.plan(query.load(overrides), seed=seed)
     except CtrplanError as error:
         return row | {"solved": False, "why": str(error)}
     c = plan.certificate
+    start = np.random.default_rng(seed).choice([-1.0, 1.0], plan.scenario.robot.n - 1).tolist()  # friction fully loaded
     return row | {
         "solved": c.valid,
         "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,  # of the process so far
         "goal_mm": c.goal_bound_m * 1e3,
         "arrival_mm": c.arrival.error_m * 1e3 if c.arrival else np.nan,
-        "realised_mm": realised_mm(plan, np.random.default_rng(seed)),
+        "realised_mm": realised_mm(plan, start),
         "integral_mm": c.error_integral_mm,
         "length_mm": c.length_mm,
-        **history_excess(plan, np.random.default_rng(seed)),
+        **history_excess(plan, start),
     }
 
 
-def realised_mm(plan: Plan, rng: np.random.Generator) -> float:
-    """How far from the target a simulated history ends, friction at a random corner at its start."""
+def realised_mm(plan: Plan, start: list[float]) -> float:
+    """How far from the target a history ends that starts in a friction state."""
     scenario, robot = plan.scenario, plan.scenario.robot
-    history = robot.history(rng.choice([-1.0, 1.0], robot.n - 1).tolist())
-    tip = history.follow(*robot.drive.collars(plan.waypoints)).position_m[-1]
-    target = scenario.base_R.T @ (scenario.goal.tip_m - scenario.base_position_m)
-    return float(np.linalg.norm(tip - target)) * 1e3
+    tip = robot.history(start).follow(*robot.drive.collars(plan.waypoints)).position_m[-1]
+    return distance_mm(tip, scenario.base_R.T @ (scenario.goal.tip_m - scenario.base_position_m))
 
 
-def history_excess(plan: Plan, rng: np.random.Generator) -> dict[str, float]:
-    """By how much a simulated history exceeds the bound, and its clearance beyond the anatomy's margins [mm]."""
-    scenario = plan.scenario
-    robot = scenario.robot
-    history = robot.history(rng.choice([-1.0, 1.0], robot.n - 1).tolist())
+def history_excess(plan: Plan, start: list[float]) -> dict[str, float]:
+    """By how much such a history exceeds the bound, and its clearance beyond the anatomy's margins [mm]."""
+    scenario, robot = plan.scenario, plan.scenario.robot
+    history, excess, clearance = robot.history(start), -np.inf, np.inf
     history.advance(*robot.drive.collars(plan.legs[0].start))
-    excess, clearance = -np.inf, np.inf
     for leg in plan.legs:
         for q in np.linspace(leg.start, leg.end, HISTORY_STEPS + 1)[1:]:
             step = history.advance(*robot.drive.collars(q))
@@ -135,6 +132,6 @@ def medians(pairs: list[tuple[dict[str, Any], dict[str, Any]]], key: str) -> str
 
 
 def main() -> None:
-    given = common.arguments(__doc__, seeds=5, count=float, only=[""])
-    chosen = [query for query in queries() if not any(given.only) or query.scenario in given.only]
+    given = common.arguments(__doc__, ("scenarios*", SHIPPED), seeds=5, count=float)
+    chosen = [query for query in queries() if query.scenario in (given.scenarios or SHIPPED)]
     print_table(list(results(chosen, given.seeds, given.count)))

@@ -16,7 +16,6 @@ import itertools
 import json
 import sys
 import tempfile
-import time
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -24,7 +23,7 @@ from typing import Any
 
 import common
 import numpy as np
-from common import ROBOTS, table
+from common import ROBOTS, table, took
 
 import ctrplan
 from ctrplan import Measurements, Robot
@@ -154,7 +153,7 @@ def times() -> Iterator[list[object]]:
         robot = ctrplan.load_robot(ROBOTS / name)
         friction = [SlowParameter(f"contact.{i}.friction_coefficient", 0.05) for i in range(1, robot.n)]
         for tips, slow in (("not measured", []), ("measured", []), ("measured, slow friction", friction)):
-            both = zip(("processor", "clock"), step_times_ms(robot, tips != "not measured", slow), strict=True)
+            both = zip(("clock", "processor"), step_times_ms(robot, tips != "not measured", slow), strict=True)
             for kind, values in both:
                 yield [robot.name, 9, tips, kind, *(f"{ms:.1f} ms" for ms in values)]
 
@@ -172,9 +171,7 @@ def step_times_ms(robot: Robot, measured: bool, slow: Sequence[SlowParameter] = 
         for name in ("observe", "predict"):
             ahead = min(k + (name == "predict"), len(turn) - 1)
             tip = [tips[k]] if measured and name == "observe" else []
-            began = time.process_time(), time.perf_counter()
-            getattr(observer, name)(theta[ahead], l_b[ahead], *tip)
-            spent[name].append((time.process_time() - began[0], time.perf_counter() - began[1]))
+            spent[name].append(took(getattr(observer, name), theta[ahead], l_b[ahead], *tip))
     steps, ahead_of = (1e3 * np.array(spent[name]) for name in ("observe", "predict"))
     later = steps[1:]
     rows = np.median(later, axis=0), np.quantile(later, 0.95, axis=0), later.max(axis=0), np.median(ahead_of, axis=0)
@@ -186,28 +183,27 @@ OF_ERRORS = "log | rows | frictionless, mm | history, mm | history + last error,
 OF_ERRORS += " | observer + offset 2 mm, 20 rows, mm | held | held with offset"
 
 
+SECTIONS = ("times", "small", "logs")
+
+
 def main() -> None:
-    options = {
-        "sets": 4,
-        "first": 30,
-        "friction_factor": 1.0,
-        "logs": Path,
-        "measured": [""],
-        "set": [""],
-        "slow": [""],
-    }
-    given = common.arguments(__doc__, only="times small logs", **options)
+    texts = {"measured": [""], "set": [""], "slow": [""]}
+    options: dict[str, Any] = {"sets": 4, "first": 30, "friction_factor": 1.0, "logs": Path, **texts}
+    given = common.arguments(__doc__, only=list(SECTIONS), **options)
     rows: list[Iterator[list[object]]] = []
     if any(given.measured):
+        if len(given.measured) != 2:
+            sys.exit("--measured needs two files, ROBOT.toml and LOG.csv")
         own = ctrplan.load_robot(given.measured[0], list(filter(None, given.set)))
         named = [SlowParameter(key, float(sigma)) for key, _, sigma in (of.partition("=") for of in given.slow) if key]
         data = ctrplan.load_measurements(given.measured[1], own)
-        rows = [compared(Path(given.measured[1]).stem, own, data, named)]
-    elif "times" in given.only:
+        only, rows = [], [compared(Path(given.measured[1]).stem, own, data, named)]
+    else:
+        only = common.chosen(given.only, SECTIONS)
+    if "times" in only:
         table("steps", OF_TIMES, times())
     with tempfile.TemporaryDirectory() as scratch:
-        if not rows:
-            rows = [small_motions()] * ("small" in given.only)
-            rows += [synthetic(given.logs or Path(scratch), given)] * ("logs" in given.only)
+        rows += [small_motions()] * ("small" in only)
+        rows += [synthetic(given.logs or Path(scratch), given)] * ("logs" in only)
         if rows:
             table("errors one step ahead", OF_ERRORS, itertools.chain(*rows))

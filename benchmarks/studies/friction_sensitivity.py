@@ -1,12 +1,11 @@
 """How sure the tip is when friction is 0.1 to 0.3: friction_ventricle.toml and docs/images/friction_range.png.
 
-python benchmarks/run.py friction_sensitivity FOLDER            # 1,152 bounds of as many robots, some 15 s of a core
+python benchmarks/run.py friction_sensitivity FOLDER    # 1,152 bounds of as many robots, some 15 s of a core
 """
 
 import common
-import matplotlib.pyplot as plt
 import numpy as np
-from common import STUDIES, save
+from common import STUDIES, panels, save
 
 import ctrplan
 from ctrplan.reports import looks
@@ -28,15 +27,13 @@ def print_numbers(table: ctrplan.StudyTable, found: Sensitivity) -> None:
 
 
 def draw(table: ctrplan.StudyTable, found: Sensitivity) -> None:
-    figure, (cloud, bars) = plt.subplots(1, 2, figsize=(10, 3.6), layout="constrained")
+    figure, ((cloud, bars),) = panels(1, 2, (10, 3.6))
     cloud.scatter(table[FRICTION[1]], table["bound_mm"], s=5, color=looks.SERIES[0], linewidths=0)
     cloud.set(xlabel="friction between the inner two tubes", ylabel="worst-case friction error (mm)", ylim=(0, None))
     order, colour = np.argsort(found.total), looks.SERIES[0]
     bars.barh([found.keys[k] for k in order], found.total[order], xerr=found.total_interval[order], color=colour)
     bars.set_xlabel("share of the variance, with all others")
     bars.tick_params(axis="y", labelsize=8)
-    for axes in (cloud, bars):
-        axes.spines[["top", "right"]].set_visible(False)
     save(figure, "friction_range")
 
 

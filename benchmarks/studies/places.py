@@ -11,13 +11,13 @@ scenarios/studies/entry_ventricle.toml reaches most. With --read nothing is comp
 Pictures of docs/images are renewed by `run.py --write places ...`.
 """
 
+import sys
 import time
 from pathlib import Path
 
 import common
-import matplotlib.pyplot as plt
 import numpy as np
-from common import SCENARIOS, STUDIES, save
+from common import SCENARIOS, SHIPPED, STUDIES, panels, save
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
@@ -54,11 +54,10 @@ def draw_reach(axes: Axes, table: ctrplan.StudyTable, column: str, outline: NDAr
             table["target_x_mm"][rows], table["target_z_mm"][rows], s=7, color=colour, label=label, linewidths=0
         )
     axes.set_aspect("equal")
-    axes.spines[["top", "right"]].set_visible(False)
 
 
 def reach(folder: Path, read: bool) -> None:
-    figure, axes = plt.subplots(1, 4, figsize=(11, 5.6), layout="constrained")
+    figure, (axes,) = panels(1, 4, (11, 5.6))
     for k, name in enumerate(NAMES):
         study = ctrplan.Study.read(STUDIES / f"reach_{name}.toml")
         table = ctrplan.load_study(folder / name) if read else study.run(folder / name)
@@ -106,7 +105,7 @@ def draw_entry(axes: Axes, name: str, worths: list[PoseScore], found: Placement)
     axes.scatter(*look[np.isnan(share)].T, s=9, color="#d5d9de", linewidths=0)
     known = ~np.isnan(share)
     points = axes.scatter(*look[known].T, c=share[known], s=26, cmap=f"{looks.HEAT}_r", linewidths=0)
-    plt.colorbar(points, ax=axes, label="worst-case friction error (mm)", shrink=0.7)
+    axes.figure.colorbar(points, ax=axes, label="worst-case friction error (mm)", shrink=0.7)
     for pose in found.poses:
         if pose.reached:
             axes.plot(*np.degrees(np.arcsin(pose.direction[:2])), "o", mfc="none", mec=looks.INK, ms=8, mew=0.8)
@@ -117,17 +116,16 @@ def draw_entry(axes: Axes, name: str, worths: list[PoseScore], found: Placement)
 def dress(axes: Axes, title: str) -> None:
     axes.set(title=title, xlabel="looks to x (deg)", aspect="equal")
     axes.title.set_fontsize(10)
-    axes.spines[["top", "right"]].set_visible(False)
 
 
 def entry(names: list[str], candidates: int) -> None:
-    figure, axes = plt.subplots(1, len(names), figsize=(4 * len(names), 4), layout="constrained")
-    for panel, name in zip(np.atleast_1d(axes), names, strict=True):
+    figure, (axes,) = panels(1, len(names), (4 * len(names), 4))
+    for panel, name in zip(axes, names, strict=True):
         scenario, begun = ctrplan.load_scenario(SCENARIOS / f"{name}.toml"), time.process_time()
         found = ctrplan.place(scenario, candidates=candidates)
         print_best(name, found, time.process_time() - begun)
         draw_entry(panel, name, looked_at(scenario, candidates), found)
-    np.atleast_1d(axes)[0].set_ylabel("looks to y (deg)")
+    axes[0].set_ylabel("looks to y (deg)")
     save(figure, "entry")
 
 
@@ -156,12 +154,12 @@ def draw_poses(poses: BasePoses) -> None:
         "of them within 2 mm whatever friction does": (poses.within.astype(float), looks.HEAT),
         "error at worst, mean of those reached (mm)": (poses.mean, f"{looks.HEAT}_r"),
     }
-    figure, axes = plt.subplots(1, 3, figsize=(13, 4.2), layout="constrained")
+    figure, (axes,) = panels(1, 3, (13, 4.2))
     for axis, (title, (values, colours)) in zip(axes, panels.items(), strict=True):
         known = np.isfinite(values)
         axis.scatter(*look[~known].T, s=10, color="#d5d9de", linewidths=0)
         points = axis.scatter(*look[known].T, c=values[known], s=20, cmap=colours, linewidths=0)
-        plt.colorbar(points, ax=axis, shrink=0.8)
+        figure.colorbar(points, ax=axis, shrink=0.8)
         axis.plot(*look[poses.order[0]], "o", mfc="none", mec=looks.LIMIT, ms=9, mew=1.5)
         dress(axis, title)
     axes[0].set_ylabel("looks to y (deg)")
@@ -182,6 +180,8 @@ def poses_of_study(folder: Path, read: bool) -> None:
 def main() -> None:
     given = common.arguments(__doc__, ("section", ("reach", "entry", "poses")), "names*", read=False, candidates=128)
     if given.section == "entry":
-        entry(given.names or ["ventricle", "airway", "ribs"], given.candidates)
+        entry(common.chosen(given.names or ["ventricle", "airway", "ribs"], SHIPPED), given.candidates)
+    elif len(given.names) != 1:
+        sys.exit(f"{given.section} needs the folder of its study, and nothing else")
     else:
         {"reach": reach, "poses": poses_of_study}[given.section](Path(given.names[0]), given.read)

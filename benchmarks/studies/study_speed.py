@@ -4,26 +4,23 @@
     python benchmarks/run.py study_speed --bounds 1000 --plans 6 --rounds 1  # a minute
     python benchmarks/run.py study_speed --bounds 8000 --plans 0             # bounds alone
 
-What it prints: tasks a second of a plain loop, of two plain loops in two processes at once without any engine (what the
-machine gives: caches and memory are shared), and of a study on two workers, in alternation, medians of all rounds.
+What it prints: tasks a second of a plain loop and of a study on two workers, in alternation, medians of all rounds.
 
 Times of the clock mean something on an idle machine only. Where others work on it, look at the ratio of processor
 times: that of the loop to that of workers, client and scheduler together, times the number of workers.
 """
 
-import os
 import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Callable
-from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import common
 import numpy as np
-from common import ROBOTS, SCENARIOS, again
+import psutil  # of dask, which studies need
+from common import ROBOTS, SCENARIOS, again, processors
 
 import ctrplan
 from ctrplan import Study
@@ -69,7 +66,7 @@ class Run:
 
     def __init__(self, content: dict[str, Any], folder: Path) -> None:
         self.told: list[tuple[int, float, float, float]] = []
-        self.workers: list[str] = []
+        self.workers: list[psutil.Process] = []
         study = Study.of(content, folder)
         self.table = study.run(folder / f"out-{len(list(folder.iterdir()))}", progress=self.tell, workers=WORKERS)
         done, clock_s, client_s, workers_s = np.subtract(self.told[-1], self.told[0])
@@ -78,89 +75,56 @@ class Run:
 
     def tell(self, doing: Doing) -> None:
         if doing.stage == "tasks":
-            self.workers = self.workers or children()  # looked for once: what this costs counts as the client's
+            self.workers = self.workers or psutil.Process().children(recursive=True)  # once: it counts as the client's
             used = time.process_time(), sum(map(processor_s, self.workers))
             self.told.append((doing.done, time.monotonic(), *used))
 
 
-def processor_s(process: str) -> float:
+def processor_s(process: psutil.Process) -> float:
     """Processor time [s] of a process so far."""
     try:
-        fields = Path(f"/proc/{process}/stat").read_text("ascii").rpartition(")")[2].split()
-    except OSError:  # it has ended
+        return sum(process.cpu_times()[:2])
+    except psutil.NoSuchProcess:  # it has ended
         return 0.0
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
-
-
-def children() -> list[str]:
-    """Processes that this one started: workers, and some smaller ones."""
-    return " ".join(file.read_text("ascii") for file in Path("/proc/self/task").glob("*/children")).split()
 
 
 LOOPS = {"bounds": (bounds_study, loop_of_bounds), "plans": (plans_study, loop_of_plans)}
 
 
 def serve_loop(name: str, count: int) -> None:
-    """The plain loop in a process of its own: it warms up, waits for a line, and says how long it took."""
+    """The plain loop, in a process of its own: prints its seconds a task, by the clock and of the processor."""
     content, loop = LOOPS[name]
     study = Study.of(content(count), Path())
     work, rows = loop(), [study.tasks[k].settings for k in range(study.count)]
     with one_core():
         work(rows[0])
-        print("ready", flush=True)
-        sys.stdin.readline()
         begun = time.monotonic(), time.process_time()
         for settings in rows:
             work(settings)
-    print(time.monotonic() - begun[0], time.process_time() - begun[1], flush=True)
-
-
-def loops_at_once(name: str, count: int, processes: int) -> tuple[float, float]:
-    """Seconds a task of so many loops that begin together: of the clock, and of the processor."""
-    command = again("study_speed", "--serve-loop", name, str(count))
-    with ExitStack() as stack:
-        loops = []
-        for _ in range(processes):
-            pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
-            loops.append(stack.enter_context(subprocess.Popen(command, **pipes)))
-        for loop in loops:
-            loop.stdout.readline()
-        for loop in loops:
-            loop.stdin.write("\n")
-            loop.stdin.flush()
-        took = [[float(text) for text in loop.stdout.readline().split()] for loop in loops]
-    tasks = LOOPS[name][0](count)
-    done = Study.of(tasks, Path()).count
-    clock, processor = np.mean(took, axis=0)
-    return clock / done / processes, processor / done
+        print((time.monotonic() - begun[0]) / len(rows), (time.process_time() - begun[1]) / len(rows))
 
 
 def compare(name: str, count: int, folder: Path, rounds: int) -> None:
-    """A loop, two at once and a study in alternation; prints medians of all rounds."""
+    """A loop and a study in alternation; prints medians of all rounds."""
     times = []
     for _ in range(rounds):
-        one, both = loops_at_once(name, count, 1), loops_at_once(name, count, WORKERS)
+        alone = again("study_speed", "--serve-loop", name, str(count))
+        loop = subprocess.run(alone, stdout=subprocess.PIPE, check=True)
         found = Run(LOOPS[name][0](count), folder)
-        times.append((*one, *both, found.clock_s, found.workers_s, found.client_s))
-    print_rates(f"{name}: {len(found.table)} tasks", np.array(times))
-
-
-def print_rates(what: str, times: np.ndarray) -> None:
-    """times: (rounds, 7) as in `compare`, seconds a task."""
-    clock, processor, both, of_both, study, workers, client = times.T
-    seen = [("two loops at once", clock / both, WORKERS * processor / of_both)]
-    seen += [("a study on two workers", clock / study, WORKERS * processor / (workers + client))]
-    print(f"{what}, medians of {len(times)}; plain loop {1 / np.median(clock):.1f} a second of the clock")
-    for name, by_clock, by_time in seen:
-        shown = f"{np.median(by_clock):.2f} times the loop by the clock ({by_clock.min():.2f} to {by_clock.max():.2f})"
-        print(f"  {name}: {shown}, {np.median(by_time):.2f} by processor time")
+        times.append((*map(float, loop.stdout.split()), found.clock_s, found.workers_s + found.client_s))
+    clock, processor, study, of_study = np.array(times).T
+    by_clock, by_time = clock / study, np.median(WORKERS * processor / of_study)
+    rate = f"plain loop {1 / np.median(clock):.1f} a second of the clock"
+    print(f"{name}: {len(found.table)} tasks, medians of {rounds}; {rate}")
+    shown = f"{np.median(by_clock):.2f} times the loop by the clock ({by_clock.min():.2f} to {by_clock.max():.2f})"
+    print(f"  a study on two workers: {shown}, {by_time:.2f} by processor time")
 
 
 def main() -> None:
     asked = common.arguments(__doc__, bounds=8000, plans=48, rounds=3, serve_loop=[""])
     if any(asked.serve_loop):
         return serve_loop(asked.serve_loop[0], int(asked.serve_loop[1]))
-    print(f"load of the machine {os.getloadavg()[0]:.1f}, {os.cpu_count()} cores, {WORKERS} workers")
+    print(f"{processors()}, {WORKERS} workers")
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         if asked.bounds:

@@ -17,9 +17,8 @@ from pathlib import Path
 from typing import Any
 
 import common
-import matplotlib.pyplot as plt
 import numpy as np
-from common import SCENARIOS, STUDIES, save, table
+from common import SCENARIOS, STUDIES, panels, save, table
 from matplotlib.axes import Axes
 
 import ctrplan
@@ -84,7 +83,7 @@ def draw_front(axes: Axes, found: ctrplan.TubeDesigns) -> None:
     done = [looked.numbers for looked in found.archive.all if looked.is_done]
     x, y, reach = (np.array([row[name] for row in done]) for name in ("robust_mm", "stability", "reach"))
     points = axes.scatter(x, y, c=reach * 100, s=14, cmap=looks.HEAT, linewidths=0, vmin=0, vmax=100)
-    plt.colorbar(points, ax=axes, label="targets reached (%)", shrink=0.8)
+    axes.figure.colorbar(points, ax=axes, label="targets reached (%)", shrink=0.8)
     front = [looked.numbers for looked in found.front]
     ends = [row[name] for name in ("robust_mm", "stability") for row in front]
     axes.plot(ends[: len(front)], ends[len(front) :], "o", mfc="none", mec=looks.INK, ms=7, mew=0.8, label="front")
@@ -143,10 +142,8 @@ def main() -> None:
         print(f"  {row['name']:32} {row['half_width']:.3g} {row['unit']:5} costs {row['costs_mm']:.4f} mm")
     if asked.plans:
         print_plans(asked.folder)
-    figure, axes = plt.subplots(1, 3, figsize=(13.5, 4), layout="constrained")
-    draw_front(axes[0], ours)
-    draw_targets(axes[1], rows, ours.search.entry.unreached_mm)
-    draw_tolerances(axes[2], first)
-    for panel in axes:
-        panel.spines[["top", "right"]].set_visible(False)
+    figure, ((left, middle, right),) = panels(1, 3, (13.5, 4))
+    draw_front(left, ours)
+    draw_targets(middle, rows, ours.search.entry.unreached_mm)
+    draw_tolerances(right, first)
     save(figure, "tube_design")

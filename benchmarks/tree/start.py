@@ -1,34 +1,26 @@
-"""How soon do commands start, and `ctrplan render` draw? Help, import, a bound and a loaded scenario, by the clock.
+"""How soon do commands start? Help, import, a bound and a loaded scenario, by the clock; a whole plan.
 
-    python benchmarks/run.py start [--runs 9] [--robot three_tube] [--scenario vessel]
-    python benchmarks/run.py start --plan 1 [--runs 9] [--scenario vessel]
-    python benchmarks/run.py start --pictures out/plan.json
+    python benchmarks/run.py start [SCENARIO] [--runs 9] [--robot three_tube]
+    python benchmarks/run.py start [SCENARIO] --plan 1 [--runs 9]
 
 Each row is a process of its own, run so many times after one that is not counted. Modules are those of ctrplan that are
 imported at the end. --plan: processor time, user and system, of a whole `ctrplan plan` with a search of so many
-seconds, with its report and without, in turn. --pictures: processor time of a picture of a plan, by camera, of the
-first and the mean of the next ones. What stands still is drawn once where the camera stands still too, and anew for
-each picture from inside.
+seconds, with its report and without, in turn.
 """
 
 import os
 import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
 
 import common
 import numpy as np
-from common import ROBOTS, SCENARIOS, spent, table
+from common import ROBOTS, SCENARIOS, SHIPPED, processors, spent, table
 
-from ctrplan import load_plan, load_robot
-from ctrplan.reports.plan_scene import written_motion
-from ctrplan.reports.render.camera import VIEWS
-from ctrplan.reports.render.film import film
+from ctrplan import load_robot
 
 COMMAND = "import sys; from ctrplan.__main__ import main; sys.exit(main(sys.argv[1:]))"
-WIDTH, HEIGHT, PICTURES = 960, 720, 6
 MODULES = "import sys; print(sum(name.split('.')[0] == 'ctrplan' for name in sys.modules))"
 
 
@@ -49,17 +41,6 @@ def bound_arguments(file: Path) -> list[str]:
     return ["bound", str(file), *(word for flag, row in flags for word in (flag, *(f"{x:.4f}" for x in row)))]
 
 
-def pictures(plan: str) -> None:
-    motion, rows = written_motion(load_plan(plan, allow_outside=True), PICTURES), []
-    for view in VIEWS:
-        times = [time.process_time()]
-        for _ in film(motion, view, WIDTH, HEIGHT):  # type: ignore[arg-type]
-            times.append(time.process_time())
-        first, *others = np.diff(times).tolist()
-        rows.append((view, f"{first:.2f} s", f"{np.mean(others):.2f} s"))
-    table(f"{motion.scenario.name}, {WIDTH} x {HEIGHT}", ("camera", "first picture", "each other"), rows)
-
-
 def plans(scenario: str, search_s: float, runs: int) -> None:
     """Prints seconds of a processor that `ctrplan plan` takes, processes of their own in turn."""
     kinds: dict[str, list[str]] = {"with report.html and plan.png": [], "--no-report": ["--no-report"]}
@@ -75,26 +56,24 @@ def plans(scenario: str, search_s: float, runs: int) -> None:
 
 
 def main() -> None:
-    given = common.arguments(__doc__, plan=float, pictures=str, runs=9, robot="three_tube", scenario="vessel")
-    if given.pictures:
-        pictures(given.pictures)
-        return
+    given = common.arguments(__doc__, ("scenario?", SHIPPED), plan=float, runs=9, robot="three_tube")
+    scenario = given.scenario or "vessel"
     if given.plan:
-        plans(given.scenario, given.plan, given.runs)
+        plans(scenario, given.plan, given.runs)
         return
-    file = SCENARIOS / f"{given.scenario}.toml"
+    file = SCENARIOS / f"{scenario}.toml"
     load = f"import ctrplan; ctrplan.load_scenario({str(file)!r})"
     measured: dict[str, tuple[str, list[str]]] = {
         "python, nothing imported": ("pass", []),
         "import ctrplan": ("import ctrplan", []),
         "ctrplan --help": (COMMAND, ["--help"]),
         f"ctrplan bound, {given.robot}": (COMMAND, bound_arguments(ROBOTS / f"{given.robot}.toml")),
-        f"load_scenario, {given.scenario}": (load, []),
+        f"load_scenario, {scenario}": (load, []),
     }
     rows = []
     for name, (code, arguments) in measured.items():
         command = [sys.executable, "-c", code, *arguments]
         taken = [spent(command, os.environ, subprocess.DEVNULL)[1] for _ in range(given.runs + 1)][1:]
         rows.append((name, f"{min(taken):.3f} s", f"{np.median(taken):.3f} s", modules(code, arguments)))
-    print(f"{given.runs} runs each, {os.cpu_count()} processors, load {os.getloadavg()[0]:.1f}")
+    print(f"{given.runs} runs each, {processors()}")
     table("seconds by the clock", ("what", "least", "median", "modules of ctrplan"), rows)
