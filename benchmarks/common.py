@@ -90,6 +90,8 @@ def again(name: str, *arguments: str) -> list[str]:
 
 def elsewhere(checkout: Path, name: str, *arguments: str) -> list[float]:
     """Numbers that a benchmark prints in a process of its own, with the ctrplan of a checkout."""
+    if not list((checkout / "ctrplan").glob("_model*")):
+        sys.exit(f"{checkout}: is no checkout with a compiled model in its ctrplan/")
     command, environment = again(name, *arguments), os.environ | {"PYTHONPATH": str(checkout)}
     done = subprocess.run(command, env=environment, stdout=subprocess.PIPE, text=True, check=True)
     return [float(text) for text in done.stdout.split()]

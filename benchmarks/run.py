@@ -141,11 +141,14 @@ def main() -> int:
     common = importlib.import_module("common")
     common.is_writing[0] = given.write
     module, began = importlib.import_module(given.name), origin()
-    if given.bare:
-        return int(module.main() or 0)
     shown = sys.stdout = Tee(sys.stdout)  # type: ignore[assignment]
-    code = int(module.main() or 0)
+    try:
+        code = int(module.main() or 0)
+    except importlib.import_module("ctrplan.errors").CtrplanError as error:
+        sys.exit(f"{given.name}: {error}")
     sys.stdout = shown.stream
+    if given.bare:
+        return code
     file = given.json or FOLDER / "results" / f"{given.name}.json"
     keep(given.name, given.arguments, shown.text, common.tables, began, file)
     if given.write:

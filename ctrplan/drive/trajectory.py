@@ -377,8 +377,7 @@ def _commanded_legs(corners: Array, position: Array) -> NDArray[np.intp]:
 
 
 def _is_passed(start: Array, end: Array, q: Array) -> bool:
-    """Whether joints q lie beyond the end of a leg, or off it."""
+    """Whether joints q lie off a leg, which they do beyond its end, too."""
     chord = end - start
     along = float((q - start) @ chord) / max(float(chord @ chord), 1e-300)
-    off = float(np.abs(q - start - min(max(along, 0.0), 1.0) * chord).max())
-    return along > 1 + JOINT_ROUNDING or off > JOINT_ROUNDING
+    return float(np.abs(q - start - min(max(along, 0.0), 1.0) * chord).max()) > JOINT_ROUNDING

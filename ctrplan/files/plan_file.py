@@ -395,7 +395,7 @@ def _joints(
         both = given.get(name, {})
         if set(both) != {unit, SI_UNITS[unit]}:
             raise document.fault(f"must have {name!r} in {unit} and in {SI_UNITS[unit]}", "legs", k, end)
-        if abs(both[unit] * si_per_unit - both[SI_UNITS[unit]]) > JOINT_ROUNDING * max(1.0, abs(both[SI_UNITS[unit]])):
+        if abs(both[unit] * si_per_unit - both[SI_UNITS[unit]]) > JOINT_ROUNDING:
             rule = f"contradicts itself, {both[unit]:.9g} {unit} is not {both[SI_UNITS[unit]]:.9g} {SI_UNITS[unit]}"
             raise document.fault(rule, "legs", k, end, name)
         values.append(both[SI_UNITS[unit]])

@@ -90,6 +90,10 @@ SPOILED: dict[str, tuple[Change, str]] = {
         lambda c: c["legs"][0]["end"]["rotate inner"].update(deg=11.0),
         "legs.1.end.rotate inner: contradicts itself, 11 deg is not",
     ),
+    "two units that differ after many turns": (
+        lambda c: c["legs"][0]["end"]["rotate inner"].update(rad=100.0, deg=float(np.degrees(100.0 + 5e-8))),
+        "legs.1.end.rotate inner: contradicts itself",
+    ),
     "a gap between legs": (
         lambda c: c["legs"].insert(0, {"start": c["legs"][0]["start"], "end": c["legs"][-1]["end"]}),
         "legs.2.start: must be where the leg before ends",
