@@ -11,45 +11,28 @@ is a name in capitals that a module binds to numbers alone. Words of documents a
 import ast
 import re
 import sys
-from collections import Counter, defaultdict
+from collections import Counter
 from pathlib import Path
 from statistics import median
 
 import common
+import grimp
 from common import ROOT, table
 
 SMALL = 60  # lines
 
 
-def module_of(path: Path, root: Path) -> str:
-    parts = path.relative_to(root).with_suffix("").parts
-    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
-
-
-def imported(tree: ast.Module, package: str, known: set[str]) -> set[str]:
-    """Modules that a file imports from, each name resolved to the module that it is, if it is one."""
-    found = set()
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Import):
-            found |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom):
-            above = package.split(".")[: len(package.split(".")) - node.level + 1] if node.level else []
-            base = ".".join([*above, *([node.module] if node.module else [])])
-            found |= {f"{base}.{alias.name}" if f"{base}.{alias.name}" in known else base for alias in node.names}
-    return found & known
-
-
-def importers(trees: dict[Path, ast.Module], root: Path) -> dict[Path, set[Path]]:
+def importers(root: Path) -> dict[Path, set[Path]]:
     """For each file those that import from it; through a package's __init__ where that passes names on."""
-    modules = {module_of(path, root): path for path in trees}
-    known, by = set(modules), defaultdict(set)
-    for path, tree in trees.items():
-        module = module_of(path, root)
-        package = module if path.name == "__init__.py" else module.rpartition(".")[0]
-        for name in imported(tree, package, known):
-            if modules[name] != path:
-                by[modules[name]].add(path)
-    for path in trees:
+    sys.path.insert(0, str(root))
+    graph = grimp.build_graph("ctrplan", cache_dir=None)
+
+    def file(module: str) -> Path:
+        place = root.joinpath(*module.split("."))
+        return place / "__init__.py" if place.is_dir() else place.with_suffix(".py")
+
+    by = {file(module): set(map(file, graph.find_modules_that_directly_import(module))) for module in graph.modules}
+    for path in sorted(by):
         if path.name == "__init__.py":
             for passed in [other for other, users in by.items() if path in users]:
                 by[passed] |= by[path] - {passed}
@@ -96,14 +79,14 @@ def visits() -> list[tuple[str, int]]:
 
 
 def main() -> None:
-    root = Path(common.arguments(__doc__, "folder?").folder or ROOT)
+    root = Path(common.arguments(__doc__, "folder?").folder or ROOT).resolve()
     if not (root / "ctrplan").is_dir():
         sys.exit(f"{root}: has no folder ctrplan/, whose files are counted")
     texts = {path: path.read_text(encoding="utf-8") for path in sorted((root / "ctrplan").rglob("*.py"))}
     trees = {path: ast.parse(text) for path, text in texts.items()}
     lines = {path: len(text.splitlines()) for path, text in texts.items()}
     own = [path for path in texts if path.name != "__init__.py"]
-    by = importers(trees, root)
+    by = importers(root)
     single = [path for path in own if len(by[path]) == 1]
     small = [p for p in single if lines[p] < SMALL and next(iter(by[p])).parent == p.parent]
     nodes = [node for tree in trees.values() for node in ast.walk(tree)]
