@@ -119,8 +119,8 @@ def tracks() -> dict[str, tuple[Any, Any, Any]]:
     turn, way = np.linspace(0, 2.4, POINTS), np.linspace(0, 1, POINTS)
     circle = tip + 6e-3 * np.stack([np.cos(turn) - 1, np.sin(turn), 0 * turn], axis=1)
     straight = tip + way[:, None] * np.array([8e-3, -6e-3, 6e-3])
-    scenario = ctrplan.load_scenario(SCENARIOS / "vessel.toml")
-    corners, drive = ctrplan.plan(scenario, seed=0, time_s=1).waypoints, scenario.robot.drive
+    scenario = ctrplan.load_scenario(SCENARIOS / "vessel.toml", ["planner.time_s=1"])
+    corners, drive = ctrplan.plan(scenario, seed=0).waypoints, scenario.robot.drive
     legs = [corners[:1]]
     for a, b in zip(corners[:-1], corners[1:], strict=True):
         count = int(np.ceil(30 * (np.abs(b - a) / drive.max_velocity).max()))

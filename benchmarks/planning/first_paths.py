@@ -23,7 +23,7 @@ from typing import Any
 
 import common
 import numpy as np
-from common import ROOT, SCENARIOS, SHIPPED, elsewhere, table
+from common import ROOT, SCENARIOS, elsewhere, table
 
 import ctrplan
 from ctrplan import load_scenario
@@ -104,8 +104,9 @@ def compared(chosen: list[int], other: Path, rounds: int) -> Iterator[tuple[str,
 
 
 def main() -> None:
-    given = common.arguments(__doc__, ("scenarios*", SHIPPED), seeds=1, against=Path, rounds=2, query=-1)
-    chosen = [k for k, query in enumerate(queries()) if query.scenario in (given.scenarios or SHIPPED)]
+    scenarios = list(dict.fromkeys(query.scenario for query in queries()))
+    given = common.arguments(__doc__, ("scenarios*", scenarios), seeds=1, against=Path, rounds=2, query=-1)
+    chosen = [k for k, query in enumerate(queries()) if query.scenario in (given.scenarios or scenarios)]
     if given.query >= 0:
         cpu_s, clock_s, _ = first_path(queries()[given.query].load([]), 0)
         print(clock_s, cpu_s)

@@ -182,7 +182,7 @@ def by_targets() -> Iterator[tuple[object, ...]]:
 def by_legs() -> Iterator[tuple[object, ...]]:
     """The certificate of a path that goes to and fro between two configurations of a scenario."""
     common.end_searches_by_count()
-    plan = ctrplan.plan(ctrplan.load_scenario(SCENARIOS / "vessel.toml"), time_s=1.0)
+    plan = ctrplan.plan(ctrplan.load_scenario(SCENARIOS / "vessel.toml", ["planner.time_s=1"]))
     there = plan.waypoints
     for count in (1, 2, 4, 8):
         way = np.vstack([there[:1], *([there[1:], there[-2::-1]] * count)[:count]])
@@ -201,18 +201,18 @@ BOX_MM = ((-120, -120, 0), (120, 120, 220))
 FREE_MM = 45.0  # around the axis, so that there is a way; the robot still passes some spheres
 
 
-def among(count: int) -> dict[str, Any]:
+def among(count: int) -> str:
     """A scenario of the three-tube robot, which turns by 90 degrees, with so many spheres around it."""
-    random, spheres = np.random.default_rng(count), list[dict[str, Any]]()
+    random, spheres = np.random.default_rng(count), list[str]()
     while len(spheres) < count:
         center, radius = random.uniform(*BOX_MM), random.uniform(*RADIUS_MM)
         if np.hypot(*center[:2]) - radius > FREE_MM:
-            spheres.append({"kind": "sphere", "center_mm": center.round(3).tolist(), "radius_mm": round(radius, 3)})
-    start, turned = (
-        {"rotate outer": 0, "rotate middle": turn, "rotate inner": 0, "translate inner": -86.4} for turn in (0, 90)
-    )
+            sizes = f"center_mm = {center.round(3).tolist()}\nradius_mm = {radius:.3f}\n"
+            spheres.append(f'[[anatomy]]\nkind = "sphere"\n{sizes}')
+    rest = {"rotate outer": 0, "rotate inner": 0, "translate inner": -86.4}
+    start, turned = ({**rest, "rotate middle": degrees} for degrees in (0, 90))
     content = {"robot": "three_tube.toml", "start": start, "goal": {"joints": turned}, "planner": {"time_s": 3}}
-    return {"name": "spheres", **content, "anatomy": spheres}
+    return tomli_w.dumps(content) + "".join(spheres)
 
 
 def by_spheres() -> Iterator[tuple[str, ...]]:
@@ -222,7 +222,7 @@ def by_spheres() -> Iterator[tuple[str, ...]]:
         shutil.copy(ROBOTS / "three_tube.toml", folder)
         os.environ["CTRPLAN_CACHE_DIR"] = name
         for count in COUNTS:
-            (folder / "spheres.toml").write_text(tomli_w.dumps(among(count)))
+            (folder / "spheres.toml").write_text(among(count))
             begun = time.perf_counter()
             read = ctrplan.load_scenario(folder / "spheres.toml")
             loaded = time.perf_counter()

@@ -14,7 +14,7 @@ from typing import Any
 
 import common
 import numpy as np
-from common import SHIPPED, distance_mm, table
+from common import distance_mm, table
 from first_paths import Query, queries
 
 import ctrplan
@@ -132,6 +132,7 @@ def medians(pairs: list[tuple[dict[str, Any], dict[str, Any]]], key: str) -> str
 
 
 def main() -> None:
-    given = common.arguments(__doc__, ("scenarios*", SHIPPED), seeds=5, count=float)
-    chosen = [query for query in queries() if query.scenario in (given.scenarios or SHIPPED)]
+    scenarios = list(dict.fromkeys(query.scenario for query in queries()))
+    given = common.arguments(__doc__, ("scenarios*", scenarios), seeds=5, count=float)
+    chosen = [query for query in queries() if query.scenario in (given.scenarios or scenarios)]
     print_table(list(results(chosen, given.seeds, given.count)))

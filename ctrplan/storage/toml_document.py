@@ -16,6 +16,7 @@ import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -415,9 +416,9 @@ def _name(table: TomlTable, by: str, catalogue: Catalogue[type[Entry]], default:
 
 
 def _own_fields(schema: type[msgspec.Struct], common: type[msgspec.Struct]) -> Sequence[str]:
-    shared = {field.name for field in msgspec.structs.fields(common)}
-    return [field.name for field in msgspec.structs.fields(schema) if field.name not in shared]
+    return [name for name in schema.__struct_fields__ if name not in common.__struct_fields__]
 
 
+@cache
 def _required(schema: type[msgspec.Struct]) -> Sequence[str]:
-    return [field.name for field in msgspec.structs.fields(schema) if field.required]
+    return tuple(field.name for field in msgspec.structs.fields(schema) if field.required)

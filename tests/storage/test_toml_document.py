@@ -6,11 +6,14 @@ import pickle
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from pair_file import PAIR
+from places import ROBOTS
 
+from ctrplan import scenario_from_dict
 from ctrplan.errors import InputError
 from ctrplan.files.robot_file import load_robot
 from ctrplan.storage.toml_document import Document, read_document
@@ -132,3 +135,20 @@ def test_any_override_gives_a_document_or_an_input_error(override: str) -> None:
     except InputError as error:
         assert str(error).isprintable()
     assert content == {"name": "a", "tube": [{"x_mm": 1}, {"x_mm": 2}], "home": {"l_mm": [0, 1]}}
+
+
+def test_keys_of_a_kind_are_looked_up_once_however_many_tables_are_of_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """10,000 spheres took 9.1 s of a processor to be read, 1.4 since the keys of each kind are not looked up anew."""
+    sphere = {"kind": "sphere", "center_mm": [300, 0, 0], "radius_mm": 1}
+    joints = {"rotate inner": 0, "rotate outer": 0, "translate inner": -20}
+
+    def looked_up(count: int) -> int:
+        kinds, fields = list[object](), msgspec.structs.fields
+        content = {"robot": "table_5_pair.toml", "start": joints, "goal": {"joints": joints}}
+        with monkeypatch.context() as patch:
+            patch.setattr(msgspec.structs, "fields", lambda kind: kinds.append(kind) or fields(kind))
+            scenario_from_dict(content | {"anatomy": [sphere] * count}, file=ROBOTS / "many.toml")
+        return len(kinds)
+
+    looked_up(1)
+    assert looked_up(20) == looked_up(1)
