@@ -205,10 +205,8 @@ def _grid(given: Case, anatomy: RawAnatomy, result: Result) -> None:
         unsolved |= not solved.all()
         k = int(np.argmin(rooms))
         if 1e3 * rooms[k] < result.least_mm.get("grid", np.inf):
-            result.least_mm["grid"], result.where["grid"] = (
-                1e3 * float(rooms[k]),
-                {"share": share, "phi": grid[k].tolist()},
-            )
+            result.least_mm["grid"] = 1e3 * float(rooms[k])
+            result.where["grid"] = {"share": share, "phi": grid[k].tolist()}
     result.true_mm = None if unsolved else result.least_mm.get("grid", np.inf)
 
 

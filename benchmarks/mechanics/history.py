@@ -236,15 +236,8 @@ def erasure() -> Iterator[tuple[str, ...]]:
 
     pair, three = (read_document(ROBOTS / name).content for name in ("table_5_pair.toml", "three_tube.toml"))
     slide, turn, place = ((0, 0), (0, 30e-3)), ((0, np.pi), (0, 0)), np.array([0, -90e-3])
-    friction = (
-        (60, 0.2, None),
-        (170, 0.2, None),
-        (60, 0.5, None),
-        (170, 0.5, None),
-        (120, 0.2, 0.005),
-        (120, 0.2, 0.15),
-    )
-    for angle, mu, gap in friction:
+    usual = [(angle, mu, None) for mu, angle in itertools.product((0.2, 0.5), (60, 170))]
+    for angle, mu, gap in (*usual, (120, 0.2, 0.005), (120, 0.2, 0.15)):
         contact = {**pair["contact"][0], "friction_coefficient": mu, **({} if gap is None else {"clearance_mm": gap})}
         robot, at = robot_from_dict({**pair, "contact": [contact]}), (np.radians([0, angle]), place)
         what = f"pair, {angle} deg, friction {mu}" + (f", clearance {gap} mm" if gap else "")
@@ -258,12 +251,8 @@ def erasure() -> Iterator[tuple[str, ...]]:
             yield row(what, motion, robot_from_dict(pair), at, *way, 300, options)
     robot, at = robot_from_dict(three), (np.radians([0, 60, 40]), np.array([0, -17e-3, -80e-3]))
     yield row("three tubes", "inner slides", robot, at, (0, 0, 0), (0, 0, 40e-3), 200)
-    turns = {
-        "inner turns": (0, 0, np.pi),
-        "middle and inner turn": (0, -np.pi, np.pi / 2),
-        "all turn together": [np.pi] * 3,
-    }
-    for motion, by in turns.items():
+    turns = {"inner turns": (0, 0, np.pi), "middle and inner turn": (0, -np.pi, np.pi / 2)}
+    for motion, by in {**turns, "all turn together": [np.pi] * 3}.items():
         yield row("three tubes", motion, robot, at, by, (0, 0, 0), 200)
 
 

@@ -126,13 +126,10 @@ def _figures(case: Path) -> dict[str, Any]:
 
     certificate = json.loads((case / "plan" / "plan.json").read_text())["certificate"]
     measured = measured_clearance(case / "placed.toml", case / "robot.toml", case / "plan")
-    claimed = {
-        "plan_bound_mm": certificate["goal_bound_m"] * 1e3,
-        "worst_mm": certificate["closest"]["clearance_m"] * 1e3,
-    }
-    claimed["plan_claimed_mm"] = certificate["min_clearance_m"] * 1e3
+    metres = certificate["goal_bound_m"], certificate["closest"]["clearance_m"], certificate["min_clearance_m"]
+    claimed = zip(("plan_bound_mm", "worst_mm", "plan_claimed_mm"), (1e3 * x for x in metres), strict=True)
     where = {"nearest": measured.part, "at_s": measured.time_s, "at_mm": measured.point_mm.round(1).tolist()}
-    return {**claimed, "measured_mm": measured.room_mm, **where}
+    return {**dict(claimed), "measured_mm": measured.room_mm, **where}
 
 
 def print_table(out: Path) -> None:
