@@ -92,7 +92,6 @@ def large_volume(folder: Path) -> None:
     shown = " x ".join(map(str, size))
     print(f"{shown} labels read, {len(part.shape.surface().faces)} triangles: {_took(before, read)}")
     print(f"field: {_took(read, done)}; together: {_took(before, done)}")
-    _memory()
 
 
 def _write_tree(path: Path, size: tuple[int, int, int], spacing: tuple[float, float, float]) -> None:
@@ -107,8 +106,8 @@ def _write_tree(path: Path, size: tuple[int, int, int], spacing: tuple[float, fl
             cx, cy = (0.45 * away * f(branch * np.pi / 4 + 0.004 * away) for f in (np.cos, np.sin))
             rows, columns = np.abs(y - cy) < 12, np.abs(x - cx) < 12
             disc = (x[columns] - cx) ** 2 + (y[rows, None] - cy) ** 2 < (9.0 if branch == 0 else 5.0) ** 2
-            block = voxels[k, np.flatnonzero(rows)[:, None], np.flatnonzero(columns)]
-            voxels[k, np.flatnonzero(rows)[:, None], np.flatnonzero(columns)] = np.where(disc, 2, block)
+            block = np.ix_(rows, columns)
+            voxels[k][block] = np.where(disc, 2, voxels[k][block])
     voxels[:4] = voxels[-4:] = 0
     made = SimpleITK.GetImageFromArray(voxels)
     made.SetSpacing(spacing)
@@ -126,9 +125,7 @@ def large_mesh(folder: Path) -> None:
     print(f"2.1 million triangles read and thinned: {_took(before, read)}; {' '.join(scenario.anatomy[0].shape.notes)}")
     plan = ctrplan.plan(scenario)
     told = f"certified: {plan.certificate.valid}, clearance {plan.certificate.min_clearance_m * 1e3:.2f} mm"
-    print(f"planned: {_took(read, _clock())}; {told}")
-    print(f"together: {_took(before, _clock())}")
-    _memory()
+    print(f"planned: {_took(read, _clock())}; {told}; together: {_took(before, _clock())}")
 
 
 def _write_lumen(path: Path, rings: int = 2100, around: int = 500) -> None:
@@ -159,13 +156,10 @@ def _took(begin: tuple[float, float], end: tuple[float, float]) -> str:
     return f"{end[0] - begin[0]:.1f} s ({end[1] - begin[1]:.1f} s of a processor)"
 
 
-def _memory() -> None:
-    print(f"largest memory {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6:.2f} GB")
-
-
 def main() -> None:
     known = {"phantoms": phantom_errors, "mesh": large_mesh, "volume": large_volume}
     given = common.arguments(__doc__, ("sections*", known))
     with tempfile.TemporaryDirectory() as name:
         os.environ["CTRPLAN_CACHE_DIR"] = name
         common.sections(given.sections, {section: partial(work, Path(name)) for section, work in known.items()})
+    print(f"largest memory {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6:.2f} GB")

@@ -55,20 +55,21 @@ def resident_MB() -> float:
     return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
-def growth(what: str, work: Callable[[int], object], count: int, warm_up: int) -> tuple[str, list[float]]:
+def growth(work: Callable[[int], object], count: int, warm_up: int) -> list[float]:
     """Resident memory [MB] over `count` calls of work(k), k = 0, 1, .., after the warm-up, then at even distances."""
     looks, memory = set(np.linspace(warm_up, count, LOOKS, dtype=int).tolist()), list[float]()
     for k in range(count):
         work(k)
         if k + 1 in looks:
             memory.append(resident_MB())
-    return what, memory
+    return memory
 
 
 def plan_again(seed: int) -> None:
-    """A plan of a scenario read from its file, its robot made anew; on a busy machine some find nothing in time."""
+    """A plan of a scenario read from its file, its robot made anew; some find nothing in so short a search."""
+    scenario = ctrplan.load_scenario(SCENARIOS / "pair_free.toml", [NEAR, f"planner.time_s={SEARCH_S}"])
     with contextlib.suppress(ctrplan.NoAnswerError):
-        ctrplan.plan(ctrplan.load_scenario(SCENARIOS / "pair_free.toml", [NEAR]), seed=seed, time_s=SEARCH_S)
+        ctrplan.plan(scenario, seed=seed)
 
 
 def bounds_at_random(robot: ctrplan.Robot) -> Callable[[int], None]:
@@ -84,16 +85,15 @@ def bounds_at_random(robot: ctrplan.Robot) -> Callable[[int], None]:
 
 
 def runs(plans: int, bounds: int) -> int:
-    robot = ctrplan.load_robot(ROBOTS / "three_tube.toml")
-    batches, several = bounds // BATCH, bounds_at_random(robot)
-    found = [
-        growth(f"{batches * BATCH:,} bounds, three tubes", several, batches, max(batches // 20, 1)),
-        growth(f"{plans:,} plans", plan_again, plans, min(WARM_UP, plans // 2)),
-    ]
-    rows, grown = [], [memory_MB[-1] / memory_MB[0] - 1 for _, memory_MB in found]
-    for (what, memory_MB), share in zip(found, grown, strict=True):
-        between = " ".join(f"{value:.1f}" for value in memory_MB[1:-1])
-        rows.append((what, f"{memory_MB[0]:.1f} MB", f"{memory_MB[-1]:.1f} MB", f"{100 * share:+.2f} %", between))
+    several, batches = bounds_at_random(ctrplan.load_robot(ROBOTS / "three_tube.toml")), bounds // BATCH
+    found = {
+        f"{batches * BATCH:,} bounds, three tubes": growth(several, batches, max(batches // 20, 1)),
+        f"{plans:,} plans": growth(plan_again, plans, min(WARM_UP, plans // 2)),
+    }
+    rows, grown = [], [memory_MB[-1] / memory_MB[0] - 1 for memory_MB in found.values()]
+    for (what, (first, *between, last)), share in zip(found.items(), grown, strict=True):
+        shown = " ".join(f"{value:.1f}" for value in between)
+        rows.append((what, f"{first:.1f} MB", f"{last:.1f} MB", f"{100 * share:+.2f} %", shown))
     table("runs", "run | after the warm-up | at the end | growth | at even distances between, MB", rows)
     return int(max(grown) >= GROWTH)
 
@@ -103,10 +103,9 @@ def plan_apart(scenario: str, at_least: int) -> tuple[object, ...]:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         triangles = prepare(folder, scenario, at_least)
-        run = "import sys; from ctrplan.__main__ import main; sys.exit(main(sys.argv[1:]))"
-        arguments = ["plan", str(folder / "scenario.toml"), "-o", str(folder / "out"), "--quiet"]
+        plan = [sys.executable, "-m", "ctrplan", "plan", str(folder / "scenario.toml"), "-o", str(folder / "out")]
         own = {**os.environ, "CTRPLAN_CACHE_DIR": str(folder / "cache")}
-        code, clock_s, processor_s, memory = spent([sys.executable, "-c", run, *arguments], own, subprocess.DEVNULL)
+        code, clock_s, processor_s, memory = spent([*plan, "--quiet"], own, subprocess.DEVNULL)
         outcome = "planned and certified" if code == 0 else f"exit code {code}"
         return scenario, f"{triangles:,}", outcome, f"{memory:.0f} MB", f"{processor_s:.0f} s", f"{clock_s:.0f} s"
 
@@ -181,7 +180,6 @@ def by_targets() -> Iterator[tuple[object, ...]]:
 
 def by_legs() -> Iterator[tuple[object, ...]]:
     """The certificate of a path that goes to and fro between two configurations of a scenario."""
-    common.end_searches_by_count()
     plan = ctrplan.plan(ctrplan.load_scenario(SCENARIOS / "vessel.toml", ["planner.time_s=1"]))
     there = plan.waypoints
     for count in (1, 2, 4, 8):
@@ -243,6 +241,7 @@ BY: dict[str, common.Table] = {
 def main() -> int:
     options = {"plans": 1000, "bounds": 100_000, "triangles": 0}
     given = common.arguments(__doc__, ("section", ("runs", "plan", "growth")), "names*", **options)
+    common.end_searches_by_count()
     if given.section == "runs":
         return runs(given.plans, given.bounds)
     if given.section == "growth":
