@@ -18,6 +18,7 @@ from pathlib import Path
 import common
 import numpy as np
 import phantoms
+import tomli_w
 from common import ROBOTS, table
 from scipy.spatial.transform import Rotation
 
@@ -29,22 +30,8 @@ RADII_MM = (1.0, 3.0, 5.0, 9.0)
 DRAWS = 3
 REACH_M = 0.12
 ROBOT = ROBOTS / "three_tube_insertion.toml"
-LUMEN = """robot = "{robot}"
-[start]
-"rotate outer" = 0
-"rotate middle" = 180
-"rotate inner" = 90
-"advance all" = -149
-"translate inner" = -86.4
-[goal]
-tip_mm = [12, 3, 95]
-[[anatomy]]
-kind = "mesh"
-file = "lumen.stl"
-unit = "mm"
-role = "inside"
-margin_mm = 0.3
-"""
+START = {"rotate outer": 0, "rotate middle": 180, "rotate inner": 90, "advance all": -149, "translate inner": -86.4}
+LUMEN = {"kind": "mesh", "file": "lumen.stl", "unit": "mm", "role": "inside", "margin_mm": 0.3}
 
 
 def phantom_errors(folder: Path) -> None:
@@ -118,7 +105,8 @@ def _write_tree(path: Path, size: tuple[int, int, int], spacing: tuple[float, fl
 def large_mesh(folder: Path) -> None:
     """A winding lumen of 2.1 million triangles: read, thinned, and planned in."""
     _write_lumen(folder / "lumen.stl")
-    (folder / "lumen.toml").write_text(LUMEN.format(robot=ROBOT))
+    content = {"robot": str(ROBOT), "start": START, "goal": {"tip_mm": [12, 3, 95]}, "anatomy": [LUMEN]}
+    (folder / "lumen.toml").write_text(tomli_w.dumps(content))
     before = _clock()
     scenario = ctrplan.load_scenario(folder / "lumen.toml", allow_outside=True)
     read = _clock()

@@ -10,14 +10,12 @@ they are as short as they can be is shown by tests/drive/test_trajectory.py.
 import common
 import numpy as np
 from common import table
-from numpy.typing import NDArray
 
 from ctrplan import Drive, Joint
+from ctrplan.base.arrays import Array
 from ctrplan.drive.drive import Kind
 from ctrplan.drive.legs import merge_legs
 from ctrplan.drive.trajectory import QUANTITIES, distance_from_legs, time_parameterise, verify_limits
-
-FloatArray = NDArray[np.float64]
 
 LEGS_PER_PLAN = 10
 FAST_ROTATION, FAST_TRANSLATION = (1.0, 4.0, 40.0), (0.01, 0.05, 0.5)  # per s, s^2, s^3
@@ -52,7 +50,7 @@ def random_drive(rng: np.random.Generator) -> Drive:
     return Drive(tuple(joints), np.zeros(1), np.zeros(1))
 
 
-def random_plan(rng: np.random.Generator, drive: Drive) -> FloatArray:
+def random_plan(rng: np.random.Generator, drive: Drive) -> Array:
     """Waypoints (LEGS_PER_PLAN + 1, m); each leg moves the joints of one kind, or all of them."""
     reach = np.where(drive.is_rotation, 2 * np.pi, 0.1)
     waypoints = [rng.uniform(-reach, reach)]

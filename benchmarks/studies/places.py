@@ -19,10 +19,10 @@ import common
 import numpy as np
 from common import SCENARIOS, SHIPPED, STUDIES, panels, save
 from matplotlib.axes import Axes
-from numpy.typing import NDArray
 
 import ctrplan
 from ctrplan import Placement
+from ctrplan.base.arrays import Array
 from ctrplan.planning.place import CONE_RAD, RADIUS_M, PoseScore, Screen, _patch
 from ctrplan.reports import looks
 from ctrplan.reports.study_page import BasePoses
@@ -44,7 +44,7 @@ def print_shares(name: str, table: ctrplan.StudyTable) -> None:
         print(f"  {name:10} {len(table):5,} targets, within {near} mm: {'; '.join(texts)}")
 
 
-def draw_reach(axes: Axes, table: ctrplan.StudyTable, column: str, outline: NDArray[np.float64]) -> None:
+def draw_reach(axes: Axes, table: ctrplan.StudyTable, column: str, outline: Array) -> None:
     """Targets as they are seen along y, the best last, over the anatomy's own shadow."""
     axes.scatter(outline[:, 0], outline[:, 2], s=1.5, color="#eceef1", linewidths=0, rasterized=True)
     one, two = (table[f"{column}_{near}_mm"] == 1 for near in (1, 2))
@@ -91,10 +91,9 @@ def print_best(name: str, found: Placement, took_s: float) -> None:
     print(f"{name}: {found.sentence} ({took_s:.0f} s of processor time)")
     for word, pose in (("own", found.own), ("best", found.poses[0])):
         worst_mm = max((target.worst_m for target in pose.targets if target.best), default=np.nan) * 1e3
-        print(
-            f"  {word:5} tilt {np.degrees(pose.tilt_rad):5.1f} deg, {pose.reached} of {len(pose.targets)} reached, "
-            f"{worst_mm:.2f} mm at worst, clearance {pose.clearance_m * 1e3:.2f} mm"
-        )
+        reached = f"{pose.reached} of {len(pose.targets)} reached, {worst_mm:.2f} mm at worst"
+        tilt, room = np.degrees(pose.tilt_rad), 1e3 * pose.clearance_m
+        print(f"  {word:5} tilt {tilt:5.1f} deg, {reached}, clearance {room:.2f} mm")
 
 
 def draw_entry(axes: Axes, name: str, worths: list[PoseScore], found: Placement) -> None:
@@ -102,20 +101,21 @@ def draw_entry(axes: Axes, name: str, worths: list[PoseScore], found: Placement)
     look = np.degrees(np.arcsin(np.array([worth.pose.direction[:2] for worth in worths])))
     tolerance_mm = max(target.goal.tolerance_m for target in found.own.targets) * 1e3
     share = np.array([worth.share * tolerance_mm if worth.possible else np.nan for worth in worths])
-    axes.scatter(*look[np.isnan(share)].T, s=9, color="#d5d9de", linewidths=0)
-    known = ~np.isnan(share)
-    points = axes.scatter(*look[known].T, c=share[known], s=26, cmap=f"{looks.HEAT}_r", linewidths=0)
-    axes.figure.colorbar(points, ax=axes, label="worst-case friction error (mm)", shrink=0.7)
+    draw_values(axes, name, look, share, f"{looks.HEAT}_r", "worst-case friction error (mm)")
     for pose in found.poses:
         if pose.reached:
             axes.plot(*np.degrees(np.arcsin(pose.direction[:2])), "o", mfc="none", mec=looks.INK, ms=8, mew=0.8)
     axes.plot(*np.degrees(np.arcsin(found.own.direction[:2])), "x", color=looks.LIMIT, ms=9, mew=2)
-    dress(axes, name)
 
 
-def dress(axes: Axes, title: str) -> None:
-    axes.set(title=title, xlabel="looks to x (deg)", aspect="equal")
-    axes.title.set_fontsize(10)
+def draw_values(axes: Axes, title: str, look: Array, values: Array, colours: str, label: str = "") -> None:
+    """Values (K,) of poses in colours where they look (K, 2) [deg], grey where there is none."""
+    known = np.isfinite(values)
+    axes.scatter(*look[~known].T, s=10, color="#d5d9de", linewidths=0)
+    points = axes.scatter(*look[known].T, c=values[known], s=22, cmap=colours, linewidths=0)
+    axes.figure.colorbar(points, ax=axes, label=label, shrink=0.75)
+    axes.set(xlabel="looks to x (deg)", aspect="equal")
+    axes.set_title(title, fontsize=10)
 
 
 def entry(names: list[str], candidates: int) -> None:
@@ -133,7 +133,7 @@ ENTRY_STUDY = STUDIES / "entry_ventricle.toml"
 MM_PER_DEG = 2.2  # of positions drawn around the direction that they belong to
 
 
-def print_poses(poses: BasePoses, tilt_deg: NDArray[np.float64]) -> None:
+def print_poses(poses: BasePoses, tilt_deg: Array) -> None:
     print(f"{len(poses.position_mm)} poses, {poses.count[0]} targets each")
     k = poses.order[0]
     place, look = poses.position_mm[k].round(2).tolist(), poses.direction[k].round(3).tolist()
@@ -156,12 +156,8 @@ def draw_poses(poses: BasePoses) -> None:
     }
     figure, (axes,) = panels(1, 3, (13, 4.2))
     for axis, (title, (values, colours)) in zip(axes, panels.items(), strict=True):
-        known = np.isfinite(values)
-        axis.scatter(*look[~known].T, s=10, color="#d5d9de", linewidths=0)
-        points = axis.scatter(*look[known].T, c=values[known], s=20, cmap=colours, linewidths=0)
-        figure.colorbar(points, ax=axis, shrink=0.8)
+        draw_values(axis, title, look, values, colours)
         axis.plot(*look[poses.order[0]], "o", mfc="none", mec=looks.LIMIT, ms=9, mew=1.5)
-        dress(axis, title)
     axes[0].set_ylabel("looks to y (deg)")
     save(figure, "entry_study")
 

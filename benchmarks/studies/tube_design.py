@@ -84,9 +84,8 @@ def draw_front(axes: Axes, found: ctrplan.TubeDesigns) -> None:
     x, y, reach = (np.array([row[name] for row in done]) for name in ("robust_mm", "stability", "reach"))
     points = axes.scatter(x, y, c=reach * 100, s=14, cmap=looks.HEAT, linewidths=0, vmin=0, vmax=100)
     axes.figure.colorbar(points, ax=axes, label="targets reached (%)", shrink=0.8)
-    front = [looked.numbers for looked in found.front]
-    ends = [row[name] for name in ("robust_mm", "stability") for row in front]
-    axes.plot(ends[: len(front)], ends[len(front) :], "o", mfc="none", mec=looks.INK, ms=7, mew=0.8, label="front")
+    front = np.array([[looked.numbers[name] for name in ("robust_mm", "stability")] for looked in found.front])
+    axes.plot(*front.T, "o", mfc="none", mec=looks.INK, ms=7, mew=0.8, label="front")
     axes.set(xscale="log", xlabel="mean error at worst, within tolerances (mm)", ylabel="least stability on the way")
     axes.legend(frameon=False, fontsize=8)
 
