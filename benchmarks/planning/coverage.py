@@ -54,11 +54,11 @@ def calibrated(seed: int) -> Content:
     content = dict(read_document(ROBOTS / "three_tube.toml").content)
     noise = {"position_sigma_mm": NOISE * SIGMA_M * 1e3, "tangent_sigma_deg": float(np.degrees(NOISE * SIGMA_RAD))}
     robot = robot_from_dict(content | {"measurement": noise})
-    asked = waypoints(robot, CONFIGURATIONS, seed)
-    asked = replace(asked, l_commanded=_inserted(robot, asked.sequence // APPROACHES, seed))
-    bounds = robot.bound_many(asked.theta_commanded[asked.rows], asked.l_commanded[asked.rows])
-    asked = asked.subset((bounds.stability > LEAST_STABILITY) & (bounds.position_m < LARGEST_BOUND_M))
-    data = measured(robot, asked, TRUTH, seed, NOISE)
+    poses = waypoints(robot, CONFIGURATIONS, seed)
+    poses = replace(poses, l_commanded=_inserted(robot, poses.sequence // APPROACHES, seed))
+    bounds = robot.bound_many(poses.theta_commanded[poses.rows], poses.l_commanded[poses.rows])
+    poses = poses.subset((bounds.stability > LEAST_STABILITY) & (bounds.position_m < LARGEST_BOUND_M))
+    data = measured(robot, poses, TRUTH, seed, NOISE)
     base = [p.name for p in BaseParameters().parameters(robot) if "friction" not in p.name]
     names = [name for name in base if name != "stiffness_factor_1"]
     return ctrplan.calibrate(robot, data, [*names, "effects.friction.mu_1", "effects.friction.mu_2"]).robot_content()

@@ -38,9 +38,9 @@ def draw(table: ctrplan.StudyTable, found: Sensitivity) -> None:
 
 
 def main() -> None:
-    asked = common.arguments(__doc__, "folder")
+    given = common.arguments(__doc__, "folder")
     study = ctrplan.Study.read(STUDY)
-    table = study.run(asked.folder, workers=1)
+    table = study.run(given.folder, workers=1)
     found = sensitivity(study, table, "bound_mm")
     assert found is not None
     print_numbers(table, found)

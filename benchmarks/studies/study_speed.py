@@ -121,13 +121,13 @@ def compare(name: str, count: int, folder: Path, rounds: int) -> None:
 
 
 def main() -> None:
-    asked = common.arguments(__doc__, bounds=8000, plans=48, rounds=3, serve_loop=[""])
-    if any(asked.serve_loop):
-        return serve_loop(asked.serve_loop[0], int(asked.serve_loop[1]))
+    given = common.arguments(__doc__, bounds=8000, plans=48, rounds=3, serve_loop=[""])
+    if any(given.serve_loop):
+        return serve_loop(given.serve_loop[0], int(given.serve_loop[1]))
     print(f"{processors()}, {WORKERS} workers")
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        if asked.bounds:
-            compare("bounds", asked.bounds, folder, asked.rounds)
-        if asked.plans:
-            compare("plans", asked.plans, folder, asked.rounds)
+        if given.bounds:
+            compare("bounds", given.bounds, folder, given.rounds)
+        if given.plans:
+            compare("plans", given.plans, folder, given.rounds)

@@ -59,11 +59,11 @@ def judge(name: str, search: ctrplan.TubeDesign, overrides: Sequence[str]) -> Ju
     own = tuple(text for text in overrides if not text.startswith(FRICTION))
     task = search.job.task
     goals = [Goal(None, point * 1e-3, task["tolerance_mm"] * 1e-3) for point in search.points_mm]
-    asked = Search(STARTS, search.entry.seed, search.entry.unreached_mm)
+    settings = Search(STARTS, search.entry.seed, search.entry.unreached_mm)
     file = SCENARIOS / "ventricle.toml"
     with one_core():
-        rubbing = set_value(ctrplan.load_scenario(file, own), goals, asked)
-        bare = set_value(ctrplan.load_scenario(file, [*own, *(f"{key}=0" for key in FRICTION)]), goals, asked)
+        rubbing = set_value(ctrplan.load_scenario(file, own), goals, settings)
+        bare = set_value(ctrplan.load_scenario(file, [*own, *(f"{key}=0" for key in FRICTION)]), goals, settings)
     return Judged(name, rubbing, bare, own)
 
 
@@ -120,9 +120,9 @@ def print_plans(folder: Path) -> None:
 
 
 def main() -> None:
-    asked = common.arguments(__doc__, "folder", trials=120, workers=1, plans=False)
-    asked.folder = Path(asked.folder)
-    ours, blind = searches(asked.folder, asked.trials, asked.workers, asked.plans)
+    given = common.arguments(__doc__, "folder", trials=120, workers=1, plans=False)
+    given.folder = Path(given.folder)
+    ours, blind = searches(given.folder, given.trials, given.workers, given.plans)
     first, theirs = ours.entries()[0], max(blind.entries(), key=lambda row: (row["reach"], row["stability"]))
     for name, found in (("with friction", ours), ("literature", blind)):
         done, given_up, unable = found.counts
@@ -136,8 +136,8 @@ def main() -> None:
     print_table(rows, ours.search.job.task["tolerance_mm"])
     for row in first["tolerances"]:
         print(f"  {row['name']:32} {row['half_width']:.3g} {row['unit']:5} costs {row['costs_mm']:.4f} mm")
-    if asked.plans:
-        print_plans(asked.folder)
+    if given.plans:
+        print_plans(given.folder)
     figure, ((left, middle, right),) = panels(1, 3, (13.5, 4))
     draw_front(left, ours)
     draw_targets(middle, rows, ours.search.entry.unreached_mm)
