@@ -258,20 +258,22 @@ class Spectrum:
     def highest(self) -> tuple[float, float, float]:
         """The highest evidence, and the sizes of position and tangent that it has: one by one, until both stay.
 
-        Every fourth size is asked, and then those between.
+        Every fourth size is asked, and then the neighbours of the best at half that distance, and half again.
         """
-        at = [0, 0]
-        for every in (slice(None, None, STRIDE), None):
-            best = -np.inf
-            while True:
-                before = list(at)
-                for k, part in enumerate((self.position, self.tangent)):
-                    near = np.arange(max(at[k] - STRIDE, 0), min(at[k] + STRIDE + 1, len(part.size)))
-                    candidates = np.arange(len(part.size))[every] if every else near
-                    evidence = self.evidences(candidates, at[1]) if k == 0 else self.evidences(at[0], candidates)
-                    at[k], best = int(candidates[evidence.argmax()]), float(evidence.max())
-                if at == before:
-                    break
+        at, stride = [0, 0], STRIDE
+        while stride:
+            before = list(at)
+            for k, part in enumerate((self.position, self.tangent)):
+                numbers = np.arange(len(part.size))
+                candidates = (
+                    numbers[::stride]
+                    if stride == STRIDE
+                    else numbers[max(at[k] - stride, at[k] % stride) :: stride][:3]
+                )
+                evidence = self.evidences(candidates, at[1]) if k == 0 else self.evidences(at[0], candidates)
+                at[k], best = int(candidates[evidence.argmax()]), float(evidence.max())
+            if at == before:
+                stride //= 2
         return best, float(self.position.size[at[0]]), float(self.tangent.size[at[1]])
 
     @property

@@ -14,7 +14,8 @@ parameters with the precision P of their priors, s changes the logarithm of the 
 
     1/2 sum_i (s^2 u_i^2 / (1 + s^2 v_i) - log(1 + s^2 v_i)),
 
-v_i the eigenvalues of B^T S B, u_i the components of B^T S r along their vectors, S = I - J (J^T J + P)^-1 J^T.
+v_i the eigenvalues of B^T S B, u_i the components of B^T S r along their vectors, S = I - J (J^T J + P)^-1 J^T. Turned
+to where it is tridiagonal, with an axis along B^T S r, the matrix says the same by its pivots.
 """
 
 from __future__ import annotations
@@ -281,9 +282,8 @@ class UnknownErrors:
         """Logarithm of the evidence averaged over smooth errors, and the most probable one with the logarithm of its
         own, at its peak.
         """
-        averaged = [_over_sizes(*pair) for pair in zip(self.smooth, spectra, strict=True)]
-        values = np.array([value for value, *_ in averaged])
-        return float(_averaged(values, axis=0)), *averaged[int(values.argmax())][1:]
+        values, peak, own = _over_kinds(self.smooth, spectra)
+        return float(_averaged(values, axis=0)), peak, own
 
     def _beside(self, modes: Array, fit: Linearised, spectra: Sequence[Spectrum]) -> tuple[float, Peak]:
         """Log evidence and peak beside a process (5 K, m), for the likeliest kind of error in what its mean leaves."""
@@ -299,8 +299,7 @@ class UnknownErrors:
 
     def along(self, fit: Linearised) -> dict[str, float]:
         """How probable it is that an unknown error goes along with each input, if it is one of tips or of a stage."""
-        of_errors = zip(self.smooth, self.spectra(fit), strict=True)
-        smooth = [_over_sizes(*pair)[0] - np.log(len(self.smooth)) for pair in of_errors]
+        smooth = _over_kinds(self.smooth, self.spectra(fit))[0] - np.log(len(self.smooth))
         of_size = self._gains(fit)
         gains = _averaged(of_size, axis=1) - np.log(len(self.inputs) or 1) if len(of_size) else np.zeros(0)
         weights = np.array([*smooth, *(without_error(fit) + gains)])
@@ -314,17 +313,15 @@ class UnknownErrors:
 
         own = _with_unit_priors(fit)
         over = own if peak is None else peak.over_covariance(own)
-        whole, gains = own.T @ over, list[Array]()
-        H, g, square = whole[:-1, :-1], whole[:-1, -1], SIZES[:, None] ** 2
+        whole, lines = own.T @ over, list[tuple[Array, Array]]()
+        H, g = whole[:-1, :-1], whole[:-1, -1]
         factor = np.linalg.cholesky(H + _least(H) * np.eye(len(H)))
         of_r = solve_triangular(factor, g, lower=True, check_finite=False)
         for B, own_square in zip(self.processes, self._squares(peak), strict=True):
             along = B.T @ over
             taken = solve_triangular(factor, along[:, :-1].T, lower=True, check_finite=False)
-            values, vectors = np.linalg.eigh(own_square - taken.T @ taken)
-            v, u = np.maximum(values, 0.0), vectors.T @ (along[:, -1] - taken.T @ of_r)
-            gains.append((square * u**2 / (1 + square * v) - np.log1p(square * v)).sum(axis=1) / 2)
-        return np.array(gains).reshape(-1, len(SIZES))
+            lines.append(_tridiagonal(own_square - taken.T @ taken, along[:, -1] - taken.T @ of_r))
+        return _gains_of(lines)
 
     def _squares(self, peak: Peak | None) -> list[Array]:
         """(m, m) of every process over the noise and the smooth error of a peak."""
@@ -334,6 +331,39 @@ class UnknownErrors:
                 del self._known[next(iter(self._known))]  # the oldest
             self._known[key] = [B.T @ (B if peak is None else peak.over_covariance(B)) for B in self.processes]
         return self._known[key]
+
+
+def _tridiagonal(square: Array, along: Array) -> tuple[Array, Array]:
+    """B^T S B (m, m) as a tridiagonal matrix, its diagonal (m,) and beside it (m,), in axes of which the last lies along
+    B^T S r (m,): its length comes last.
+    """
+    from scipy.linalg import lapack  # slow to import
+
+    m = len(along)
+    bordered = np.zeros((m + 1, m + 1), order="F")
+    bordered[:m, :m], bordered[:m, m] = square, along
+    _, diagonal, beside, _, _ = lapack.dsytrd(bordered, lower=0, overwrite_a=1)
+    return diagonal[:-1], beside
+
+
+def _gains_of(lines: Sequence[tuple[Array, Array]]) -> Array:
+    """(M, S) what M tridiagonal systems, by the pivots of I + s^2 B^T S B, gain at every size; all of them at once."""
+    square, longest = SIZES**2, max((len(diagonal) for diagonal, _ in lines), default=0)
+    diagonals, before, length = (
+        np.zeros((longest, len(lines), 1)),
+        np.zeros((longest, len(lines), 1)),
+        np.zeros((len(lines), 1)),
+    )
+    for k, (diagonal, beside) in enumerate(lines):
+        diagonals[longest - len(diagonal) :, k, 0] = diagonal
+        before[longest - len(diagonal) + 1 :, k, 0] = beside[:-1] ** 2
+        length[k] = beside[-1] ** 2
+    pivot, volume = np.ones((len(lines), len(square))), np.zeros((len(lines), len(square)))
+    for a, b in zip(diagonals, before, strict=True):
+        pivot = 1 + square * a - square**2 * b / pivot
+        volume += np.log(pivot)
+    gains: Array = (square * length / pivot - volume) / 2
+    return gains
 
 
 def _with_unit_priors(fit: Linearised) -> Array:
@@ -366,16 +396,27 @@ def _leading(modes: Array) -> Array:
     return leading
 
 
-def _over_sizes(error: SmoothError, spectrum: Spectrum) -> tuple[float, Peak, float]:
-    """Logarithm of the evidence averaged over sizes, as if those of position and tangent were apart; its peak, and the
-    logarithm of the evidence there.
+def _over_kinds(errors: Sequence[SmoothError], spectra: Sequence[Spectrum]) -> tuple[Array, Peak, float]:
+    """(E,) logarithms of the evidence of kinds of errors, each averaged over sizes, as if those of position and tangent
+    were apart; the peak of the most probable kind, and the logarithm of the evidence there.
+
+    No average is above its peak: kinds whose peaks are lost to rounding beside the others get no evidence.
     """
-    highest, position, tangent = spectrum.highest()
+    peaks, values = [spectrum.highest() for spectrum in spectra], np.full(len(errors), -np.inf)
+    for k in sorted(range(len(errors)), key=lambda k: -peaks[k][0]):
+        if peaks[k][0] / 2 < logsumexp(values) + np.log(np.finfo(np.float64).eps):
+            break
+        values[k] = _over_sizes(spectra[k], *peaks[k])
+    best = int(values.argmax())
+    return values, Peak(errors[best], *peaks[best][1:]), peaks[best][0] / 2
+
+
+def _over_sizes(spectrum: Spectrum, highest: float, position: float, tangent: float) -> float:
+    """Logarithm of the evidence averaged over sizes, by the lines through its peak."""
     p = int(np.abs(spectrum.position.size - position).argmin())
     t = int(np.abs(spectrum.tangent.size - tangent).argmin())
     lines = spectrum.evidences(slice(None), t), np.atleast_1d(spectrum.evidences(p, slice(None)))
-    spread = sum(float(logsumexp((line - highest) / 2)) - np.log(len(line)) for line in lines)
-    return highest / 2 + spread, Peak(error, position, tangent), highest / 2
+    return highest / 2 + sum(float(logsumexp((line - highest) / 2)) - np.log(len(line)) for line in lines)
 
 
 def _smooth(data: Measurements, axes: Array, ends: Sequence[Linearised]) -> list[SmoothError]:
