@@ -52,19 +52,40 @@ class Discrepancy:
 
     def whitened(self, values: Array) -> Array:
         """(K, 5, ...) residuals or derivatives over the noise, multiplied by (I + s^2 R)^(-1/2)."""
-        return self._times(values, -0.5)
+        return _times(self._whitening, values)
 
     def coloured(self, values: Array) -> Array:
         """The inverse of `whitened`."""
-        return self._times(values, 0.5)
+        return _times(self._colouring, values)
 
-    def _times(self, values: Array, power: float) -> Array:
-        new = np.array(values, dtype=np.float64)
-        for part, size in ((POSITION, self.position), (TANGENT, self.tangent)):
-            for block in self.blocks if size else ():
-                factor = (block.vectors * (1 + size**2 * block.values) ** power) @ block.vectors.T
-                new[block.poses, part] = np.tensordot(factor, values[block.poses, part], axes=1)
-        return new
+    @cached_property
+    def _whitening(self) -> Factors:
+        return self._factors(-0.5)
+
+    @cached_property
+    def _colouring(self) -> Factors:
+        return self._factors(0.5)
+
+    def _factors(self, power: float) -> Factors:
+        """Powers of the covariance of the numbers that go together."""
+        return [
+            (block.poses, part, (block.vectors * (1 + size**2 * block.values) ** power) @ block.vectors.T)
+            for part, size in ((POSITION, self.position), (TANGENT, self.tangent))
+            if size
+            for block in self.blocks
+        ]
+
+
+Factors = list[tuple[NDArray[np.int_], slice, Array]]  # poses, numbers of each, and a matrix (k, k) of the poses
+
+
+def _times(factors: Factors, values: Array) -> Array:
+    """(K, 5, ...) numbers multiplied by factors, those of other poses as they are."""
+    new = np.array(values, dtype=np.float64)
+    for poses, part, factor in factors:
+        some = values[poses, part]
+        new[poses, part] = (factor @ some.reshape(len(poses), -1)).reshape(some.shape)
+    return new
 
 
 @dataclass(frozen=True, eq=False)
@@ -265,15 +286,10 @@ class Spectrum:
             before = list(at)
             for k, part in enumerate((self.position, self.tangent)):
                 numbers = np.arange(len(part.size))
-                candidates = (
-                    numbers[::stride]
-                    if stride == STRIDE
-                    else numbers[max(at[k] - stride, at[k] % stride) :: stride][:3]
-                )
-                evidence = self.evidences(candidates, at[1]) if k == 0 else self.evidences(at[0], candidates)
-                at[k], best = int(candidates[evidence.argmax()]), float(evidence.max())
-            if at == before:
-                stride //= 2
+                near = numbers % STRIDE == 0 if stride == STRIDE else np.isin(numbers - at[k], (-stride, 0, stride))
+                evidence = self.evidences(numbers[near], at[1]) if k == 0 else self.evidences(at[0], numbers[near])
+                at[k], best = int(numbers[near][evidence.argmax()]), float(evidence.max())
+            stride //= 1 + (at == before)
         return best, float(self.position.size[at[0]]), float(self.tangent.size[at[1]])
 
     @property

@@ -23,7 +23,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import product
+from itertools import pairwise, product
 from typing import Literal
 
 import numpy as np
@@ -250,7 +250,9 @@ class UnknownErrors:
         self.smooth = _smooth(bench.data, axes, ends)
         processes = list(_processes(bench, base, counts)) if with_stages else []
         self.inputs = [name for name, _ in processes]  # of each process
-        self.processes = [modes for _, modes in processes]
+        ends = np.cumsum([0, *(modes.shape[1] for _, modes in processes)]).tolist()
+        self._places = [slice(a, b) for a, b in pairwise(ends)]
+        self._modes = np.concatenate([np.zeros((5 * bench.data.count, 0)), *(modes for _, modes in processes)], axis=1)
         self._known: dict[object, list[Array]] = {}  # squares of processes, by peak
 
     def spectra(self, fit: Linearised) -> list[Spectrum]:
@@ -265,7 +267,7 @@ class UnknownErrors:
         """
         spectra = self.spectra(fit) if spectra is None else spectra
         smooth, peak, _ = self._of_tips(spectra)
-        if not self.processes:
+        if not self._places:
             return smooth, peak
         gains = self._gains(fit)
         alone = without_error(fit) + float(_averaged(gains.ravel(), axis=0))
@@ -313,15 +315,23 @@ class UnknownErrors:
 
         own = _with_unit_priors(fit)
         over = own if peak is None else peak.over_covariance(own)
-        whole, lines = own.T @ over, list[tuple[Array, Array]]()
+        whole = own.T @ over
         H, g = whole[:-1, :-1], whole[:-1, -1]
         factor = np.linalg.cholesky(H + _least(H) * np.eye(len(H)))
-        of_r = solve_triangular(factor, g, lower=True, check_finite=False)
-        for B, own_square in zip(self.processes, self._squares(peak), strict=True):
-            along = B.T @ over
-            taken = solve_triangular(factor, along[:, :-1].T, lower=True, check_finite=False)
-            lines.append(_tridiagonal(own_square - taken.T @ taken, along[:, -1] - taken.T @ of_r))
-        return _gains_of(lines)
+        of_all = self._modes.T @ over
+        taken = solve_triangular(factor, of_all[:, :-1].T, lower=True, check_finite=False)
+        along = of_all[:, -1] - taken.T @ solve_triangular(factor, g, lower=True, check_finite=False)
+        return _gains_of(
+            [
+                _tridiagonal(square - taken[:, own].T @ taken[:, own], along[own])
+                for own, square in zip(self._places, self._squares(peak), strict=True)
+            ]
+        )
+
+    @property
+    def processes(self) -> list[Array]:
+        """(5 K, m) modes of each process."""
+        return [self._modes[:, own] for own in self._places]
 
     def _squares(self, peak: Peak | None) -> list[Array]:
         """(m, m) of every process over the noise and the smooth error of a peak."""
@@ -334,8 +344,9 @@ class UnknownErrors:
 
 
 def _tridiagonal(square: Array, along: Array) -> tuple[Array, Array]:
-    """B^T S B (m, m) as a tridiagonal matrix, its diagonal (m,) and beside it (m,), in axes of which the last lies along
-    B^T S r (m,): its length comes last.
+    """The diagonal (m,) of B^T S B (m, m) where it is tridiagonal, in axes of which the last lies along B^T S r (m,).
+
+    And what stands beside the diagonal (m - 1,), with the length of B^T S r after it.
     """
     from scipy.linalg import lapack  # slow to import
 
@@ -416,7 +427,7 @@ def _over_sizes(spectrum: Spectrum, highest: float, position: float, tangent: fl
     p = int(np.abs(spectrum.position.size - position).argmin())
     t = int(np.abs(spectrum.tangent.size - tangent).argmin())
     lines = spectrum.evidences(slice(None), t), np.atleast_1d(spectrum.evidences(p, slice(None)))
-    return highest / 2 + sum(float(logsumexp((line - highest) / 2)) - np.log(len(line)) for line in lines)
+    return highest / 2 + sum(float(logsumexp((line - highest) / 2) - np.log(len(line))) for line in lines)
 
 
 def _smooth(data: Measurements, axes: Array, ends: Sequence[Linearised]) -> list[SmoothError]:

@@ -116,15 +116,24 @@ class StageColumns:
         return np.stack([(_stacked(there) - here) / MOVE for there in moved], axis=2)
 
     def _sensor_columns(self, poses: Poses, by: Array) -> None:
-        """Columns of the sensor's own parameters. Effects before that of a parameter act once for all its values."""
+        """Columns of the sensor's own parameters. Effects before that of a parameter act once for all its values; the
+        last one of all may know its columns.
+        """
         data, sensing, before = self.of.data, self.chain.of_stage("sensor"), dict[str, tuple[int, Poses]]()
+        known: Mapping[str, Array] = {}
         for k, acting in enumerate(sensing):
             before[acting.effect.name] = k, poses
-            poses = acting.effect.sensor(acting.values, poses, data)
+            if k + 1 == len(sensing):
+                known = acting.effect.sensor_by(acting.values, poses)
+            else:
+                poses = acting.effect.sensor(acting.values, poses, data)
         names = [(t.name, q.name) for t in self.of.terms for q in t.parameters]
         for j in self.of.stages()["sensor"]:
             effect, name = names[j]
             first, given = before[effect]
+            if first + 1 == len(sensing) and name in known:
+                by[:, :, j] = known[name]
+                continue
 
             def read(p: Array, j: int = j, name: str = name, first: int = first, given: Poses = given) -> Array:
                 own = Acting(sensing[first].effect, {**sensing[first].values, name: float(p[j])})
