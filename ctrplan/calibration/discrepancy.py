@@ -232,6 +232,7 @@ class Spectrum:
     tangent: SizeSums
     columns: NDArray[np.int_]  # (P + M,) where the parameters are in the sums, and others that are moved
     moved: Array = field(default_factory=lambda: np.zeros(0))  # (M,) by how much
+    begin: tuple[int, int] | None = None  # numbers of sizes near which the highest evidence is sought
     modes: int = 0  # last parameters of the sums, of unit priors: the amounts of a process, over which is integrated
     _known: dict[tuple[int, int], System] = field(default_factory=dict)  # beside the process, by numbers of sizes
     _evidences: dict[tuple[int, int], float] = field(default_factory=dict)  # of these columns, by numbers of sizes
@@ -274,14 +275,16 @@ class Spectrum:
     def of_residuals(self, r: Array, position: Sequence[Numbered], tangent: Sequence[Numbered]) -> Spectrum:
         """The spectrum of a fit with other residuals (K, 5), whose numbers have the same blocks."""
         sums = self.position.of_residuals(r, position), self.tangent.of_residuals(r, tangent)
-        return replace(self, position=sums[0], tangent=sums[1], _known={}, _evidences={})
+        begin = max(self._evidences, key=self._evidences.__getitem__, default=self.begin)
+        return replace(self, position=sums[0], tangent=sums[1], begin=begin, _known={}, _evidences={})
 
     def highest(self) -> tuple[float, float, float]:
         """The highest evidence, and the sizes of position and tangent that it has: one by one, until both stay.
 
-        Every fourth size is asked, and then the neighbours of the best at half that distance, and half again.
+        Every fourth size is asked, and then the neighbours of the best at half that distance, and half again; these
+        alone where it is known near which sizes it is.
         """
-        at, stride = [0, 0], STRIDE
+        at, stride = ([0, 0], STRIDE) if self.begin is None else (list(self.begin), STRIDE // 2)
         while stride:
             before = list(at)
             for k, part in enumerate((self.position, self.tangent)):
@@ -291,6 +294,15 @@ class Spectrum:
                 at[k], best = int(numbers[near][evidence.argmax()]), float(evidence.max())
             stride //= 1 + (at == before)
         return best, float(self.position.size[at[0]]), float(self.tangent.size[at[1]])
+
+    def log_mean(self, highest: float, position: float, tangent: float) -> float:
+        """Twice the logarithm of the mean evidence over sizes, by the lines through the peak that `highest` gives."""
+        p, t = (int(np.abs(s.size - at).argmin()) for s, at in ((self.position, position), (self.tangent, tangent)))
+        lines = (
+            _line(lambda numbers: self.evidences(numbers, t), len(self.position.size), p),
+            _line(lambda numbers: self.evidences(p, numbers), len(self.tangent.size), t),
+        )
+        return highest + sum(2 * float(np.log(np.exp((line - highest) / 2).sum() / count)) for line, count in lines)
 
     @property
     def without_error(self) -> float:
@@ -350,6 +362,23 @@ class Spectrum:
         H = np.array([H[kept[:, None], kept] for H, _, _ in systems]).reshape(*pairs.shape, *2 * kept.shape)
         g = np.array([g[kept] for _, g, _ in systems]).reshape(*pairs.shape, -1)
         return H, g, np.array([likelihood for *_, likelihood in systems]).reshape(pairs.shape)
+
+
+def _line(evidences: Callable[[NDArray[np.int_]], Array], count: int, at: int) -> tuple[Array, int]:
+    """Twice the logarithms of those of `count` evidences that rounding leaves beside their peak, number `at`; count.
+
+    They fall on either side of it.
+    """
+    known = {at: float(evidences(np.array([at]))[0])}
+    least = known[at] + 2 * float(np.log(np.finfo(np.float64).eps))
+    for way in (-1, 1):
+        end = at
+        while known[end] > least and 0 <= end + way < count:
+            near = end + way * np.arange(1, STRIDE + 1)
+            near = near[(near >= 0) & (near < count)]
+            known |= zip(near.tolist(), evidences(near).tolist(), strict=True)
+            end = int(near[-1])
+    return np.array(list(known.values())), count
 
 
 def integral(H: Array, g: Array, precision: Array, least: Array | float = 1.0) -> Array:

@@ -34,7 +34,7 @@ from ctrplan.diagnosis.linear_fit import STATED, Linear, Width, widths_of
 from ctrplan.diagnosis.term_pieces import is_built, pieces
 from ctrplan.diagnosis.unknown_errors import Peak, UnknownErrors, without_error
 from ctrplan.diagnosis.verdict import ACTS, UNKNOWN_ACTS, Posterior, log_odds, normalised
-from ctrplan.diagnosis.workbench import Candidates, Linearisation, Scored, Workbench, linear
+from ctrplan.diagnosis.workbench import Bench, Candidates, Linearisation, Scored, Workbench, linear
 from ctrplan.pipeline.term import Term
 
 MOST_EFFECTS = 4  # of a set
@@ -91,20 +91,23 @@ def compared(bench: Workbench, chosen: Scored, known: Candidates, search: bool =
 
 
 def settled(
-    bench: Workbench, here: Scored, known: Candidates, tell: Report = lambda _: None
-) -> tuple[Compared, Scored, tuple[SelectionStep, ...]]:
-    """The most probable set from one on, with what friction states and the rest are beside it, and the path taken."""
+    bench: Bench, here: Scored, known: Candidates, tell: Report = lambda _: None
+) -> tuple[Bench, Compared, Scored, tuple[SelectionStep, ...]]:
+    """The most probable set from one on, on a bench with what friction states and the rest are beside it, and the path
+    taken.
+    """
     path = list[SelectionStep]()
     while True:
         tell("comparing sets of effects beside " + (", ".join(here.names) or "the calibrated robot"))
-        result = compared(bench, here, known, search=True)
-        best, before, here = result.sets[0], {t.key for t in here.terms}, bench.corrected(result.sets[0])
+        result, before = compared(bench, here, known, search=True), {t.key for t in here.terms}
+        best = result.sets[0]
+        bench, here = bench.corrected(best)
         if {t.key for t in best.terms} == before:
-            return result, here, tuple(path)
+            return bench, result, here, tuple(path)
         names = tuple(q.name for t in best.terms for q in t.parameters)
         path.append(SelectionStep("compare", " and ".join(best.names), names, round(result.gain, 2), bool(names)))
         if here is best or len(path) == ROUNDS:
-            return result, here, tuple(path)
+            return bench, result, here, tuple(path)
 
 
 def _is_alike(fit: Fit, other: Fit) -> bool:

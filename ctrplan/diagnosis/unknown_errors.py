@@ -47,6 +47,7 @@ from ctrplan.calibration.discrepancy import (
     of_configurations,
 )
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
+from ctrplan.diagnosis.linear_fit import process_gains
 from ctrplan.diagnosis.remainder import LEAST_MODE, LENGTHS, input_distances, kernel_modes, square_distances
 from ctrplan.diagnosis.term_pieces import TermPiece, pieces, wide_linearisation
 from ctrplan.diagnosis.workbench import Scored, Workbench
@@ -195,11 +196,10 @@ class Peak:
 
     def around(self, fit: Linearised) -> Spectrum:
         """The fit beside this error at sizes within a factor of three of its own."""
-        sizes = [
-            SIZES[max(k - STRIDE, 0) : k + STRIDE + 1]
-            for k in (int(np.abs(SIZES - size).argmin()) for size in (self.position, self.tangent))
-        ]
-        return Spectrum.apart(fit, self.error.position, self.error.tangent, (sizes[0], sizes[1]))
+        p, t = (int(np.abs(SIZES - size).argmin()) for size in (self.position, self.tangent))
+        sizes = SIZES[max(p - STRIDE, 0) : p + STRIDE + 1], SIZES[max(t - STRIDE, 0) : t + STRIDE + 1]
+        begin = (min(p, STRIDE) if self.error.position else 0, min(t, STRIDE) if self.error.tangent else 0)
+        return replace(Spectrum.apart(fit, self.error.position, self.error.tangent, sizes), begin=begin)
 
     def over_covariance(self, values: Array) -> Array:
         """(5 K, ...) numbers of a fit over the covariance of noise and smooth error."""
@@ -321,12 +321,8 @@ class UnknownErrors:
         of_all = self._modes.T @ over
         taken = solve_triangular(factor, of_all[:, :-1].T, lower=True, check_finite=False)
         along = of_all[:, -1] - taken.T @ solve_triangular(factor, g, lower=True, check_finite=False)
-        return _gains_of(
-            [
-                _tridiagonal(square - taken[:, own].T @ taken[:, own], along[own])
-                for own, square in zip(self._places, self._squares(peak), strict=True)
-            ]
-        )
+        left = zip(self._places, self._squares(peak), strict=True)
+        return process_gains([(square - taken[:, own].T @ taken[:, own], along[own]) for own, square in left], SIZES)
 
     @property
     def processes(self) -> list[Array]:
@@ -341,40 +337,6 @@ class UnknownErrors:
                 del self._known[next(iter(self._known))]  # the oldest
             self._known[key] = [B.T @ (B if peak is None else peak.over_covariance(B)) for B in self.processes]
         return self._known[key]
-
-
-def _tridiagonal(square: Array, along: Array) -> tuple[Array, Array]:
-    """The diagonal (m,) of B^T S B (m, m) where it is tridiagonal, in axes of which the last lies along B^T S r (m,).
-
-    And what stands beside the diagonal (m - 1,), with the length of B^T S r after it.
-    """
-    from scipy.linalg import lapack  # slow to import
-
-    m = len(along)
-    bordered = np.zeros((m + 1, m + 1), order="F")
-    bordered[:m, :m], bordered[:m, m] = square, along
-    _, diagonal, beside, _, _ = lapack.dsytrd(bordered, lower=0, overwrite_a=1)
-    return diagonal[:-1], beside
-
-
-def _gains_of(lines: Sequence[tuple[Array, Array]]) -> Array:
-    """(M, S) what M tridiagonal systems, by the pivots of I + s^2 B^T S B, gain at every size; all of them at once."""
-    square, longest = SIZES**2, max((len(diagonal) for diagonal, _ in lines), default=0)
-    diagonals, before, length = (
-        np.zeros((longest, len(lines), 1)),
-        np.zeros((longest, len(lines), 1)),
-        np.zeros((len(lines), 1)),
-    )
-    for k, (diagonal, beside) in enumerate(lines):
-        diagonals[longest - len(diagonal) :, k, 0] = diagonal
-        before[longest - len(diagonal) + 1 :, k, 0] = beside[:-1] ** 2
-        length[k] = beside[-1] ** 2
-    pivot, volume = np.ones((len(lines), len(square))), np.zeros((len(lines), len(square)))
-    for a, b in zip(diagonals, before, strict=True):
-        pivot = 1 + square * a - square**2 * b / pivot
-        volume += np.log(pivot)
-    gains: Array = (square * length / pivot - volume) / 2
-    return gains
 
 
 def _with_unit_priors(fit: Linearised) -> Array:
@@ -417,17 +379,9 @@ def _over_kinds(errors: Sequence[SmoothError], spectra: Sequence[Spectrum]) -> t
     for k in sorted(range(len(errors)), key=lambda k: -peaks[k][0]):
         if peaks[k][0] / 2 < logsumexp(values) + np.log(np.finfo(np.float64).eps):
             break
-        values[k] = _over_sizes(spectra[k], *peaks[k])
+        values[k] = spectra[k].log_mean(*peaks[k]) / 2
     best = int(values.argmax())
     return values, Peak(errors[best], *peaks[best][1:]), peaks[best][0] / 2
-
-
-def _over_sizes(spectrum: Spectrum, highest: float, position: float, tangent: float) -> float:
-    """Logarithm of the evidence averaged over sizes, by the lines through its peak."""
-    p = int(np.abs(spectrum.position.size - position).argmin())
-    t = int(np.abs(spectrum.tangent.size - tangent).argmin())
-    lines = spectrum.evidences(slice(None), t), np.atleast_1d(spectrum.evidences(p, slice(None)))
-    return highest / 2 + sum(float(logsumexp((line - highest) / 2) - np.log(len(line))) for line in lines)
 
 
 def _smooth(data: Measurements, axes: Array, ends: Sequence[Linearised]) -> list[SmoothError]:

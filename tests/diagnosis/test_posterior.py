@@ -237,7 +237,7 @@ def posterior_of(data: Measurements, bench_is: type[Workbench], more: dict[str, 
     bench = bench_is(ROBOT, data, Noise(SIGMA_M, SIGMA_RAD), data.configuration)
     known = candidates(ROBOT, data, HOMED, more)
     if isinstance(bench, CorrelatedBench):
-        bench.begun()
+        bench, _ = bench.corrected(bench.scored([]))
         known = partial_diagnosis.testable_beside(known, bench)
     return compared(bench, bench.scored([]), known, search=True).posterior
 
