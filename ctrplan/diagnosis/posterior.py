@@ -182,7 +182,10 @@ class _Comparison:
         return self._weights[scored]
 
     def add(self, scored: Scored) -> None:
-        """A set as it is fitted; to first order without any of the frames, which are free in all fits."""
+        """A set as it is fitted; to first order without any of the frames, which are free in all fits.
+
+        Beside the same error where that is hopeless, else beside everything unknown.
+        """
         if scored in self.known_sets:
             return
         weights = list[float]()
@@ -190,19 +193,23 @@ class _Comparison:
         built = [t for t in scored.terms if is_built(t)]
         of_built = len(built) * self.of_piece
         whole = self._linearised(linear(scored.fit), scored.fit.noise, owners, widths)
-        spectra = self.errors.spectra(whole)
+        spectra, complete = self.errors.spectra(whole), list[_Set]()
         for gone in self._frames(scored):
             names = frozenset(t.name for t in terms) - gone
             cost = self._cost(names, widths) + of_built
             kept = [k for k, name in enumerate(owners) if name not in gone]
             fit = Linearised(whole.r, whole.J[:, :, kept], whole.precision[kept])
-            beside, peak = self.errors.evidence(fit, [spectrum.of(kept) for spectrum in spectra])
+            lost = complete[0].peak.here(whole) - complete[0].peak.here(fit) if complete else 0.0
+            if lost > WINDOW:
+                beside, peak = complete[0].beside + complete[0].cost - lost, complete[0].peak
+            else:
+                beside, peak = self.errors.evidence(fit, [spectrum.of(kept) for spectrum in spectra])
             alone = -np.inf if built else without_error(fit) - cost
             result = _Set(names, cost, alone, beside - cost, peak)
             _note(self._evidence, [t for t in terms if t.name not in gone], result)
             weights.append(result.weight)
             if not gone:
-                self.known_sets[scored] = result
+                complete, self.known_sets[scored] = [result], result
         self._weights[scored] = float(logsumexp(weights))
 
     def _forget(self, scored: Scored) -> None:

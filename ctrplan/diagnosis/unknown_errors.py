@@ -188,6 +188,11 @@ class Peak:
         """Logarithm of the evidence beside an error of this kind, of the sizes that are most probable there."""
         return self.beside(fit).highest()[0] / 2
 
+    def here(self, fit: Linearised) -> float:
+        """Logarithm of the evidence beside this error as it is."""
+        whole = fit if self.process is None else _with_process(fit, self.process)
+        return self.error.at(whole, self.position, self.tangent).without_error / 2
+
     def beside(self, fit: Linearised) -> Spectrum:
         """A fit beside errors of this kind, of every size, and beside the process."""
         if self.process is None:
