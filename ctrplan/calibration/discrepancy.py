@@ -52,19 +52,40 @@ class Discrepancy:
 
     def whitened(self, values: Array) -> Array:
         """(K, 5, ...) residuals or derivatives over the noise, multiplied by (I + s^2 R)^(-1/2)."""
-        return self._times(values, -0.5)
+        return _times(self._whitening, values)
 
     def coloured(self, values: Array) -> Array:
         """The inverse of `whitened`."""
-        return self._times(values, 0.5)
+        return _times(self._colouring, values)
 
-    def _times(self, values: Array, power: float) -> Array:
-        new = np.array(values, dtype=np.float64)
-        for part, size in ((POSITION, self.position), (TANGENT, self.tangent)):
-            for block in self.blocks if size else ():
-                factor = (block.vectors * (1 + size**2 * block.values) ** power) @ block.vectors.T
-                new[block.poses, part] = np.tensordot(factor, values[block.poses, part], axes=1)
-        return new
+    @cached_property
+    def _whitening(self) -> Factors:
+        return self._factors(-0.5)
+
+    @cached_property
+    def _colouring(self) -> Factors:
+        return self._factors(0.5)
+
+    def _factors(self, power: float) -> Factors:
+        """Powers of the covariance of the numbers that go together."""
+        return [
+            (block.poses, part, (block.vectors * (1 + size**2 * block.values) ** power) @ block.vectors.T)
+            for part, size in ((POSITION, self.position), (TANGENT, self.tangent))
+            if size
+            for block in self.blocks
+        ]
+
+
+Factors = list[tuple[NDArray[np.int_], slice, Array]]  # poses, numbers of each, and a matrix (k, k) of the poses
+
+
+def _times(factors: Factors, values: Array) -> Array:
+    """(K, 5, ...) numbers multiplied by factors, those of other poses as they are."""
+    new = np.array(values, dtype=np.float64)
+    for poses, part, factor in factors:
+        some = values[poses, part]
+        new[poses, part] = (factor @ some.reshape(len(poses), -1)).reshape(some.shape)
+    return new
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,6 +232,7 @@ class Spectrum:
     tangent: SizeSums
     columns: NDArray[np.int_]  # (P + M,) where the parameters are in the sums, and others that are moved
     moved: Array = field(default_factory=lambda: np.zeros(0))  # (M,) by how much
+    begin: tuple[int, int] | None = None  # numbers of sizes near which the highest evidence is sought
     modes: int = 0  # last parameters of the sums, of unit priors: the amounts of a process, over which is integrated
     _known: dict[tuple[int, int], System] = field(default_factory=dict)  # beside the process, by numbers of sizes
     _evidences: dict[tuple[int, int], float] = field(default_factory=dict)  # of these columns, by numbers of sizes
@@ -253,26 +275,34 @@ class Spectrum:
     def of_residuals(self, r: Array, position: Sequence[Numbered], tangent: Sequence[Numbered]) -> Spectrum:
         """The spectrum of a fit with other residuals (K, 5), whose numbers have the same blocks."""
         sums = self.position.of_residuals(r, position), self.tangent.of_residuals(r, tangent)
-        return replace(self, position=sums[0], tangent=sums[1], _known={}, _evidences={})
+        begin = max(self._evidences, key=self._evidences.__getitem__, default=self.begin)
+        return replace(self, position=sums[0], tangent=sums[1], begin=begin, _known={}, _evidences={})
 
     def highest(self) -> tuple[float, float, float]:
         """The highest evidence, and the sizes of position and tangent that it has: one by one, until both stay.
 
-        Every fourth size is asked, and then those between.
+        Every fourth size is asked, and then the neighbours of the best at half that distance, and half again; these
+        alone where it is known near which sizes it is.
         """
-        at = [0, 0]
-        for every in (slice(None, None, STRIDE), None):
-            best = -np.inf
-            while True:
-                before = list(at)
-                for k, part in enumerate((self.position, self.tangent)):
-                    near = np.arange(max(at[k] - STRIDE, 0), min(at[k] + STRIDE + 1, len(part.size)))
-                    candidates = np.arange(len(part.size))[every] if every else near
-                    evidence = self.evidences(candidates, at[1]) if k == 0 else self.evidences(at[0], candidates)
-                    at[k], best = int(candidates[evidence.argmax()]), float(evidence.max())
-                if at == before:
-                    break
+        at, stride = ([0, 0], STRIDE) if self.begin is None else (list(self.begin), STRIDE // 2)
+        while stride:
+            before = list(at)
+            for k, part in enumerate((self.position, self.tangent)):
+                numbers = np.arange(len(part.size))
+                near = numbers % STRIDE == 0 if stride == STRIDE else np.isin(numbers - at[k], (-stride, 0, stride))
+                evidence = self.evidences(numbers[near], at[1]) if k == 0 else self.evidences(at[0], numbers[near])
+                at[k], best = int(numbers[near][evidence.argmax()]), float(evidence.max())
+            stride //= 1 + (at == before)
         return best, float(self.position.size[at[0]]), float(self.tangent.size[at[1]])
+
+    def log_mean(self, highest: float, position: float, tangent: float) -> float:
+        """Twice the logarithm of the mean evidence over sizes, by the lines through the peak that `highest` gives."""
+        p, t = (int(np.abs(s.size - at).argmin()) for s, at in ((self.position, position), (self.tangent, tangent)))
+        lines = (
+            _line(lambda numbers: self.evidences(numbers, t), len(self.position.size), p),
+            _line(lambda numbers: self.evidences(p, numbers), len(self.tangent.size), t),
+        )
+        return highest + sum(2 * float(np.log(np.exp((line - highest) / 2).sum() / count)) for line, count in lines)
 
     @property
     def without_error(self) -> float:
@@ -332,6 +362,23 @@ class Spectrum:
         H = np.array([H[kept[:, None], kept] for H, _, _ in systems]).reshape(*pairs.shape, *2 * kept.shape)
         g = np.array([g[kept] for _, g, _ in systems]).reshape(*pairs.shape, -1)
         return H, g, np.array([likelihood for *_, likelihood in systems]).reshape(pairs.shape)
+
+
+def _line(evidences: Callable[[NDArray[np.int_]], Array], count: int, at: int) -> tuple[Array, int]:
+    """Twice the logarithms of those of `count` evidences that rounding leaves beside their peak, number `at`; count.
+
+    They fall on either side of it.
+    """
+    known = {at: float(evidences(np.array([at]))[0])}
+    least = known[at] + 2 * float(np.log(np.finfo(np.float64).eps))
+    for way in (-1, 1):
+        end = at
+        while known[end] > least and 0 <= end + way < count:
+            near = end + way * np.arange(1, STRIDE + 1)
+            near = near[(near >= 0) & (near < count)]
+            known |= zip(near.tolist(), evidences(near).tolist(), strict=True)
+            end = int(near[-1])
+    return np.array(list(known.values())), count
 
 
 def integral(H: Array, g: Array, precision: Array, least: Array | float = 1.0) -> Array:

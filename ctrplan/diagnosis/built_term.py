@@ -86,22 +86,19 @@ class Built:
 def build(partial: PartialDiagnosis, tell: Callable[[str], None]) -> Built | None:
     """A term of what remains, with the effects that hold beside it; None where none makes the poses more probable."""
     built = _searched(partial, tell)
-    if built is None:
-        partial.bench.corrected(partial.chosen)  # what remains is described beside what is handed over
-        return None
-    _note_sizes(built)
+    if built is not None:
+        _note_sizes(built)
     return built
 
 
 def _searched(partial: PartialDiagnosis, tell: Callable[[str], None]) -> Built | None:
-    bench = partial.bench
     if partial.is_noise:
         return None
-    here, rounds = _grown(bench, partial.chosen, partial.known.terms, tell)
+    bench, here, rounds = _grown(partial.bench, partial.chosen, partial.known.terms, tell)
     if not any(is_built(t) for t in here.terms):
         return None
     again = most_probable(bench, here, partial.known, partial.split, partial.block, partial.base, tell)
-    scored, _ = again.chosen, again.parts  # its sets are asked for again on the held-out poses
+    bench, scored = again.bench, again.chosen
     if not any(is_built(t) for t in scored.terms):
         return None
     plain = bench.scored([t for t in scored.terms if not is_built(t)], scored.fit)
@@ -112,8 +109,11 @@ def _searched(partial: PartialDiagnosis, tell: Callable[[str], None]) -> Built |
 
 def _grown(
     bench: CorrelatedBench, chosen: Scored, named: Sequence[Term], tell: Callable[[str], None]
-) -> tuple[Scored, list[Round]]:
-    """The set with pieces beside it, and the rounds that were asked; named: effects that no piece stands for."""
+) -> tuple[CorrelatedBench, Scored, list[Round]]:
+    """The set with pieces beside it, its bench, and the rounds that were asked.
+
+    named: effects that no piece stands for.
+    """
     here, rounds = chosen, list[Round]()
     known = [p for p in pieces(bench.robot, bench.data, named) if p.on.effect_name not in bench.robot.effects]
     choice = float(np.log(max(len(known), 1)))
@@ -137,8 +137,9 @@ def _grown(
         rounds.append(Round(tuple(ranked), best[0], taken))
         if taken is None:
             break
-        here, known = bench.corrected(best[2]), [piece for piece in known if piece != taken]
-    return here, rounds
+        bench, here = bench.corrected(best[2])
+        known = [piece for piece in known if piece != taken]
+    return bench, here, rounds
 
 
 def _ranked(table: WideLinearisation, whole: Linearised, peak: Peak, choice: float) -> list[tuple[TermPiece, float]]:

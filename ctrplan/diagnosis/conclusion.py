@@ -113,6 +113,7 @@ def _with_built(part: Conclusion, otherwise: Conclusion, teller: Teller) -> Conc
         return otherwise
     return replace(
         part,
+        bench=built.partial.bench,
         chosen=built.scored,
         judgement=built.partial.judgement,
         partial=built.partial,
@@ -191,14 +192,13 @@ def _searched(
     notes, stated = tuple[str, ...](), bench.noise
     try:
         teller("calibrating")
-        compared, chosen, path, judgement = _most_probable(bench, known, teller)
+        bench, compared, chosen, path, judgement = _most_probable(bench, known, teller)
         scaled, note = rescaled_noise(judgement.adequacy, stated, *_norms(chosen))
         notes = (note,) if note else ()
         if scaled is not None:
             bench = Workbench(bench.robot, bench.data, scaled, bench.group)
-            compared, chosen, path, judgement = _most_probable(bench, known, teller)
+            bench, compared, chosen, path, judgement = _most_probable(bench, known, teller)
     except Interrupted:
-        bench.pause = lambda: None
         return replace(_calibrated(data, parts, bench, wrong), notes=(*notes, INTERRUPTED), interrupted=True)
     return replace(
         _calibrated(data, parts, bench, wrong),
@@ -213,12 +213,11 @@ def _searched(
 
 def _most_probable(
     bench: Workbench, known: Candidates, teller: Teller
-) -> tuple[Compared, Scored, tuple[SelectionStep, ...], Judgement]:
-    bench.pause = teller.pause
-    compared, chosen, path = settled(bench, bench.scored([]), known, teller)
+) -> tuple[Workbench, Compared, Scored, tuple[SelectionStep, ...], Judgement]:
+    bench = bench.pausing(teller.pause)
+    bench, compared, chosen, path = settled(bench, bench.scored([]), known, teller)
     judgement = judge(bench, chosen, known, compared.posterior, compared.sets)
-    bench.pause = lambda: None
-    return compared, chosen, path, judgement
+    return bench.pausing(lambda: None), compared, chosen, path, judgement
 
 
 def _norms(scored: Scored) -> tuple[Array, Array]:

@@ -11,7 +11,6 @@ On a continuous motion, friction follows the simulated history from the first co
 from __future__ import annotations
 
 from collections.abc import Sequence
-from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -69,15 +68,6 @@ class CorrelatedBench(Workbench):
         self._phi: Array | None = None
         self._handed: dict[Scored, Fit] = {}
 
-    def as_it_is(self) -> CorrelatedBench:
-        """A bench that stays as it is while this one goes on."""
-        other = copy(self)
-        for name, known in vars(self).items():
-            if isinstance(known, dict):
-                kept = {key: list(entry) if isinstance(entry, list) else entry for key, entry in known.items()}
-                setattr(other, name, kept)
-        return other
-
     def base(self, terms: Sequence[Term]) -> Term:
         """Ordinary calibration with Poisson's ratios that tubes have: nothing unexplained may hide in others."""
         whole = super().base(terms)
@@ -91,13 +81,16 @@ class CorrelatedBench(Workbench):
         """Ordinary calibration and the frames, but those that are among the terms or in the robot file."""
         return [self.base(terms), *frames_beside(self.robot, self.data, terms)]
 
-    def begun(self) -> Scored:
-        """The base, its discrepancy estimated."""
-        return self._settled(self.scored([]))
-
-    def corrected(self, scored: Scored) -> Scored:
-        """The set with the friction states of its own path and the discrepancy that it leaves."""
-        return self._settled(scored)
+    def corrected(self, scored: Scored) -> tuple[CorrelatedBench, Scored]:
+        """A bench that has the friction states of a set's own path and the discrepancy that it leaves, and the set
+        fitted there.
+        """
+        bench = self._beginning()
+        bench._handed = {}
+        if self.data.is_stream and self.robot.n > 1:
+            bench._phi, bench.restarts = self._followed(scored)
+        bench.noise = replace(self.plain, discrepancy=self.estimated(scored))
+        return bench, bench.scored(scored.terms, scored.fit)
 
     def handed_over(self, scored: Scored) -> Scored:
         """The set with its effects as they are and all else calibrated anew, every pose counting alike.
@@ -143,16 +136,6 @@ class CorrelatedBench(Workbench):
         sizes = (np.hypot(1, result.position), np.hypot(1, result.tangent)) if result else (1.0, 1.0)
         return Noise(self.plain.position_m * sizes[0], self.plain.tangent_rad * sizes[1])
 
-    def _settled(self, scored: Scored) -> Scored:
-        """States and discrepancy as a fit has them, and the set fitted again with both."""
-        if self.data.is_stream and self.robot.n > 1:
-            self._phi = self._followed(scored)
-        self.noise = replace(self.plain, discrepancy=self.estimated(scored))
-        self._done.clear()
-        self._tried.clear()
-        self._screened.clear()
-        return self.scored(scored.terms, scored.fit)
-
     def estimated(self, scored: Scored) -> Discrepancy:
         """The most probable discrepancy beside a fit."""
         left = linear(scored.fit).centred(self.noise, (~scored.failed).astype(float))
@@ -182,13 +165,14 @@ class CorrelatedBench(Workbench):
         rubs = ParametricChain(self.robot, self.data, [*chain.terms, extra])
         return rubs, np.concatenate([p, np.full(len(extra.parameters), USUAL_FRICTION)])
 
-    def _followed(self, scored: Scored) -> Array:
-        """(K, n - 1) friction states along the path at a fit, with usual friction where it has none."""
+    def _followed(self, scored: Scored) -> tuple[Array, int]:
+        """(K, n - 1) friction states along the path at a fit, with usual friction where it has none, and how often it
+        was begun again.
+        """
         chain, p = self.rubbing(scored)
         path = followed(chain, p)
-        self.restarts = path.restarts
         rule = ParametricChain(self.robot, self.data, chain.terms).friction_state(p)
-        return np.where(np.isfinite(path.phi), path.phi, rule)
+        return np.where(np.isfinite(path.phi), path.phi, rule), path.restarts
 
 
 def fixed(t: Term, p: Array) -> Term:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import cho_factor, cho_solve, lapack
 
 from ctrplan.base.arrays import Array
 from ctrplan.calibration.discrepancy import Linearised
@@ -130,3 +130,33 @@ def widths_of(fit: Linear, owners: Sequence[str], named: Collection[str]) -> dic
         if all(abs(np.log(widths[name].over_stated / before[name].over_stated)) < SETTLED for name in widths):
             break
     return widths
+
+
+def process_gains(systems: Sequence[tuple[Array, Array]], sizes: Array) -> Array:
+    """(M, S) what M processes B multiply the evidence by, its logarithm, by B^T S B (m, m) and B^T S r (m,) of each.
+
+    S leaves what a fit does not explain. By the pivots of I + s^2 B^T S B where B^T S B is tridiagonal.
+    """
+    lines = [_tridiagonal(*system) for system in systems]
+    square, longest = sizes**2, max((len(diagonal) for diagonal, _ in lines), default=0)
+    a, b = np.zeros((2, longest, len(lines), 1))
+    for k, (diagonal, beside) in enumerate(lines):
+        a[longest - len(diagonal) :, k, 0], b[longest - len(beside) + 1 :, k, 0] = diagonal, beside[:-1] ** 2
+    pivot, volume = np.ones((len(lines), len(square))), np.zeros((len(lines), len(square)))
+    for diagonal, before in zip(a, b, strict=True):
+        pivot = 1 + square * diagonal - square**2 * before / pivot
+        volume += np.log(pivot)
+    length = np.array([beside[-1] for _, beside in lines])[:, None]
+    gains: Array = (square * length**2 / pivot - volume) / 2
+    return gains
+
+
+def _tridiagonal(square: Array, along: Array) -> tuple[Array, Array]:
+    """The diagonal (m,) of a symmetric matrix (m, m) in axes where it is tridiagonal, the last along a vector (m,).
+
+    And what stands beside the diagonal (m - 1,), with the length of the vector after it.
+    """
+    bordered = np.zeros((len(along) + 1, len(along) + 1), order="F")
+    bordered[:-1, :-1], bordered[:-1, -1] = square, along
+    _, diagonal, beside, _, _ = lapack.dsytrd(bordered, lower=0, overwrite_a=1)
+    return diagonal[:-1], beside

@@ -67,12 +67,11 @@ class PartialDiagnosis:
     path: tuple[SelectionStep, ...]
     known: Candidates  # that were asked
     compared: Compared
-    then: CorrelatedBench  # the bench as it was when this was found
 
     @cached_property
     def parts(self) -> tuple[Part, ...]:
         """What the listed effects close: some thirty fits, which a term that is built of the rest may make vain."""
-        return tuple(_part(self.then, self.base, self.chosen, f.term) for f in self.judgement.findings)
+        return tuple(_part(self.bench, self.base, self.chosen, f.term) for f in self.judgement.findings)
 
     def to_json(self) -> dict[str, Any]:
         """What remains, for diagnosis.json."""
@@ -114,12 +113,11 @@ def diagnose_partially(
     parts = thinned(block_split(data, usable, block), data)
     if data.is_stream:
         first = _bench(robot, data, noise, parts, block)
-        certain = on_one_branch(first, first.begun())
+        certain = on_one_branch(*first.corrected(first.scored([])))
         parts = Split(parts.selection[certain], parts.held_out_set)
     bench = _bench(robot, data, noise, parts, block)
     base = Workbench(robot, bench.data, noise, bench.group).scored([])
-    result = most_probable(bench, bench.begun(), known, parts, block, base, tell)
-    return replace(result, then=bench.as_it_is())
+    return most_probable(*bench.corrected(bench.scored([])), known, parts, block, base, tell)
 
 
 def _bench(robot: Robot, data: Measurements, noise: Noise, parts: Split, block: NDArray[np.int_]) -> CorrelatedBench:
@@ -140,7 +138,7 @@ def most_probable(
 
     What remains is what the catalogue leaves: a built term explains nothing.
     """
-    compared, here, path = settled(bench, begun, testable_beside(known, bench), tell)
+    bench, compared, here, path = settled(bench, begun, testable_beside(known, bench), tell)
     testable = {SHIFT, HOMED, *(t.name for t in known.terms)}  # set-ups and homings are no matter of the catalogue
     free = [t for t in frames_beside(bench.robot, bench.data, here.terms) if t.name in testable]
     listed = [*free, *(t for t in here.terms if not is_built(t))]
@@ -149,7 +147,7 @@ def most_probable(
     verdict: Verdict = "partial" if findings else "unexplained"
     judgement = Judgement(verdict, findings, left_by_names(beside, named))
     rest = remainder_beside(beside, named, bench.plain)
-    return PartialDiagnosis(bench, parts, block, base, here, judgement, rest, path, known, compared, bench)
+    return PartialDiagnosis(bench, parts, block, base, here, judgement, rest, path, known, compared)
 
 
 def testable_beside(known: Candidates, bench: CorrelatedBench) -> Candidates:
@@ -194,8 +192,7 @@ def _by_name(bench: CorrelatedBench, chosen: Scored) -> tuple[CorrelatedBench, S
     names = [t for t in chosen.terms if not is_built(t)]
     if len(names) == len(chosen.terms):
         return bench, chosen
-    beside = CorrelatedBench(bench.robot, bench.data, bench.plain, bench.group)
-    return beside, beside.corrected(beside.scored(names, chosen.fit))
+    return bench.corrected(bench.scored(names, chosen.fit))
 
 
 def _memory(robot: Robot, data: Measurements, usable: NDArray[np.bool_], noise: Noise) -> float:

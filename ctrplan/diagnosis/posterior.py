@@ -34,7 +34,7 @@ from ctrplan.diagnosis.linear_fit import STATED, Linear, Width, widths_of
 from ctrplan.diagnosis.term_pieces import is_built, pieces
 from ctrplan.diagnosis.unknown_errors import Peak, UnknownErrors, without_error
 from ctrplan.diagnosis.verdict import ACTS, UNKNOWN_ACTS, Posterior, log_odds, normalised
-from ctrplan.diagnosis.workbench import Candidates, Linearisation, Scored, Workbench, linear
+from ctrplan.diagnosis.workbench import Bench, Candidates, Linearisation, Scored, Workbench, linear
 from ctrplan.pipeline.term import Term
 
 MOST_EFFECTS = 4  # of a set
@@ -91,20 +91,23 @@ def compared(bench: Workbench, chosen: Scored, known: Candidates, search: bool =
 
 
 def settled(
-    bench: Workbench, here: Scored, known: Candidates, tell: Report = lambda _: None
-) -> tuple[Compared, Scored, tuple[SelectionStep, ...]]:
-    """The most probable set from one on, with what friction states and the rest are beside it, and the path taken."""
+    bench: Bench, here: Scored, known: Candidates, tell: Report = lambda _: None
+) -> tuple[Bench, Compared, Scored, tuple[SelectionStep, ...]]:
+    """The most probable set from one on, on a bench with what friction states and the rest are beside it, and the path
+    taken.
+    """
     path = list[SelectionStep]()
     while True:
         tell("comparing sets of effects beside " + (", ".join(here.names) or "the calibrated robot"))
-        result = compared(bench, here, known, search=True)
-        best, before, here = result.sets[0], {t.key for t in here.terms}, bench.corrected(result.sets[0])
+        result, before = compared(bench, here, known, search=True), {t.key for t in here.terms}
+        best = result.sets[0]
+        bench, here = bench.corrected(best)
         if {t.key for t in best.terms} == before:
-            return result, here, tuple(path)
+            return bench, result, here, tuple(path)
         names = tuple(q.name for t in best.terms for q in t.parameters)
         path.append(SelectionStep("compare", " and ".join(best.names), names, round(result.gain, 2), bool(names)))
         if here is best or len(path) == ROUNDS:
-            return result, here, tuple(path)
+            return bench, result, here, tuple(path)
 
 
 def _is_alike(fit: Fit, other: Fit) -> bool:
@@ -179,7 +182,10 @@ class _Comparison:
         return self._weights[scored]
 
     def add(self, scored: Scored) -> None:
-        """A set as it is fitted; to first order without any of the frames, which are free in all fits."""
+        """A set as it is fitted; to first order without any of the frames, which are free in all fits.
+
+        Beside the same error where that is hopeless, else beside everything unknown.
+        """
         if scored in self.known_sets:
             return
         weights = list[float]()
@@ -187,19 +193,23 @@ class _Comparison:
         built = [t for t in scored.terms if is_built(t)]
         of_built = len(built) * self.of_piece
         whole = self._linearised(linear(scored.fit), scored.fit.noise, owners, widths)
-        spectra = self.errors.spectra(whole)
+        spectra, complete = self.errors.spectra(whole), list[_Set]()
         for gone in self._frames(scored):
             names = frozenset(t.name for t in terms) - gone
             cost = self._cost(names, widths) + of_built
             kept = [k for k, name in enumerate(owners) if name not in gone]
             fit = Linearised(whole.r, whole.J[:, :, kept], whole.precision[kept])
-            beside, peak = self.errors.evidence(fit, [spectrum.of(kept) for spectrum in spectra])
+            lost = complete[0].peak.here(whole) - complete[0].peak.here(fit) if complete else 0.0
+            if lost > WINDOW:
+                beside, peak = complete[0].beside + complete[0].cost - lost, complete[0].peak
+            else:
+                beside, peak = self.errors.evidence(fit, [spectrum.of(kept) for spectrum in spectra])
             alone = -np.inf if built else without_error(fit) - cost
             result = _Set(names, cost, alone, beside - cost, peak)
             _note(self._evidence, [t for t in terms if t.name not in gone], result)
             weights.append(result.weight)
             if not gone:
-                self.known_sets[scored] = result
+                complete, self.known_sets[scored] = [result], result
         self._weights[scored] = float(logsumexp(weights))
 
     def _forget(self, scored: Scored) -> None:

@@ -14,7 +14,8 @@ parameters with the precision P of their priors, s changes the logarithm of the 
 
     1/2 sum_i (s^2 u_i^2 / (1 + s^2 v_i) - log(1 + s^2 v_i)),
 
-v_i the eigenvalues of B^T S B, u_i the components of B^T S r along their vectors, S = I - J (J^T J + P)^-1 J^T.
+v_i the eigenvalues of B^T S B, u_i the components of B^T S r along their vectors, S = I - J (J^T J + P)^-1 J^T. Turned
+to where it is tridiagonal, with an axis along B^T S r, the matrix says the same by its pivots.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import product
+from itertools import pairwise, product
 from typing import Literal
 
 import numpy as np
@@ -46,6 +47,7 @@ from ctrplan.calibration.discrepancy import (
     of_configurations,
 )
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
+from ctrplan.diagnosis.linear_fit import process_gains
 from ctrplan.diagnosis.remainder import LEAST_MODE, LENGTHS, input_distances, kernel_modes, square_distances
 from ctrplan.diagnosis.term_pieces import TermPiece, pieces, wide_linearisation
 from ctrplan.diagnosis.workbench import Scored, Workbench
@@ -186,6 +188,11 @@ class Peak:
         """Logarithm of the evidence beside an error of this kind, of the sizes that are most probable there."""
         return self.beside(fit).highest()[0] / 2
 
+    def here(self, fit: Linearised) -> float:
+        """Logarithm of the evidence beside this error as it is."""
+        whole = fit if self.process is None else _with_process(fit, self.process)
+        return self.error.at(whole, self.position, self.tangent).without_error / 2
+
     def beside(self, fit: Linearised) -> Spectrum:
         """A fit beside errors of this kind, of every size, and beside the process."""
         if self.process is None:
@@ -194,11 +201,10 @@ class Peak:
 
     def around(self, fit: Linearised) -> Spectrum:
         """The fit beside this error at sizes within a factor of three of its own."""
-        sizes = [
-            SIZES[max(k - STRIDE, 0) : k + STRIDE + 1]
-            for k in (int(np.abs(SIZES - size).argmin()) for size in (self.position, self.tangent))
-        ]
-        return Spectrum.apart(fit, self.error.position, self.error.tangent, (sizes[0], sizes[1]))
+        p, t = (int(np.abs(SIZES - size).argmin()) for size in (self.position, self.tangent))
+        sizes = SIZES[max(p - STRIDE, 0) : p + STRIDE + 1], SIZES[max(t - STRIDE, 0) : t + STRIDE + 1]
+        begin = (min(p, STRIDE) if self.error.position else 0, min(t, STRIDE) if self.error.tangent else 0)
+        return replace(Spectrum.apart(fit, self.error.position, self.error.tangent, sizes), begin=begin)
 
     def over_covariance(self, values: Array) -> Array:
         """(5 K, ...) numbers of a fit over the covariance of noise and smooth error."""
@@ -249,7 +255,9 @@ class UnknownErrors:
         self.smooth = _smooth(bench.data, axes, ends)
         processes = list(_processes(bench, base, counts)) if with_stages else []
         self.inputs = [name for name, _ in processes]  # of each process
-        self.processes = [modes for _, modes in processes]
+        ends = np.cumsum([0, *(modes.shape[1] for _, modes in processes)]).tolist()
+        self._places = [slice(a, b) for a, b in pairwise(ends)]
+        self._modes = np.concatenate([np.zeros((5 * bench.data.count, 0)), *(modes for _, modes in processes)], axis=1)
         self._known: dict[object, list[Array]] = {}  # squares of processes, by peak
 
     def spectra(self, fit: Linearised) -> list[Spectrum]:
@@ -264,7 +272,7 @@ class UnknownErrors:
         """
         spectra = self.spectra(fit) if spectra is None else spectra
         smooth, peak, _ = self._of_tips(spectra)
-        if not self.processes:
+        if not self._places:
             return smooth, peak
         gains = self._gains(fit)
         alone = without_error(fit) + float(_averaged(gains.ravel(), axis=0))
@@ -281,9 +289,8 @@ class UnknownErrors:
         """Logarithm of the evidence averaged over smooth errors, and the most probable one with the logarithm of its
         own, at its peak.
         """
-        averaged = [_over_sizes(*pair) for pair in zip(self.smooth, spectra, strict=True)]
-        values = np.array([value for value, *_ in averaged])
-        return float(_averaged(values, axis=0)), *averaged[int(values.argmax())][1:]
+        values, peak, own = _over_kinds(self.smooth, spectra)
+        return float(_averaged(values, axis=0)), peak, own
 
     def _beside(self, modes: Array, fit: Linearised, spectra: Sequence[Spectrum]) -> tuple[float, Peak]:
         """Log evidence and peak beside a process (5 K, m), for the likeliest kind of error in what its mean leaves."""
@@ -299,8 +306,7 @@ class UnknownErrors:
 
     def along(self, fit: Linearised) -> dict[str, float]:
         """How probable it is that an unknown error goes along with each input, if it is one of tips or of a stage."""
-        of_errors = zip(self.smooth, self.spectra(fit), strict=True)
-        smooth = [_over_sizes(*pair)[0] - np.log(len(self.smooth)) for pair in of_errors]
+        smooth = _over_kinds(self.smooth, self.spectra(fit))[0] - np.log(len(self.smooth))
         of_size = self._gains(fit)
         gains = _averaged(of_size, axis=1) - np.log(len(self.inputs) or 1) if len(of_size) else np.zeros(0)
         weights = np.array([*smooth, *(without_error(fit) + gains)])
@@ -314,17 +320,19 @@ class UnknownErrors:
 
         own = _with_unit_priors(fit)
         over = own if peak is None else peak.over_covariance(own)
-        whole, gains = own.T @ over, list[Array]()
-        H, g, square = whole[:-1, :-1], whole[:-1, -1], SIZES[:, None] ** 2
+        whole = own.T @ over
+        H, g = whole[:-1, :-1], whole[:-1, -1]
         factor = np.linalg.cholesky(H + _least(H) * np.eye(len(H)))
-        of_r = solve_triangular(factor, g, lower=True, check_finite=False)
-        for B, own_square in zip(self.processes, self._squares(peak), strict=True):
-            along = B.T @ over
-            taken = solve_triangular(factor, along[:, :-1].T, lower=True, check_finite=False)
-            values, vectors = np.linalg.eigh(own_square - taken.T @ taken)
-            v, u = np.maximum(values, 0.0), vectors.T @ (along[:, -1] - taken.T @ of_r)
-            gains.append((square * u**2 / (1 + square * v) - np.log1p(square * v)).sum(axis=1) / 2)
-        return np.array(gains).reshape(-1, len(SIZES))
+        of_all = self._modes.T @ over
+        taken = solve_triangular(factor, of_all[:, :-1].T, lower=True, check_finite=False)
+        along = of_all[:, -1] - taken.T @ solve_triangular(factor, g, lower=True, check_finite=False)
+        left = zip(self._places, self._squares(peak), strict=True)
+        return process_gains([(square - taken[:, own].T @ taken[:, own], along[own]) for own, square in left], SIZES)
+
+    @property
+    def processes(self) -> list[Array]:
+        """(5 K, m) modes of each process."""
+        return [self._modes[:, own] for own in self._places]
 
     def _squares(self, peak: Peak | None) -> list[Array]:
         """(m, m) of every process over the noise and the smooth error of a peak."""
@@ -366,16 +374,19 @@ def _leading(modes: Array) -> Array:
     return leading
 
 
-def _over_sizes(error: SmoothError, spectrum: Spectrum) -> tuple[float, Peak, float]:
-    """Logarithm of the evidence averaged over sizes, as if those of position and tangent were apart; its peak, and the
-    logarithm of the evidence there.
+def _over_kinds(errors: Sequence[SmoothError], spectra: Sequence[Spectrum]) -> tuple[Array, Peak, float]:
+    """(E,) logarithms of the evidence of kinds of errors, each averaged over sizes, as if those of position and tangent
+    were apart; the peak of the most probable kind, and the logarithm of the evidence there.
+
+    No average is above its peak: kinds whose peaks are lost to rounding beside the others get no evidence.
     """
-    highest, position, tangent = spectrum.highest()
-    p = int(np.abs(spectrum.position.size - position).argmin())
-    t = int(np.abs(spectrum.tangent.size - tangent).argmin())
-    lines = spectrum.evidences(slice(None), t), np.atleast_1d(spectrum.evidences(p, slice(None)))
-    spread = sum(float(logsumexp((line - highest) / 2)) - np.log(len(line)) for line in lines)
-    return highest / 2 + spread, Peak(error, position, tangent), highest / 2
+    peaks, values = [spectrum.highest() for spectrum in spectra], np.full(len(errors), -np.inf)
+    for k in sorted(range(len(errors)), key=lambda k: -peaks[k][0]):
+        if peaks[k][0] / 2 < logsumexp(values) + np.log(np.finfo(np.float64).eps):
+            break
+        values[k] = spectra[k].log_mean(*peaks[k]) / 2
+    best = int(values.argmax())
+    return values, Peak(errors[best], *peaks[best][1:]), peaks[best][0] / 2
 
 
 def _smooth(data: Measurements, axes: Array, ends: Sequence[Linearised]) -> list[SmoothError]:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -119,8 +121,11 @@ class Screened:
     places: Sequence[int] = ()  # (P,) of the columns there
 
 
+Bench = TypeVar("Bench", bound="Workbench")
+
+
 class Workbench:
-    """Everything that stays the same while sets of effects are compared."""
+    """Everything that stays the same while sets of effects are compared. What it remembers are its own answers."""
 
     def __init__(self, robot: Robot, data: Measurements, noise: Noise, group: NDArray[np.int_]) -> None:
         """group (K,): poses that are left out together."""
@@ -128,9 +133,10 @@ class Workbench:
         self.pause: Callable[[], None] = lambda: None  # called between fits; may raise to stop
         self._correction: tuple[Array, Array] | None = None
         self._done: dict[frozenset[str], Scored] = {}
+        self._before: dict[frozenset[str], Fit] = {}  # beside other friction states and discrepancies
         self._tried: dict[frozenset[str], list[Fit | None]] = {}  # where fits of a set began
-        self._sized: dict[tuple[Scored, Noise], Scored] = {}  # with wide priors
-        self._screened: dict[tuple[Scored, frozenset[str]], list[Screened]] = {}  # as friction and noise are now
+        self._sized: dict[Scored, Scored] = {}  # with wide priors
+        self._screened: dict[tuple[Scored, frozenset[str]], list[Screened]] = {}
 
     @property
     def visited(self) -> tuple[Scored, ...]:
@@ -156,12 +162,14 @@ class Workbench:
         """The base and `terms` fitted together, from the values of a fit in `near` where it has them.
 
         None in `near` stands for where a fit starts without any. A set that is known already is fitted again from a
-        place that promises more: the first fit may have ended in another valley, or where robots snap.
+        place that promises more: the first fit may have ended in another valley, or where robots snap. One that another
+        bench had fitted may start there as well.
         """
         key = frozenset(t.key for t in terms)
         tried = self._tried.setdefault(key, [])
-        places = [f for f in near or (None,) if not any(f is other for other in tried)]
         known = self._done.get(key)
+        earlier = [] if known else [f for f in [self._before.get(key)] if f]
+        places = [f for f in dict.fromkeys([*earlier, *(near or (None,))]) if not any(f is other for other in tried)]
         if known is None or places:
             self.pause()
             tried += places
@@ -192,17 +200,29 @@ class Workbench:
     def _has_friction(self, terms: Sequence[Term]) -> bool:
         return bool(self.robot.friction.any()) or any(t.name == "friction" for t in terms)
 
-    def corrected(self, scored: Scored) -> Scored:
-        """The set with what friction states leave out; with friction, all later fits have it too."""
-        if not self._has_friction(scored.terms):
-            return scored
-        for _ in range(CORRECTIONS[self.data.is_stream]):
-            self._correction = friction_correction(scored.fit.chain, scored.fit.p)
-            self._done = {key: old for key, old in self._done.items() if not self._has_friction(old.terms)}
-            self._tried = {key: tried for key, tried in self._tried.items() if key in self._done}
-            self._screened.clear()
-            scored = self.scored(scored.terms, scored.fit)
-        return scored
+    def pausing(self: Bench, pause: Callable[[], None]) -> Bench:
+        """The bench with something else called between fits."""
+        other = copy(self)
+        other.pause = pause
+        return other
+
+    def corrected(self: Bench, scored: Scored) -> tuple[Bench, Scored]:
+        """A bench that has what friction states leave out of a set, and the set fitted there; this one stays."""
+        bench = self
+        for _ in range(CORRECTIONS[self.data.is_stream] if self._has_friction(scored.terms) else 0):
+            bench = bench._beginning(lambda known: not self._has_friction(known.terms))
+            bench._correction = friction_correction(scored.fit.chain, scored.fit.p)
+            scored = bench.scored(scored.terms, scored.fit)
+        return bench, scored
+
+    def _beginning(self: Bench, is_kept: Callable[[Scored], bool] = lambda _: False) -> Bench:
+        """Another bench, which remembers of this one's sets those that are kept."""
+        other = copy(self)
+        other._done = {key: known for key, known in self._done.items() if is_kept(known)}
+        other._before = {**self._before, **{key: known.fit for key, known in self._done.items()}}
+        other._tried = {key: list(tried) for key, tried in self._tried.items() if key in other._done}
+        other._sized, other._screened = {}, {}
+        return other
 
     def _start(self, chain: ParametricChain, near: Sequence[Fit | None], compared: bool = False) -> tuple[Fit, float]:
         """What a fit would be at the one of several starts whose first step promises most, and the loss promised.
@@ -237,15 +257,14 @@ class Workbench:
         Priors say where to look. The size of an effect that is there is for the data to say: a prior that it exceeds
         would draw it in and make its interval too narrow.
         """
-        key = scored, self.noise
-        if key not in self._sized:
+        if scored not in self._sized:
             chain = scored.fit.chain
             widths = widths_of(linear(scored.fit), chain.owners, scored.names)
             wide = {name: width.over_stated for name, width in widths.items()}
             terms = [_widened(t, max(1.0, wide.get(t.name, 1.0))) for t in chain.terms]
             freed = fit(chain.with_terms(terms), self.noise, self.whitening_group, scored.fit.p)
-            self._sized[key] = replace(scored, fit=freed) if max(wide.values(), default=1.0) > 1 else scored
-        return self._sized[key]
+            self._sized[scored] = replace(scored, fit=freed) if max(wide.values(), default=1.0) > 1 else scored
+        return self._sized[scored]
 
     def screened(
         self, here: Scored, others: Sequence[Term], completed: Callable[[Sequence[Term], Term], Sequence[Term]]

@@ -80,9 +80,9 @@ def _harmful(outcome: Opened, data: Measurements) -> list[Term]:
     listed = {finding.term.key for finding in outcome.judgement.findings}
     kept = outcome.answer.split.held_out_set
     aside, group = data.subset(kept), outcome.answer.group[kept]
-    results = []
-    for t in (t for t in outcome.answer.chosen.terms if t.key in listed):
-        rest = part.bench.scored([other for other in outcome.answer.chosen.terms if other.key != t.key])
+    results, chosen = [], outcome.answer.chosen
+    for t in (t for t in chosen.terms if t.key in listed):
+        rest = part.bench.scored([other for other in chosen.terms if other.key != t.key], chosen.fit, None)
         fit = _beside_a_remainder(part, rest).fit
         gap = open_test_set(outcome.answer.base.fit, fit, aside, group, outcome.answer.noise)
         if MOST_WORSE * gap.after.rms_m < outcome.gap.after.rms_m:
@@ -96,10 +96,11 @@ def _without(answer: Conclusion, harmful: Sequence[Term]) -> Conclusion:
     gone = {t.key for t in harmful}
     findings = tuple(f for f in answer.judgement.findings if f.term.key not in gone)
     rest = [t for t in answer.chosen.terms if t.key not in gone]
-    chosen = answer.partial.bench.corrected(answer.partial.bench.scored(rest, answer.chosen.fit))
+    bench, chosen = answer.partial.bench.corrected(answer.partial.bench.scored(rest, answer.chosen.fit))
     verdict: Verdict = "partial" if findings else "unexplained"
     judgement = replace(answer.judgement, verdict=verdict, findings=findings)
-    return replace(answer, chosen=chosen, judgement=judgement, built=None)
+    partial = replace(answer.partial, bench=bench, chosen=chosen, judgement=judgement)
+    return replace(answer, bench=bench, partial=partial, chosen=chosen, judgement=judgement, built=None)
 
 
 def _framed(answer: Conclusion, data: Measurements) -> Gap:

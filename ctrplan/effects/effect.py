@@ -175,6 +175,12 @@ class Effect(ABC):
         """What is measured of `poses`, the K of `data` in the robot's frame."""
         return poses
 
+    def sensor_by(self, values: Values, poses: Poses) -> Mapping[str, Array]:
+        """(K, 6) derivatives of the positions and tangents that `sensor` makes of K poses, by parameters for which they
+        are cheap.
+        """
+        return {}
+
     def overrides(self, method: str) -> bool:
         """Whether it has a `method` of its own."""
         return getattr(type(self), method) is not getattr(Effect, method)

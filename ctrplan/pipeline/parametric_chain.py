@@ -116,10 +116,11 @@ class StageColumns:
         return np.stack([(_stacked(there) - here) / MOVE for there in moved], axis=2)
 
     def _sensor_columns(self, poses: Poses, by: Array) -> None:
-        """Columns of the sensor's own parameters. Effects before that of a parameter act once for all its values."""
+        """Columns of the sensor's own parameters; effects before theirs act once, and the last may know its columns."""
         data, sensing, before = self.of.data, self.chain.of_stage("sensor"), dict[str, tuple[int, Poses]]()
         for k, acting in enumerate(sensing):
             before[acting.effect.name] = k, poses
+            known = acting.effect.sensor_by(acting.values, poses)
             poses = acting.effect.sensor(acting.values, poses, data)
         names = [(t.name, q.name) for t in self.of.terms for q in t.parameters]
         for j in self.of.stages()["sensor"]:
@@ -130,7 +131,8 @@ class StageColumns:
                 own = Acting(sensing[first].effect, {**sensing[first].values, name: float(p[j])})
                 return _stacked(Chain(self.chain.ideal, (own, *sensing[first + 1 :])).sensor(given, data))
 
-            by[:, :, j] = self._difference(read, j)
+            is_known = first + 1 == len(sensing) and name in known
+            by[:, :, j] = known[name] if is_known else self._difference(read, j)
 
     def _by_number(self) -> tuple[list[str], Array]:
         """Names of the robot's numbers (N,) that the parameters change, and their derivatives (N, P)."""
@@ -154,8 +156,7 @@ class StageColumns:
         """Columns of clock and drive, (K, 6, 2 n) the tips by the collars."""
 
         def joints(p: Array) -> Array:
-            collars = self.of.collars(p)
-            return np.hstack([collars.theta, collars.l])
+            return np.hstack([(collars := self.of.collars(p)).theta, collars.l])
 
         staged = self.of.stages()
         for j in (*staged["clock"], *staged["drive"]):
@@ -182,8 +183,7 @@ class StageColumns:
             h = h if self.p[j] + h <= self.of.upper[j] else -h
             moved[j] += h
             other = point_table(robot, self.of.data, collars, self.of.friction_state(moved))
-            by[:, :3, j] = (other.position_m - table.position_m) / h
-            by[:, 3:, j] = (other.tangent - table.tangent) / h
+            by[:, :, j] = np.hstack([other.position_m - table.position_m, other.tangent - table.tangent]) / h
 
     def _difference(self, value: Callable[[Array], Array], j: int) -> Array:
         """Central difference of a cheap stage, one-sided at a bound."""

@@ -5,7 +5,7 @@ next.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -15,7 +15,7 @@ import numpy as np
 from ctrplan.calibration.estimates import estimates
 from ctrplan.diagnosis.correlated_bench import FRAMES
 from ctrplan.diagnosis.next_experiment import Proposal
-from ctrplan.diagnosis.partial_diagnosis import PartialDiagnosis
+from ctrplan.diagnosis.partial_diagnosis import Part
 from ctrplan.diagnosis.result import Diagnosis
 from ctrplan.diagnosis.sentences import built_lines, headline, in_figures, probabilities, verdict_sentence
 from ctrplan.effects.learned.inputs import unit
@@ -65,9 +65,9 @@ class GapPart:
     shown: bool  # in the bar
 
 
-def share_table(diagnosis: PartialDiagnosis) -> Markup:
+def share_table(parts: Sequence[Part]) -> Markup:
     """Each effect that holds: what it closes of the gap, alone and last, and how sure that is."""
-    return rendered("diagnosis_shares.html", parts=diagnosis.parts)
+    return rendered("diagnosis_shares.html", parts=parts)
 
 
 def _estimated(diagnosis: Diagnosis, t: Term) -> Iterator[tuple[str, str, str]]:
@@ -133,7 +133,7 @@ def diagnosis_report_html(diagnosis: Diagnosis, errors: SelectionErrors) -> str:
             (gap.after.poses, term("held-out poses", "poses kept aside")),
         ],
         split=gap_split(diagnosis),
-        shares=share_table(diagnosis.partial) if diagnosis.partial else "",
+        shares=share_table(diagnosis.partial.parts) if diagnosis.partial else "",
         effects=list(_effects(diagnosis, errors)),
         built_lines=built_lines(diagnosis),
         where=plot(where_figure(diagnosis, errors), "where", with_library=not errors.signatures, kind="plot twin"),

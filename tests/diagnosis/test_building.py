@@ -118,21 +118,26 @@ def test_names_stay_where_the_poses_kept_aside_take_the_term_back(monkeypatch: p
     assert after.built is None and any("taken back" in note for note in after.notes)
 
 
-def test_a_search_that_builds_nothing_leaves_the_discrepancy_beside_what_holds(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Not beside pieces that were looked for: what remains is described with it afterwards."""
+def test_a_search_that_builds_nothing_leaves_what_was_found_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pieces that were looked for have a bench of their own: what remains is described on the one before."""
     beside, corrected, grown = list[tuple[str, ...]](), CorrelatedBench.corrected, term_building._grown
     data = rippled()
     noise, usable = noise_floor(ROBOT, data)[0], usable_poses(ROBOT, data)
     before = diagnose_partially(ROBOT, data, usable, noise, candidates(ROBOT, data, {}), lambda _: None)
 
-    def noted(bench: CorrelatedBench, scored: Scored) -> Scored:
+    def noted(bench: CorrelatedBench, scored: Scored) -> tuple[CorrelatedBench, Scored]:
         beside.append(scored.names)
         return corrected(bench, scored)
 
-    monkeypatch.setattr(term_building, "_grown", lambda bench, chosen, *more: (chosen, grown(bench, chosen, *more)[1]))
+    def vain(bench: CorrelatedBench, chosen: Scored, *more: Any) -> tuple[CorrelatedBench, Scored, list[Any]]:
+        return bench, chosen, grown(bench, chosen, *more)[2]
+
+    noise_before, visited = before.bench.noise, before.bench.visited
+    monkeypatch.setattr(term_building, "_grown", vain)
     monkeypatch.setattr(CorrelatedBench, "corrected", noted)
     assert term_building.build(before, lambda _: None) is None
-    assert ("learned_theta_2",) in beside and beside[-1] == ()
+    assert ("learned_theta_2",) in beside
+    assert before.bench.noise is noise_before and before.bench.scored(before.chosen.terms) in visited
 
 
 def test_a_robot_that_has_its_term_lacks_nothing_more() -> None:

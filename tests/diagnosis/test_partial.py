@@ -191,9 +191,7 @@ def test_effects_that_hide_one_another_have_errors_and_no_share(without_m: float
     closing = Closing(without_m, with_m, gap_m=4.4e-3)
     part = partial().partial
     assert part is not None
-    other = replace(part)
-    vars(other)["parts"] = (replace(part.parts[0], alone=closing, last=closing),)
-    page = share_table(other)
+    page = share_table([replace(part.parts[0], alone=closing, last=closing)])
     assert page.count(f"{without_m * 1e3:.2f} to {with_m * 1e3:.2f} mm") == 2
     assert ("mm, " in page) == (0 <= closing.share <= 1) == (f"{100 * closing.share:.0f} %" in page)
 

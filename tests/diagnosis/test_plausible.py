@@ -86,7 +86,7 @@ def test_beside_enlarged_noise_no_effect_is_larger_than_is_plausible(play_deg: f
     }
     for robot, told in ((ROBOT, "named"), (pair_robot(measurement=half), verdict)):
         bench = Workbench(robot, data, noise, data.configuration)
-        found, chosen, _ = settled(bench, bench.scored([]), few)
+        _, found, chosen, _ = settled(bench, bench.scored([]), few)
         assert judge(bench, chosen, few, found.posterior, found.sets).verdict == told
 
 

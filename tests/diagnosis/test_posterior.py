@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -178,8 +179,8 @@ def test_processes_have_the_size_of_the_noise_and_rows_in_any_order_say_the_same
     fit, errors = errors_of_noise()
     assert all(np.mean((modes**2).sum(axis=1)) == pytest.approx(1) for modes in errors.processes)
     order = np.random.default_rng(1).permutation(fit.r.size)
-    again = UnknownErrors.__new__(UnknownErrors)
-    again.smooth, again.processes, again._known = errors.smooth, [modes[order] for modes in errors.processes], {}
+    again = copy(errors)
+    again._modes, again._known = errors._modes[order], {}
     r, J = fit.r.ravel(), fit.J.reshape(fit.r.size, -1)
     mixed = replace(fit, r=r[order].reshape(fit.r.shape), J=J[order].reshape(fit.J.shape))
     np.testing.assert_allclose(again._gains(mixed), errors._gains(fit), atol=1e-6)
@@ -236,7 +237,7 @@ def posterior_of(data: Measurements, bench_is: type[Workbench], more: dict[str, 
     bench = bench_is(ROBOT, data, Noise(SIGMA_M, SIGMA_RAD), data.configuration)
     known = candidates(ROBOT, data, HOMED, more)
     if isinstance(bench, CorrelatedBench):
-        bench.begun()
+        bench, _ = bench.corrected(bench.scored([]))
         known = partial_diagnosis.testable_beside(known, bench)
     return compared(bench, bench.scored([]), known, search=True).posterior
 

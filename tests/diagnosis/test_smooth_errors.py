@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from measured_data import pair_robot, waypoints
 from scipy.spatial.transform import Rotation
+from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
 from ctrplan.base.arrays import Array
@@ -66,6 +67,25 @@ def test_the_evidence_is_the_density_with_the_error_in_the_covariance(number: in
         dense.append(log_density(fit, data, dense_correlation(data, number), *sizes_of(spectrum, *pair)))
     found = [float(spectrum.evidences(*pair)) / 2 for pair in pairs]
     assert found[0] - found[1] == pytest.approx(dense[0] - dense[1], rel=1e-9)
+
+
+@pytest.mark.parametrize("scale", [0.5, 5.0, 500.0])
+@pytest.mark.parametrize("number", [0, 8, 14])
+def test_the_search_over_sizes_finds_the_highest_evidence_and_lines_through_it_leave_nothing_out(
+    number: int, scale: float
+) -> None:
+    data = logged()
+    error, fit = of_motion(data, axes_of(data))[number], fit_of(data)
+    fit = replace(fit, r=scale * fit.r)
+    every, spectrum = error.spectrum(fit), error.spectrum(fit)
+    grid = np.array([every.evidences(p, slice(None)) for p in range(len(every.position.size))])
+    highest, position, tangent = spectrum.highest()
+    p, t = np.unravel_index(int(grid.argmax()), grid.shape)
+    assert highest == pytest.approx(grid.max(), abs=1e-9)
+    assert (position, tangent) == sizes_of(spectrum, int(p), int(t))
+    means = sum(logsumexp(line / 2) - np.log(len(line)) for line in (grid[:, t], grid[p]))
+    assert spectrum.log_mean(highest, position, tangent) / 2 == pytest.approx(means - highest / 2, abs=1e-9)
+    assert spectrum.of_residuals(fit.r, error.position, error.tangent).highest() == (highest, position, tangent)
 
 
 def sizes_of(spectrum: Spectrum, position: int, tangent: int) -> tuple[float, float]:

@@ -13,6 +13,7 @@ from ctrplan.calibration.estimates import distances
 from ctrplan.calibration.residuals import robust_square
 from ctrplan.diagnosis import CATALOGUE
 from ctrplan.diagnosis.adequacy import noise_floor
+from ctrplan.diagnosis.correlated_bench import CorrelatedBench
 from ctrplan.diagnosis.workbench import Workbench, candidates
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.pipeline.term import Term, term
@@ -83,3 +84,16 @@ def test_a_variant_promises_what_it_can_do_itself(data: Measurements) -> None:
     for variant, one in zip(variants, bench.screened(base, variants, known.completed), strict=True):
         promised = float(robust_square(np.linalg.norm(one.linear.r, axis=1)).sum())
         assert bench.scored([variant], base.fit).fit.residuals.loss == pytest.approx(promised, rel=0.15), variant.key
+
+
+def test_a_bench_that_is_corrected_is_another_and_goes_on_from_where_the_first_was(data: Measurements) -> None:
+    first = CorrelatedBench(ROBOT, data, noise_floor(ROBOT, data)[0], data.configuration)
+    base, shaft = first.scored([]), first.scored([whole("shaft_torsion")])
+    noise, visited = first.noise, first.visited
+    second, there = first.corrected(base)
+    assert first.noise is noise and first.visited == visited and first.scored([]) is base
+    assert second.visited == (there,) and second.noise.discrepancy is not None and noise.discrepancy is None
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(least_squares, "MOST_STEPS", 0)
+        begun = second.scored([whole("shaft_torsion")], base.fit)
+    assert np.array_equal(begun.fit.p, shaft.fit.p)

@@ -12,7 +12,7 @@ from ctrplan.base.arrays import Array
 from ctrplan.effects.effect import CATALOGUE
 from ctrplan.errors import InputError, SolverError
 from ctrplan.files.robot_file import robot_from_dict
-from ctrplan.measurement.measurements import Measurements
+from ctrplan.measurement.measurements import Measurements, Poses, frames_along
 from ctrplan.mechanics.history import History
 from ctrplan.pipeline.followed_runs import friction_correction
 from ctrplan.pipeline.parametric_chain import ParametricChain
@@ -58,6 +58,22 @@ def test_derivatives_are_those_of_the_prediction(name: str) -> None:
 def test_derivatives_go_through_a_sensor_of_the_robot_file(name: str) -> None:
     turned = robot_from_dict({**ROBOT.content, "effects": {"base_misalignment": {"rotation_z_deg": 90.0}}})
     agrees(chain_of(turned, DATA, {name: None}))
+
+
+@pytest.mark.parametrize("name", [name for name, effect in CATALOGUE.items() if effect.overrides("sensor_by")])
+def test_columns_that_a_sensor_knows_are_differences_of_what_it_makes(name: str) -> None:
+    effect, rng = CATALOGUE[name], np.random.default_rng(2)
+    tangent = rng.standard_normal((DATA.count, 3)) * 0.2 + [0.0, 0.0, 1.0]
+    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    poses = Poses(rng.uniform(-0.1, 0.1, (DATA.count, 3)), frames_along(tangent, np.eye(3)[:1]))
+    values = {q.name: q.si * (q.neutral + q.prior * rng.uniform(-1, 1)) for q in effect.parameters(ROBOT)}
+    by = effect.sensor_by(values, poses)
+    assert by.keys() == values.keys()
+    for q in effect.parameters(ROBOT):
+        step = 1e-4 * q.prior * q.si
+        up, down = (effect.sensor({**values, q.name: values[q.name] + s}, poses, DATA) for s in (step, -step))
+        seen = np.hstack([up.position - down.position, (up.frame - down.frame)[:, :, 2]]) / (2 * step)
+        np.testing.assert_allclose(by[q.name], seen, rtol=1e-6, atol=1e-7)
 
 
 def agrees(chain: ParametricChain) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -60,24 +60,46 @@ class SensorDistortion(Effect):
         return [name for name in names if name == "tangent_share" or len(name.split("_")[1]) == 1]
 
     def sensor(self, values: Values, poses: Poses, data: Measurements) -> Poses:
-        amounts = np.zeros((len(MONOMIALS), 3))
-        for name, amount in values.items():
-            if name != "tangent_share":
-                amounts[PLACES[name]] = amount
-        here, further = _seen(poses)
-        shift = here @ amounts
-        share = values.get("tangent_share", 0.0)
+        here, slope = _seen(poses)
+        amounts, share = _amounts(values), values.get("tangent_share", 0.0)
         if not share:
-            return Poses(poses.position + shift, poses.frame)
-        tangent = poses.frame[:, :, 2] + share * (further @ amounts - shift) / AHEAD_M
+            return Poses(poses.position + here @ amounts, poses.frame)
+        tangent = poses.frame[:, :, 2] + share * (slope @ amounts)
         tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
-        return Poses(poses.position + shift, frames_along(tangent, poses.frame[:, :, 0]))
+        return Poses(poses.position + here @ amounts, frames_along(tangent, poses.frame[:, :, 0]))
+
+    def sensor_by(self, values: Values, poses: Poses) -> Mapping[str, Array]:
+        here, slope = _seen(poses)
+        field, share = slope @ _amounts(values), values.get("tangent_share", 0.0)
+        turned = poses.frame[:, :, 2] + share * field
+        length = np.linalg.norm(turned, axis=1, keepdims=True)
+        tangent = turned / length
+        across = (np.eye(3) - tangent[:, :, None] * tangent[:, None, :]) / length[:, :, None]
+        by = {}
+        for name in values:
+            if name == "tangent_share":
+                by[name] = np.hstack([np.zeros_like(field), np.einsum("kij,kj->ki", across, field)])
+            else:
+                monomial, axis = PLACES[name]
+                shift = np.eye(3)[axis] * here[:, monomial, None]
+                by[name] = np.hstack([shift, share * slope[:, monomial, None] * across[:, :, axis]])
+        return by
+
+
+def _amounts(values: Values) -> Array:
+    """(M, 3) [m] of the monomials, along each axis."""
+    amounts = np.zeros((len(MONOMIALS), 3))
+    for name, amount in values.items():
+        if name != "tangent_share":
+            amounts[PLACES[name]] = amount
+    return amounts
 
 
 @lru_cache(1)  # a fit asks for the same poses once a parameter
 def _seen(poses: Poses) -> tuple[Array, Array]:
-    """(K, M) monomials of poses, and a little further along their tangents."""
-    return _monomials(poses.position), _monomials(poses.position + AHEAD_M * poses.frame[:, :, 2])
+    """(K, M) monomials of poses, and their slopes [1/m] along the tangents."""
+    here = _monomials(poses.position)
+    return here, (_monomials(poses.position + AHEAD_M * poses.frame[:, :, 2]) - here) / AHEAD_M
 
 
 def _monomials(position: Array) -> Array:

@@ -199,6 +199,7 @@ def asked(folder: Path) -> dict[str, Any]:
     result["seconds"].append(round(time.process_time() - halfway, 1))
     if built is None:
         return result | {"built": False}
+    bench = built.partial.bench
     result["beside_mm"] = gap_mm(bench.handed_over(bench.sized(built.named)), aside, noise.floor_m)
     result["names"] = names(built.partial)
     result["probable"] = probable(built.partial)

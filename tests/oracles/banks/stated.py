@@ -169,7 +169,7 @@ def proposed(k: int, folder: Path, made: Made, robot: Robot, data: Measurements)
     for name in RIVALS[k % len(RIVALS)]:
         sets = [bench.scored([t]) for t in known.terms if t.name == name]
         best.append(min(sets, key=lambda one: one.fit.loss))
-    chosen, other = (bench.corrected(one) for one in best)
+    chosen, other = (bench.corrected(one)[1] for one in best)
     rival = Alternative(other.terms[0], other)
     wanted = proposals(chosen.names[0], chosen, rival, bench.data, noise)
     sequence, theta, l_b = proposed_waypoints(wanted)
