@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 
@@ -34,6 +34,7 @@ DEFINITE_COLLISION_M = -1e-3
 DOUBTFUL_M = 3e-3  # less room than that, and a motion is looked at where it has least, before it is walked
 JUMP, JUMP_M = 3.0, 5e-3  # times the steps of the tip beside, and more than that and the translation by
 FEW = 100  # shapes, which are not worth a thread
+ASTRAY_M = 1e-3  # by which a local search may be too close on its way: corrections of as much are about linear
 TERM_STEP_MM = 1.0  # of joint length between states at which terms of the cost are asked for
 COEFFICIENTS = 0.3  # share by which a friction coefficient is mostly uncertain, a prior of the search
 DEFINITE_COLLISION = "a corner shape comes too close to the anatomy: so does the zero-clearance shape"
@@ -201,11 +202,6 @@ class MotionChecker:
         state, _ = self.probe(points[narrowest])
         return None if state.valid else state
 
-    @property
-    def definite_collision_m(self) -> float:
-        """Less clearance than that of a zero-clearance shape, and the state is not worth a solve."""
-        return DEFINITE_COLLISION_M + self.limits.clearance_m
-
     def is_definite_collision(self, q: Array) -> bool:
         """Whether the zero-clearance shape at q (m,) collides by so much that the state is not worth a solve."""
         return self.space.allowed(q) and self.rooms([q[None]])[0] < DEFINITE_COLLISION_M
@@ -250,9 +246,14 @@ class MotionChecker:
         """The polyline (K, m) of joint values; one thread alone may ask that no leg is walked twice."""
         if not self.space.allowed(corners):
             return invalid(self.space.violation(corners))
-        samples = self._legs.along(corners) if remembers else self._walked(corners)
-        reason = breach(samples, self.limits) or self._between_corners(corners, samples)
-        if reason:
+        samples = self.known_walk(corners) if remembers else self.walk(corners, self.density, self.limits)
+        return self.judged(corners, samples)
+
+    def judged(self, corners: Array, samples: PathSamples) -> Motion:
+        """What a walk of a polyline (K, m) is worth."""
+        close = np.flatnonzero(samples.clearance_m < self.limits.clearance_m)
+        broken = breach(samples.at_rows(close[:1]) if len(close) else samples, self.limits)
+        if reason := broken or self._between_corners(corners, samples):
             return invalid(reason)
         error = self.errors(corners, samples)
         length, integral = self.price(corners, samples, error)
@@ -261,12 +262,14 @@ class MotionChecker:
         terms_mm, room_m = self.terms_mm(corners), float(samples.clearance_m.min()) - self.limits.clearance_m
         return Motion(True, "", length, integral, bound, left, count_legs(corners), terms_mm, room_m)
 
+    def known_walk(self, corners: Array) -> PathSamples:
+        """Samples along a polyline (K, m), also where it is up to ASTRAY_M too close; no leg is walked twice."""
+        return self._legs.along(corners)
+
     @cached_property
     def _legs(self) -> KnownLegs:
-        return KnownLegs(self._walked, lambda samples: bool(breach(samples, self.limits)))
-
-    def _walked(self, corners: Array) -> PathSamples:
-        return self.walk(corners, self.density, self.limits)
+        astray = replace(self.limits, clearance_m=self.limits.clearance_m - ASTRAY_M)
+        return KnownLegs(lambda way: self.walk(way, self.density, astray), lambda end: bool(breach(end, astray)))
 
     def walk(self, corners: Array, density: PathDensity, limits: PathLimits) -> PathSamples:
         """The core's samples along a polyline."""

@@ -149,7 +149,7 @@ def _is_at_limit(checker: MotionChecker, joints: Array, delta: Array) -> bool:
 
 def aimed(checker: MotionChecker, corners: Array) -> tuple[MotionChecker, Array]:
     """A checker whose goal is where the frictionless tip has to end so that the tip with friction arrives, and the path
-    (K, m) moved there, as it costs when it is compensated; both as they are where that is not possible.
+    (K, m) moved there, valid or not, as it costs when it is compensated; both as they are where that is not possible.
     """
     scenario = checker.scenario
     goal, robot = scenario.goal, scenario.robot
@@ -162,7 +162,7 @@ def aimed(checker: MotionChecker, corners: Array) -> tuple[MotionChecker, Array]
     other = MotionChecker(replace(scenario, goal=there), checker.style, checker.meter, checker.reserve_m)
     other.watch = checker.watch
     moved = brought_to_goal(other, corners)
-    return (checker, corners) if moved is None or not other.along(moved).valid else (other, moved)
+    return (checker, corners) if moved is None else (other, moved)
 
 
 def brought_to_goal(checker: MotionChecker, corners: Array) -> Array | None:

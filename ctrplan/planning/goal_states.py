@@ -25,7 +25,7 @@ from ctrplan.drive.legs import distance_from_polyline
 from ctrplan.errors import InputError, NoAnswerError
 from ctrplan.mechanics.equilibria import SAME_SHAPE_M, branches, is_unique
 from ctrplan.mechanics.shapes import Status
-from ctrplan.motion.checker import MotionChecker
+from ctrplan.motion.checker import DEFINITE_COLLISION_M, MotionChecker
 from ctrplan.planning.reach import Configuration, Reach, bound_slopes, configuration, distinct_rows, reach
 from ctrplan.planning.room import refuse_blocked_target
 from ctrplan.scenario.joint_space import JointSpace
@@ -176,7 +176,8 @@ def _joint_goal(checker: MotionChecker, joints: Array) -> GoalState:
 def _tip_goals(checker: MotionChecker, rng: np.random.Generator) -> list[GoalState]:
     scenario, goal = checker.scenario, checker.scenario.goal
     refuse_blocked_target(checker)
-    result = reach(checker, tip_target(scenario), goal.tolerance_m, rng, least_room_m=checker.definite_collision_m)
+    least_m = DEFINITE_COLLISION_M + checker.limits.clearance_m
+    result = reach(checker, tip_target(scenario), goal.tolerance_m, rng, least_room_m=least_m)
     if not result.configurations:
         raise _no_answer(checker, _unreached(scenario, result))
     valid = [c for c in result.configurations if c.valid]

@@ -29,6 +29,7 @@ ITERATIONS = 25
 STALL_STEPS, MIN_PROGRESS = 6, 0.8  # steps after which the distance must have fallen to this share
 PASSES = 3  # each holds the limits that the step before it broke
 NO_STEP_M = 1e-7  # of weighted joint length, that changes nothing
+ROUNDING = 1e-12  # what is left of 1 where nothing is
 LONGEST_STEP_M = 30e-3  # of weighted joint length
 DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-4, 1e-7, 1e4  # beside the squared singular values, m per m
 M_PER_RAD = 20e-3  # weight of the tip's direction against its position
@@ -324,23 +325,30 @@ class MotionLines:
 
 
 def least_squares_within(slope: Array, aim: Array, rows: Array, room: Array) -> Array:
-    """The x (m,) with least |slope x - aim|^2 + DAMPING |x|^2 where rows (R, m) x <= room (R,), none negative.
+    """The x (m,) with least |slope x - aim|^2 + DAMPING |x|^2 where rows (R, m) x <= room (R,), none negative."""
+    x = least_within(slope.T @ slope + DAMPING * np.eye(slope.shape[1]), -slope.T @ aim, rows, room)
+    assert x is not None, "nothing moves, and all is within room"
+    return x
+
+
+def least_within(curvature: Array, slope: Array, rows: Array, room: Array) -> Array | None:
+    """The x (X,) with least x curvature x / 2 + slope x where rows (R, X) x <= room (R,); None where there is none.
 
     Lawson and Hanson's way: as the least distance from the free solution, by non-negative least squares.
     """
     from scipy.linalg import solve_triangular  # slow to import, and of no use to whoever only reaches a point
     from scipy.optimize import nnls
 
-    upper = np.linalg.cholesky(slope.T @ slope + DAMPING * np.eye(slope.shape[1])).T
-    free = solve_triangular(upper, solve_triangular(upper, slope.T @ aim, trans="T"))
+    upper = np.linalg.cholesky(curvature).T
+    free = solve_triangular(upper, solve_triangular(upper, -slope, trans="T"))
     over = rows @ free - room
     if np.all(over <= 0):
         return np.asarray(free)
-    scale = float(np.abs(rows @ free).max())
+    scale = float(np.abs(over).max())
     turned = -solve_triangular(upper, rows.T, trans="T")
     weights, _ = nnls(np.vstack([turned, over / scale]), np.append(np.zeros(len(free)), 1.0))
-    rest = 1 - over @ weights / scale
-    return np.asarray(free + scale / rest * solve_triangular(upper, turned @ weights))
+    rest = 1 - over @ weights / scale  # nothing where no x is within room
+    return None if rest < ROUNDING else np.asarray(free + scale / rest * solve_triangular(upper, turned @ weights))
 
 
 def angle_to(tangent: Array, direction: Array | None) -> Array:

@@ -8,12 +8,15 @@ import numpy as np
 import pytest
 from places import SCENARIOS
 
+from ctrplan.anatomy.parts import AnatomyPart
+from ctrplan.anatomy.shapes.sphere import Sphere
 from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.drive.legs import merge_legs
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.motion.checker import MotionChecker
 from ctrplan.planning.compensate import CLOSE_M, aimed, brought_to_goal
 from ctrplan.planning.goal_states import goal_state
+from ctrplan.planning.search.path_model import Contacts, PathModel, levels_of
 from ctrplan.planning.search.polish import Polish
 from ctrplan.scenario.joint_space import bare_scenario
 from ctrplan.scenario.prediction import predict_end, start_states
@@ -45,32 +48,90 @@ def roundabout() -> Array:
     return np.array(corners)
 
 
-def test_derivatives_are_those_of_length_and_worst_case(case: Scenario, checker: MotionChecker) -> None:
-    """Each by differences of the whole path's price: the length alone inside, the bound at the goal beside it."""
+def test_the_model_s_slope_is_that_of_length_and_worst_case(case: Scenario) -> None:
+    """By differences of the whole path's price, whose curvature the model overestimates where lengths alone have it."""
     plain = replace(case, cost=replace(case.cost, error_along=0.0))
-    polish = Polish(MotionChecker(plain), roundabout(), 0)
-    levels = polish._levels()
-    assert [(level.first, level.last) for level in levels] == [(1, 3), (3, 5), (2, 4), (4, 6), (5, 7)]
+    checker, path = MotionChecker(plain), roundabout()
+    levels = levels_of(checker, path, moves_goal=True)
+    model = PathModel(checker, path, levels, [])
+    assert levels.has_goal and levels.spread.shape == (7, 4, 3 + 3 + 1 + 1 + 4)
 
-    def price(corners: Array) -> float:
-        length = sum(polish.space.length_mm(d) for d in np.diff(corners, axis=0))
-        goal = polish.checker.mechanics.bound(*polish.space.drive.collars(corners[-1])).position_m
-        return plain.cost.path * length + plain.cost.error_goal * MM_PER_M * goal
+    def price_mm(step: Array, weight: float) -> float:
+        corners = path + levels.spread @ step / checker.space.weights_mm
+        length = sum(checker.space.length_mm(d) for d in np.diff(corners, axis=0))
+        goal = checker.mechanics.bound(*checker.space.drive.collars(corners[-1])).position_m
+        return plain.cost.path * length + weight * MM_PER_M * goal
 
-    for level in levels:
-        is_goal = level.last == len(polish.corners)
-        slope = sum(polish._pull(kind, level) for kind in polish._kinds(level))
-        slope = np.asarray(slope) + (polish._goal_error(level) if is_goal else 0.0)
-        for joint in np.flatnonzero(level.joints).tolist():
-            ends = []
-            for h in (1e-5, -1e-5):
-                corners, kind = polish.corners.copy(), polish.space.drive.is_rotation
-                kind = kind if kind[joint] else ~kind
-                first = polish._begin(kind) if is_goal else level.first
-                corners[first : level.last, joint] += h
-                ends.append(price(corners))
-            by = (ends[0] - ends[1]) / 2e-5 / polish.space.weights_mm[joint]
-            assert slope[joint] == pytest.approx(by, rel=1e-4, abs=1e-4)
+    for k, unit in enumerate(np.eye(model.size)):
+        up, down = (price_mm(h * unit, plain.cost.error_goal) for h in (1e-3, -1e-3))
+        assert model.slope[k] == pytest.approx((up - down) / 2e-3, rel=1e-4, abs=1e-4)
+    inner = levels.level < levels.level[-1]
+    for step in np.random.default_rng(0).normal(size=(20, model.size)) * inner:
+        promised_mm = price_mm(0 * step, 0.0) - model.gain_mm(step)
+        assert price_mm(step, 0.0) <= promised_mm + 1e-9 and model.gain_mm(step) < -model.slope @ step
+
+
+@pytest.fixture(scope="module")
+def beside(case: Scenario) -> MotionChecker:
+    """A ball 2 mm beside the tip after two legs of the way round, which passes it on three."""
+    body, radius = case.robot.mechanics.body(*case.robot.drive.collars(roundabout()[2]))
+    tangent = body[0, -1] - body[0, -2]
+    away = np.cross(np.cross(tangent, [0.0, 0.0, 1.0]), tangent)
+    centre = body[0, -1] + (2e-3 + radius[-1] + 15e-3) * away / np.linalg.norm(away)
+    return MotionChecker(replace(case, anatomy=(AnatomyPart(Sphere(centre, 15e-3), "avoid", 0.0),)), reserve_m=0.0)
+
+
+def test_contacts_agree_with_differences_of_what_is_left(beside: MotionChecker) -> None:
+    """What the model says of each contact's room, beside the place solved again a little farther on.
+
+    Distances of the model are a grid's, whose slope differs by some per cent from the ball's.
+    """
+    path, weights_mm = roundabout(), beside.space.weights_mm
+    samples = replace(beside.known_walk(path), nearest_phi=np.zeros((0, 2)))  # shapes of corners alone
+    contacts = list(Contacts(beside).along(path, samples))
+    levels = levels_of(beside, path, moves_goal=True)
+    model = PathModel(beside, path, levels, contacts)
+    assert contacts and {contact.leg for contact in contacts} >= {1, 2, 3}
+    places = [(contact.leg, contact.fraction) for contact in contacts]
+    nearest = [min(c.room_mm for c, at in zip(contacts, places, strict=True) if at == place) for place in places]
+    for contact in (c for c, least in zip(contacts, nearest, strict=True) if c.room_mm == least):
+        q = path[contact.leg] + contact.fraction * (path[contact.leg + 1] - path[contact.leg])
+        rooms = beside.clearance(q + 0.02 * np.vstack([np.eye(4), -np.eye(4)]) / weights_mm).clearance_m * MM_PER_M
+        by = (rooms[:4] - rooms[4:]) / 0.04
+        np.testing.assert_allclose(contact.by_joints, by, atol=0.08 * np.linalg.norm(by))
+        joint = int(np.argmax(np.abs(by)))
+        held = np.flatnonzero(levels.spread[contact.leg, joint] * levels.spread[contact.leg + 1, joint])
+        row = model.rows[contacts.index(contact)]
+        assert len(held) == 0 or row[held[0]] == pytest.approx(-contact.by_joints[joint])
+
+
+def test_a_step_stays_within_what_the_model_limits_and_leaves_the_tip(beside: MotionChecker) -> None:
+    path = roundabout()
+    contacts = list(Contacts(beside).along(path, beside.known_walk(path)))
+    model = PathModel(beside, path, levels_of(beside, path, moves_goal=True), contacts)
+    for step in (model.step(0.05), model.step(1.0), model.nearest(np.ones(model.size))):
+        assert step is not None and (model.rows @ step <= model.room_mm + 1e-9).all()
+        goal = model.levels.spread[-1] @ step / beside.space.weights_mm
+        assert np.linalg.norm(model.slopes.tip_by[0] @ goal) < 1e-9
+        assert model.gain_mm(step) <= model.gain_mm(model.step(1e-6)) + 1e-6  # type: ignore[arg-type]
+
+
+def test_a_path_that_comes_too_close_is_put_right(case: Scenario, beside: MotionChecker) -> None:
+    """Where the way round leaves 0.3 mm less than is required, which no search from there would accept."""
+    path = roundabout()
+    room_m = beside.known_walk(path).clearance_m.min()
+    robot = replace(case.robot, model_error_m=float(room_m) + 0.3e-3)
+    checker = MotionChecker(replace(beside.scenario, robot=robot), reserve_m=0.0)
+    assert not checker.along(path).valid
+    polish = Polish(checker, path, 0)
+    assert polish.cost_mm == np.inf
+    turns = iter(range(1))
+    polish.run(lambda: next(turns, None) is None)
+    motion = checker.along(polish.corners)
+    assert motion.valid and motion.room_m < 0.3e-3
+    assert checker.cost_mm(motion, ends_at_goal=True) == pytest.approx(polish.cost_mm)
+    apart = np.linalg.norm((polish.corners - path) * checker.space.weights_mm, axis=1)
+    assert apart.max() < 5.0  # mm: no more than it takes
 
 
 def test_a_roundabout_way_gets_shorter_and_ends_at_the_target(case: Scenario, checker: MotionChecker) -> None:

@@ -14,7 +14,8 @@ from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.base.long_work import SearchClock, WorkMeter
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.motion.checker import MotionChecker, Stations
-from ctrplan.planning.goal_states import descended, goal_states
+from ctrplan.planning.compensate import aimed
+from ctrplan.planning.goal_states import descended, goal_state, goal_states
 from ctrplan.planning.room import (
     LOSS_M,
     LOSS_MM,
@@ -25,7 +26,7 @@ from ctrplan.planning.room import (
 )
 from ctrplan.planning.search.insertion_chains import Roadmap
 from ctrplan.planning.search.ompl_set_up import SearchProblem
-from ctrplan.planning.search.polish import Polish
+from ctrplan.planning.search.polish import Race
 from ctrplan.planning.search.roadmap_search import RoadmapSearch
 from ctrplan.planning.search.stage_search import StageSearch
 from ctrplan.scenario.scenario import anatomy_grid
@@ -337,14 +338,28 @@ def test_only_what_can_be_compensated_is_polished(vessel: MotionChecker, monkeyp
     goals = goal_states(vessel, np.random.default_rng(0))
     clock = SearchClock(vessel.meter, timed=False, budget_s=2.0)
     search = StageSearch(vessel, goals, 0, time.monotonic(), 2.0, clock, lambda _: None, threading.Event())
-    search.is_compensated = True
     roadmap = search._first_path()
-    for has_room in (True, False):
-        if not has_room:
-            monkeypatch.setattr(
-                "ctrplan.planning.search.stage_search.aimed", lambda checker, corners: (checker, corners)
-            )
-        racers: list[Polish] = []
-        search._race(racers, roadmap, clock.now() + 0.2)
-        assert bool(racers) == has_room
-        assert all(racer.checker is not vessel for racer in racers)
+    for can_be_moved in (True, False):
+        if not can_be_moved:
+            monkeypatch.setattr("ctrplan.planning.search.polish.aimed", lambda checker, corners: (checker, corners))
+        race = Race(roadmap, search._expanded, 0, is_compensated=True, moves_goal=True)
+        race.run(clock.now, clock.now() + 0.2, search._is_over)
+        assert bool(race.racers) == can_be_moved
+        assert all(racer.checker is not vessel for racer in race.racers)
+
+
+def test_a_race_s_results_end_at_the_goal_and_cost_what_they_do_as_driven(vessel: MotionChecker) -> None:
+    """Where compensation leads from there, by the race's own word and anew."""
+    goals = goal_states(vessel, np.random.default_rng(0))
+    clock = SearchClock(vessel.meter, timed=False, budget_s=2.0)
+    search = StageSearch(vessel, goals, 0, time.monotonic(), 2.0, clock, lambda _: None, threading.Event())
+    race = Race(search._first_path(), search._expanded, 0, is_compensated=True, moves_goal=True)
+    race.run(clock.now, clock.now() + 0.3, search._is_over)
+    results = [(corners, cost_mm) for corners, cost_mm in race.results() if np.isfinite(cost_mm)]
+    assert results and search.best is not None
+    for corners, cost_mm in results:
+        there, moved = aimed(vessel.without_reserve(), corners)
+        motion = there.along(moved)
+        assert goal_state(vessel.without_reserve(), corners[-1]).tip_error_m < 0.1e-3
+        assert motion.valid and there.cost_mm(motion, ends_at_goal=True) == pytest.approx(cost_mm)
+    assert results[0][1] < race.cost_mm(search.best.corners, vessel.reserve_m)

@@ -1,57 +1,53 @@
 """Local improvement of a path that was found: its corners and its goal state go where the whole cost is lower.
 
-A path of legs is a sequence of values for the rotations and one for the translations, each held until the next leg of
-its kind: the levels. Length and error at the goal have exact derivatives by the levels; the error along the way and the
-clearance are known where a path was walked. So steps go down those derivatives and at random by turns, and a step is
-taken where the walked path is valid and costs less.
+Steps follow a model of the path, `PathModel`, to where it costs least within what the model says of clearance, limits
+and tip. A step that ends too close to the anatomy is corrected by what the model there asks for. The error along the
+way has no derivative: random steps within the model's limits find what it is worth. A path is taken where its walk is
+valid and it costs less. Several paths are polished by turns, as they will be driven once they are compensated.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrplan.base.arrays import MM_PER_M, Array
+from ctrplan.base.arrays import Array
 from ctrplan.base.long_work import ROOM_NS
 from ctrplan.drive.legs import merge_legs
-from ctrplan.motion.checker import MotionChecker
-from ctrplan.planning.goal_states import (
-    FIRST_MM,
-    LEAST_MM,
-    LONGER,
-    RANK,
-    SHORTER,
-    TIP_STEPS,
-    goal_state,
-)
-from ctrplan.planning.reach import bound_slopes
-from ctrplan.scenario.tip_solver import TipSolver, TipTarget, tip_target
+from ctrplan.mechanics.walk import PathSamples
+from ctrplan.motion.checker import ASTRAY_M, DEFINITE_COLLISION_M, MotionChecker
+from ctrplan.planning.compensate import aimed, brought_to_goal
+from ctrplan.planning.goal_states import FIRST_MM, LEAST_MM, LONGER, SHORTER, TIP_STEPS
+from ctrplan.planning.search.path_model import Contacts, PathModel, levels_of
+from ctrplan.planning.search.roadmap_search import RoadmapSearch
+from ctrplan.scenario.scenario import Goal
+from ctrplan.scenario.tip_solver import TipSolver, TipTarget, angle_to, tip_target
 
 LEAST_GAIN_MM = 1e-3  # of the cost: below, two paths are alike
-
-
-@dataclass(frozen=True, eq=False)
-class Level:
-    """Corners from `first` to `last` - 1, at which some joints stand still; of the last ones they are the goal's."""
-
-    joints: NDArray[np.bool_]  # (m,) that belong to the level
-    first: int
-    last: int
+WORTH_MM = 0.05  # of the cost: a step that promises less is not worth a walk
+DAMPING, LEAST_DAMPING = 0.05, 1e-3  # 1/mm: of the first step, which for 20 mm adds half of what 20 mm cost; and at all
+FIRMER, SOFTER = 4.0, 0.25  # the next damping, after a step that was not taken and after one that was
+CORRECTIONS = 3  # of a step that ended too close: each leaves a quarter or less of what was missing
+TURNS = 4  # of a race: half of them to begin so many paths, half for the best of them; a budget
+SHIFT_M = 0.5e-3  # of a goal, after which a path is put right before it is shifted further: half of what may be astray
+RESERVE_LEFT = 0.5  # of the search's reserve of clearance, that a polished path keeps when it is brought to its goal
 
 
 class Polish:
     """A path (K, m) that gets cheaper as long as `run` runs; `corners` and `cost_mm` are the best so far."""
 
     def __init__(self, checker: MotionChecker, corners: Array, seed: int, *, moves_goal: bool = True) -> None:
-        """The cost is infinite where the checker refuses the path: then the first valid one is an improvement."""
+        """The cost is infinite where the checker refuses the path: then the first step corrects it."""
         self.checker, self.space, self.moves_goal = checker, checker.space, moves_goal
         self.solver = TipSolver(checker.space, checker.mechanics, checker.watch)
         self.corners, self.cost_mm = merge_legs(corners), np.inf
         self.cost_mm = self._cost_mm(self.corners)
-        self._rng = np.random.default_rng(seed)
+        self._contacts, self._rng = Contacts(checker), np.random.default_rng(seed)
+        self._stray_mm = np.zeros(0)  # lengths of random steps of each level, and of all together
         self._work = self._steps()
 
     def run(self, is_over: Callable[[], bool]) -> None:
@@ -60,44 +56,151 @@ class Polish:
             if is_over():
                 return
 
-    def run_round(self, is_over: Callable[[], bool]) -> None:
-        """Goes on until every level was moved downhill once, or it is over: what the path is worth can be told then."""
-        for is_round in self._work:
-            if is_round or is_over():
-                return
+    def put_right(self) -> bool:
+        """Corrects a path that comes too close; whether it is valid then."""
+        return np.isfinite(self.cost_mm) or self._takes_corrected(self.corners)
 
-    def _steps(self) -> Iterator[bool]:
-        """Levels left out and legs divided, then steps of all levels together and of each; yields before each of these
-        whether it was a round.
-        """
-        yield from self._leave_out()
-        yield from self._divide()
-        levels = self._levels()
-        step_mm, at_random = np.full(len(levels) + 1, FIRST_MM), False
-        while len(levels) and (step_mm > LEAST_MM).any():
-            down = self._downhill(levels)
+    def _steps(self) -> Iterator[None]:
+        """Yields before each step."""
+        if not np.isfinite(self.cost_mm):
+            yield
+            self.put_right()
+        if np.isfinite(self.cost_mm):
+            yield from self._leave_out()
+            yield from self._divide()
+        before_mm = np.inf
+        while self.cost_mm < before_mm:
+            before_mm = self.cost_mm
+            yield from self._descend()
+            yield from self._stray()
+
+    def _descend(self) -> Iterator[None]:
+        """Steps of all levels, as the model of the path has them, until it promises no more."""
+        damping, model = DAMPING, self._model()
+        while model.size:
+            yield
+            step = model.step(damping)
+            if step is None or model.gain_mm(step) < WORTH_MM or np.linalg.norm(step) < LEAST_MM:
+                return
+            if self._takes_corrected(self._moved(model, step)):
+                damping, model = max(SOFTER * damping, LEAST_DAMPING), self._model()
+            else:
+                damping *= FIRMER
+
+    def _stray(self) -> Iterator[None]:
+        """Random steps of each level and of all, until one led lower or they are short."""
+        model = self._model()
+        count = 1 + int(model.levels.level.max(initial=-1))
+        if len(self._stray_mm) != count + 1:
+            self._stray_mm = np.full(count + 1, FIRST_MM)
+        before_mm, step_mm = self.cost_mm, self._stray_mm
+        while model.size and self.cost_mm == before_mm and (step_mm > LEAST_MM).any():
             for k in np.flatnonzero(step_mm > LEAST_MM).tolist():
-                yield False
-                chosen = range(len(levels)) if k == len(levels) else range(k, k + 1)
-                way = self._random(levels, down) if at_random else down
-                moved = self._moved(levels, [way[i] * step_mm[k] if i in chosen else None for i in range(len(levels))])
-                if moved is not None and self._takes(moved):
+                yield
+                way = np.where((k == count) | (model.levels.level == k), self._rng.normal(size=model.size), 0.0)
+                step = model.nearest(step_mm[k] / np.linalg.norm(way) * way)
+                if self._takes(None if step is None else self._moved(model, step)):
                     step_mm[k] *= LONGER
-                    down = self._downhill(levels) if chosen[-1] == len(levels) - 1 else down
-                elif at_random:
+                    model = self._model()
+                    if model.levels.level.max(initial=-1) != count - 1:
+                        return
+                else:
                     step_mm[k] *= SHORTER
-            yield True
-            if len(merge_legs(self.corners)) < len(self.corners):
-                self.corners = merge_legs(self.corners)
-                levels = self._levels()
-                step_mm = np.full(len(levels) + 1, FIRST_MM)
-            at_random = not at_random
+
+    def _leave_out(self) -> Iterator[None]:
+        """Leaves out every level that the path does not need: a leg less, and its way."""
+        k = 0
+        while k < len(levels := self._inner_levels()):
+            first, last, joints = levels[k]
+            for beside in (first - 1, last):
+                yield
+                corners = self.corners.copy()
+                corners[first:last, joints] = corners[beside, joints]
+                if self._takes(corners):
+                    break
+            else:
+                k += 1
+
+    def _inner_levels(self) -> list[tuple[int, int, NDArray[np.bool_]]]:
+        """The first corner, that after the last, and the joints (m,) of each level but the goal's."""
+        levels, result = levels_of(self.checker, self.corners, moves_goal=False), []
+        for level in np.unique(levels.level):
+            moves = levels.spread[:, :, levels.level == level].sum(axis=2) > 0
+            rows = np.flatnonzero(moves.sum(axis=1))
+            result.append((int(rows[0]), int(rows[-1]) + 1, moves.sum(axis=0) > 0))
+        return result
+
+    def _divide(self) -> Iterator[None]:
+        """Lets half of the last leg but one follow the last, and half of the second precede the first, where that pays.
+
+        That is a level more at either end; between them there is one behind every leg.
+        """
+        for first, is_end in ((len(self.corners) - 3, True), (0, False)) if len(self.corners) > 2 else ():
+            yield
+            a, b, c = self.corners[first : first + 3]
+            moves = a != b if is_end else b != c  # the joints whose motion is divided
+            between = np.array([a, c] if is_end else [a, b])
+            between[:, moves] = ((a + b if is_end else b + c) / 2)[moves]
+            self._takes(np.concatenate([self.corners[: first + 1], between, self.corners[first + 2 :]]))
+
+    def _model(self) -> PathModel:
+        """The model of the best path so far."""
+        return self._model_of(self.corners, self.checker.known_walk(self.corners))
+
+    def _model_of(self, corners: Array, samples: PathSamples) -> PathModel:
+        levels = levels_of(self.checker, corners, moves_goal=self.moves_goal)
+        return PathModel(self.checker, corners, levels, list(self._contacts.along(corners, samples)))
+
+    def _takes_corrected(self, corners: Array | None) -> bool:
+        """Whether a path, corrected where it comes too close, is valid and costs less; then it is the path."""
+        for correction in range(1 + CORRECTIONS):
+            samples = None if corners is None else self._walked(corners)
+            if corners is None or samples is None:
+                return False
+            short_m = self.checker.limits.clearance_m - float(samples.clearance_m.min())
+            if short_m <= 0 or correction == CORRECTIONS:
+                return self._takes(corners)
+            if not short_m < ASTRAY_M:
+                return False
+            model = self._model_of(corners, samples)
+            step = model.nearest(np.zeros(model.size))
+            corners = None if step is None else self._moved(model, step)
+        return False
+
+    def _takes(self, corners: Array | None) -> bool:
+        """Whether a path is valid and costs less; then it is the path."""
+        if corners is None or self.checker.refusal(self._new_legs(corners)):
+            return False
+        cost_mm = self._cost_mm(corners)
+        if not cost_mm < self.cost_mm - LEAST_GAIN_MM:
+            return False
+        self.corners, self.cost_mm = merge_legs(corners), cost_mm
+        return True
 
     def _cost_mm(self, corners: Array) -> float:
-        if self.checker.refusal(self._new_legs(corners)):
+        samples = self._walked(corners)
+        if samples is None or not self._arrives(samples):
             return np.inf
-        motion = self.checker.along(corners, remembers=True)
+        motion = self.checker.judged(corners, samples)
         return self.checker.cost_mm(motion, ends_at_goal=True) if motion.valid else np.inf
+
+    def _walked(self, corners: Array) -> PathSamples | None:
+        """The walk of a path; None where limits or zero-clearance shapes along new legs refuse it."""
+        if not self.space.allowed(corners):
+            return None
+        if self.checker.rooms([self._new_legs(corners)])[0] < DEFINITE_COLLISION_M - ASTRAY_M:
+            return None
+        return self.checker.known_walk(corners)
+
+    def _arrives(self, samples: PathSamples) -> bool:
+        """Whether the frictionless tip at the end of a walk is at the goal, where that is a tip."""
+        goal = self.checker.scenario.goal
+        if goal.joints is not None or not self.moves_goal:
+            return True
+        target = tip_target(self.checker.scenario)
+        off_m = float(np.linalg.norm(samples.tip_m[-1] - target.tip_m))
+        turned_rad = float(angle_to(samples.tip_tangent[-1:], target.direction)[0])
+        return off_m <= goal.tolerance_m and turned_rad <= target.direction_tolerance_rad
 
     def _new_legs(self, corners: Array) -> Array:
         """The polyline (L, m) of a path's legs without those that begin or end the best path so far."""
@@ -106,142 +209,129 @@ class Polish:
         last = int((corners[-least:] == self.corners[-least:]).all(axis=1)[::-1].cumprod().sum())
         return corners[max(0, first - 1) : max(first, len(corners) - last) + 1]
 
-    def _takes(self, corners: Array) -> bool:
-        """Whether a path is valid and costs less; then it is the path."""
-        cost_mm = self._cost_mm(corners)
-        if cost_mm >= self.cost_mm - LEAST_GAIN_MM:
-            return False
-        self.corners, self.cost_mm = corners, cost_mm
-        return True
+    def _moved(self, model: PathModel, step: Array) -> Array | None:
+        """The model's path after a step (X,), the tip on the target; None where it can't be, or limits forbid it."""
+        corners = model.corners + model.levels.spread @ step / self.space.weights_mm
+        if model.levels.has_goal:
+            back = self._brought_back(model, corners[-1])
+            if back is None:
+                return None
+            is_goal = model.levels.level == model.levels.level[-1]
+            corners = corners + model.levels.spread[:, :, is_goal].sum(axis=2) * (back - corners[-1])
+        return corners if self.space.allowed(corners) else None
 
-    def _levels(self) -> list[Level]:
-        """Levels that may move, in order; those of the goal come last and are one."""
-        levels, ends, count = list[Level](), np.zeros(self.corners.shape[1], dtype=bool), len(self.corners)
-        begins = count
-        for kind in (self.space.drive.is_rotation, ~self.space.drive.is_rotation):
-            changes = 1 + np.flatnonzero(np.any(np.diff(self.corners[:, kind], axis=0) != 0, axis=1))
-            if len(changes):
-                levels += [Level(kind, a, b) for a, b in zip(changes[:-1].tolist(), changes[1:].tolist(), strict=True)]
-                ends, begins = ends | kind, min(begins, int(changes[-1]))
-        has_spare = int(ends.sum()) > 3  # joints: three of them hold the tip
-        if has_spare and self.moves_goal and self.checker.scenario.goal.joints is None:
-            levels.append(Level(ends, begins, count))
-        return levels
-
-    def _leave_out(self) -> Iterator[bool]:
-        """Leaves out every level that the path does not need: a leg less, and its way."""
-        k = 0
-        while k < len(levels := [level for level in self._levels() if level.last < len(self.corners)]):
-            for beside in (levels[k].first - 1, levels[k].last):
-                yield False
-                corners = self.corners.copy()
-                corners[levels[k].first : levels[k].last, levels[k].joints] = corners[beside, levels[k].joints]
-                if self._takes(merge_legs(corners)):
-                    break
-            else:
-                k += 1
-
-    def _divide(self) -> Iterator[bool]:
-        """Lets half of the last leg but one follow the last, and half of the second precede the first, where that pays.
-
-        That is a level more at either end; between them there is one behind every leg.
-        """
-        for first, is_end in ((len(self.corners) - 3, True), (0, False)) if len(self.corners) > 2 else ():
-            yield False
-            a, b, c = self.corners[first : first + 3]
-            moves = a != b if is_end else b != c  # the joints whose motion is divided
-            between = np.array([a, c] if is_end else [a, b])
-            between[:, moves] = ((a + b if is_end else b + c) / 2)[moves]
-            self._takes(merge_legs(np.concatenate([self.corners[: first + 1], between, self.corners[first + 2 :]])))
-
-    def _downhill(self, levels: list[Level]) -> list[Array]:
-        """For each level the motion (m,) by which the cost falls fastest, 1 mm long; zero where it can't fall."""
-        results = []
-        for level in levels:
-            uphill = sum(self._pull(kind, level) for kind in self._kinds(level))
-            if level.last == len(self.corners):
-                uphill = self._across_the_goal(uphill + self._goal_error(level), level)
-            results.append(self._unit(-np.asarray(uphill)))
-        return results
-
-    def _kinds(self, level: Level) -> Iterator[NDArray[np.bool_]]:
-        rotation = self.space.drive.is_rotation
-        return (kind for kind in (rotation, ~rotation) if (kind & level.joints).any())
-
-    def _pull(self, kind: NDArray[np.bool_], level: Level) -> Array:
-        """(m,) derivative of the length by a level's joints of one kind, all weighted to mm."""
-        weights = np.where(kind & level.joints, self.space.weights_mm, 0.0)
-        last = level.last == len(self.corners)
-        first = self._begin(kind) if last else level.first
-        before = self._unit_weighted((self.corners[first] - self.corners[first - 1]) * weights)
-        after = 0.0 if last else self._unit_weighted((self.corners[level.last] - self.corners[first]) * weights)
-        pull: Array = self.checker.scenario.cost.path * (before - after)
-        return pull
-
-    def _begin(self, kind: NDArray[np.bool_]) -> int:
-        """The corner at which joints of a kind reach the goal's values."""
-        return 1 + int(np.flatnonzero(np.any(np.diff(self.corners[:, kind], axis=0) != 0, axis=1))[-1])
-
-    def _goal_error(self, level: Level) -> Array:
-        """(m,) derivative of what the worst case at the goal costs, weighted."""
-        weight = self.checker.scenario.cost.error_goal * MM_PER_M
-        slopes = bound_slopes(self.checker, self.corners[-1:])
-        self._slopes = slopes
-        by: Array = weight * np.where(level.joints, slopes.bound_by[0], 0.0) / self.space.weights_mm
-        return by
-
-    def _across_the_goal(self, motion: Array, level: Level) -> Array:
-        """What of a weighted motion (m,) of the goal's joints leaves the tip where it is, to first order."""
-        by = np.where(level.joints, self._slopes.tip_by[0], 0.0) / self.space.weights_mm
-        across: Array = motion - np.linalg.pinv(by, RANK) @ (by @ motion)
-        return np.where(level.joints, across, 0.0)
-
-    def _random(self, levels: list[Level], down: list[Array]) -> list[Array]:
-        """Motions (m,) like `down` in random directions."""
-        results = []
-        for level in levels:
-            motion = np.where(level.joints, self._rng.normal(size=len(down[0])), 0.0)
-            results.append(
-                self._unit(self._across_the_goal(motion, level) if level.last == len(self.corners) else motion)
-            )
-        return results
-
-    def _moved(self, levels: list[Level], motions: list[Array | None]) -> Array | None:
-        """The path with levels moved; None where the tip cannot be brought back, or limits forbid it."""
-        corners = self.corners.copy()
-        for level, motion in zip(levels, motions, strict=True):
-            if motion is None or not motion.any():
-                continue
-            values = corners[level.last - 1] + motion
-            if level.last == len(corners):
-                back = self._brought_back(values)
-                if back is None:
-                    return None
-                values = back
-                for kind in self._kinds(level):
-                    corners[self._begin(kind) :, kind] = values[kind]
-            else:
-                corners[level.first : level.last, level.joints] = values[level.joints]
-        same = np.array_equal(corners, self.corners)
-        return None if same or not self.space.allowed(corners) else corners
-
-    def _brought_back(self, q: Array) -> Array | None:
-        """Joint values (m,) near q with the tip on the target, of as little error; None where there are none."""
-        end, target = self.corners[-1], tip_target(self.checker.scenario)
-        aim = self.solver.tips(end[None])[0] + target.tip_m - self._slopes.tip_m
+    def _brought_back(self, model: PathModel, q: Array) -> Array | None:
+        """Joint values (m,) near q with the tip on the target; None where they stray beyond limits."""
+        end, target = model.corners[-1], tip_target(self.checker.scenario)
+        aim = self.solver.tips(end[None])[0] + target.tip_m - model.slopes.tip_m
         if not np.isfinite(aim).all():
             return None
         start = self.space.projected(q[None], fallback=end[None])
-        back = self.solver.solve(TipTarget(aim), start, TIP_STEPS, turned=False).joints[0]
         self.checker.meter.add(ROOM_NS * TIP_STEPS)
-        return back if np.isfinite(goal_state(self.checker, back).bound_m) else None
+        back: Array = self.solver.solve(TipTarget(aim), start, TIP_STEPS, turned=False).joints[0]
+        return back
 
-    def _unit(self, weighted: Array) -> Array:
-        """(m,) rad or m, 1 mm long."""
-        return self._unit_weighted(weighted) / self.space.weights_mm
 
-    @staticmethod
-    def _unit_weighted(weighted: Array) -> Array:
-        size = float(np.linalg.norm(weighted))
-        unit: Array = weighted / size if size > 0 else weighted
-        return unit
+@dataclass(eq=False)
+class Race:
+    """Polishes paths of a roadmap to different goal states, each as it will be driven."""
+
+    roadmap: RoadmapSearch
+    expanded: Callable[[Array], Array]  # corners (K, m) of the motions through states
+    seed: int
+    is_compensated: bool  # whether paths are moved in the end, so that the tip with friction arrives
+    moves_goal: bool  # whether others than the roadmap's goal states will do
+    racers: list[Polish] = field(default_factory=list)
+    begun: list[tuple[float, MotionChecker, Array]] = field(default_factory=list)  # costs and paths when they moved on
+
+    def run(self, now: Callable[[], float], until: float, is_over: Callable[[float], bool]) -> None:
+        """Polishes until then: paths to the most promising goals for a turn each, then the cheapest to its end.
+
+        A next path is sought for no longer than a turn.
+        """
+        turn = (until - now()) / TURNS
+        half = until - turn * TURNS / 2
+        for goal in self.roadmap.promising_goals():
+            known, latest = self.roadmap.known_path(goal), min(half, now() + turn)
+            states = known.states if known else self.roadmap.path_to(goal, partial(is_over, latest))
+            if is_over(half):
+                break
+            if states is not None and (racer := self._begun(self.expanded(states))):
+                racer.run(partial(is_over, now() + turn))
+        for racer in sorted(self.racers, key=lambda racer: racer.cost_mm):
+            if not is_over(until) and np.isfinite(racer.cost_mm):
+                moved = self._moved_on(racer)
+                self.begun.append((moved.cost_mm, moved.checker, moved.corners))
+                moved.run(partial(is_over, until))
+                self.racers += [moved] if moved is not racer else []
+
+    def _moved_on(self, racer: Polish) -> Polish:
+        """A racer that goes on where compensation leads from its path, reached by small shifts; itself where none does.
+
+        A path that was polished is at its limits, and friction at its end may have turned round.
+        """
+        back = self._back(racer.checker, racer.corners)
+        driven = None if back is None or back is racer.corners else self._driven(self.roadmap.checker, back)
+        if driven is None:
+            return racer
+        there, moved = driven[0].scenario.goal, racer
+        here_m, goal_m = racer.checker.scenario.goal.tip_m, there.tip_m
+        assert here_m is not None and goal_m is not None, "it is compensated"
+        count = int(np.ceil(np.linalg.norm(goal_m - here_m) / SHIFT_M))
+        for k in range(1, count + 1):
+            goal = replace(there, tip_m=here_m + k / count * (goal_m - here_m))
+            checker = self._checker(self.roadmap.checker.reserve_m, goal)
+            path = brought_to_goal(checker, moved.corners)
+            if path is None:
+                return racer
+            moved = Polish(checker, path, self.seed, moves_goal=self.moves_goal)
+            if not moved.put_right():
+                return racer
+        return moved
+
+    def cost_mm(self, corners: Array, reserve_m: float) -> float:
+        """What a path (K, m) costs as it is driven; infinite where it can't be."""
+        driven = self._driven(self._checker(reserve_m), corners)
+        motion = driven and driven[0].along(driven[1])
+        return driven[0].cost_mm(motion, ends_at_goal=True) if driven and motion and motion.valid else np.inf
+
+    def results(self) -> Iterator[tuple[Array, float]]:
+        """Polished paths (K, m) to the goal, and what they cost as they are driven; the cheapest first."""
+        ends = [(racer.cost_mm, racer.checker, racer.corners) for racer in self.racers]
+        for cost_mm, checker, corners in sorted([*ends, *self.begun], key=lambda end: end[0]):
+            back = self._back(checker, corners) if np.isfinite(cost_mm) else None
+            if back is corners:
+                yield back, cost_mm
+            elif back is not None:  # compensation goes a little another way from there
+                yield back, self.cost_mm(back, RESERVE_LEFT * self.roadmap.checker.reserve_m)
+
+    def _checker(self, reserve_m: float, goal: Goal | None = None) -> MotionChecker:
+        """The roadmap's checker with another reserve or another goal."""
+        checker = self.roadmap.checker
+        if reserve_m == checker.reserve_m and goal is None:
+            return checker
+        scenario = replace(checker.scenario, goal=goal or checker.scenario.goal)
+        other = MotionChecker(scenario, checker.style, checker.meter, reserve_m)
+        other.watch = checker.watch
+        return other
+
+    def _begun(self, corners: Array) -> Polish | None:
+        """A racer that has yet to run, from a path (K, m) to the goal."""
+        driven = self._driven(self.roadmap.checker, corners)
+        if driven is None:
+            return None
+        self.racers.append(Polish(*driven, self.seed, moves_goal=self.moves_goal))
+        return self.racers[-1]
+
+    def _driven(self, checker: MotionChecker, corners: Array) -> tuple[MotionChecker, Array] | None:
+        """A path (K, m) as it is compensated, and a checker with its goal there; None where it can't be."""
+        goal = checker.scenario.goal
+        if not self.is_compensated or goal.tip_m is None or goal.joints is not None or goal.line_m is not None:
+            return checker, corners
+        there, moved = aimed(checker, corners)
+        return None if there is checker else (there, moved)
+
+    def _back(self, checker: MotionChecker, corners: Array) -> Array | None:
+        """A path (K, m) to the roadmap's goal which compensation moves to about a path to a checker's; None without."""
+        own = self.roadmap.checker
+        return corners if checker is own else brought_to_goal(own, corners)

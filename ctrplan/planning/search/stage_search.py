@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property
 
 import numpy as np
 
@@ -22,12 +22,11 @@ from ctrplan.drive.legs import merge_legs
 from ctrplan.errors import NoAnswerError
 from ctrplan.motion.checker import MotionChecker
 from ctrplan.motion.limits import path_limits
-from ctrplan.planning.compensate import aimed, brought_to_goal
 from ctrplan.planning.goal_states import descended, distinct
 from ctrplan.planning.reordering import Reordered, as_given, least_error_order
 from ctrplan.planning.search.insertion_chains import direct_roadmap, retreat_roadmap
 from ctrplan.planning.search.ompl_set_up import SearchProblem
-from ctrplan.planning.search.polish import Polish
+from ctrplan.planning.search.polish import Race
 from ctrplan.planning.search.roadmap_search import RoadmapSearch
 from ctrplan.scenario.tip_solver import GoalState
 
@@ -143,60 +142,23 @@ class StageSearch:
         before, until = self.best, self.clock.now() + POLISH_SHARE * self.budget
         if self.clock.timed:
             until = min(until, self.budget)
-        racers, begun_mm = list[Polish](), before.cost_mm
+        race = Race(roadmap, self._expanded, self.seed, self.is_compensated, self.moves_goal)
+        driven_mm = np.inf
         with self._ending(until):
-            if driven := self._as_driven(before.checker, before.corners):
-                begun_mm = driven[0].cost_mm(driven[0].along(driven[1]), ends_at_goal=True)
-            self._race(racers, roadmap, until)
-        for racer in sorted(racers, key=lambda racer: racer.cost_mm):
-            checker, polished, cost_mm, reached_mm = roadmap.checker, racer.corners, None, racer.cost_mm
-            if self._is_enough() or not begun_mm - reached_mm > WORTH_A_CERTIFICATE * begun_mm:
+            driven_mm = race.cost_mm(before.corners, roadmap.checker.reserve_m)
+            race.run(self.clock.now, until, self._is_over)
+        begun_mm = driven_mm if np.isfinite(driven_mm) else before.cost_mm
+        for corners, cost_mm in race.results():
+            if self._is_enough():
                 break
-            if racer.checker is not checker:
-                back = brought_to_goal(checker, racer.corners)
-                driven = None if back is None else self._as_driven(checker, back)
-                if back is None or driven is None:
-                    continue
-                polished, (there, moved) = back, driven  # from there compensation goes another way
-                reached_mm = there.cost_mm(there.along(moved), ends_at_goal=True)
-                cost_mm = before.cost_mm - (begun_mm - reached_mm)
-                if not begun_mm - reached_mm > WORTH_A_CERTIFICATE * begun_mm:
-                    continue
-            if not self._tidied(checker, polished, ROADMAP, as_driven_mm=cost_mm):
+            if not begun_mm - cost_mm > WORTH_A_CERTIFICATE * begun_mm:
+                continue
+            as_driven_mm = before.cost_mm - (begun_mm - cost_mm) if self.is_compensated else None
+            if not self._tidied(roadmap.checker, corners, ROADMAP, as_driven_mm=as_driven_mm):
                 return True
             if self._is_over(self.budget):
                 break
         return False
-
-    def _as_driven(self, checker: MotionChecker, corners: Array) -> tuple[MotionChecker, Array] | None:
-        """A path (K, m) as it is compensated, and a checker with its goal there; None where that has no room."""
-        goal = checker.scenario.goal
-        if not self.is_compensated or goal.tip_m is None or goal.joints is not None or goal.line_m is not None:
-            return checker, corners
-        there, moved = aimed(checker, corners)
-        return None if there is checker else (there, moved)
-
-    def _race(self, racers: list[Polish], roadmap: RoadmapSearch, until: float) -> None:
-        """Polishes paths to promising goals that can be compensated, and puts them into `racers`.
-
-        Half of the time is for a round of each, and for seeking the next no longer than a round took; the rest
-        for the cheapest then.
-        """
-        round_s = half = latest = (self.clock.now() + until) / 2
-        for goal in roadmap.promising_goals():
-            known = roadmap.known_path(goal)
-            states = known.states if known else roadmap.path_to(goal, partial(self._is_over, latest))
-            if self._is_over(half):
-                break
-            began = self.clock.now()
-            driven = None if states is None else self._as_driven(roadmap.checker, self._expanded(states))
-            if driven:
-                racers.append(Polish(*driven, self.seed, moves_goal=self.moves_goal))
-                racers[-1].run_round(partial(self._is_over, until))
-                round_s = self.clock.now() - began
-            latest = min(half, self.clock.now() + round_s)
-        for racer in sorted(racers, key=lambda racer: racer.cost_mm):
-            racer.run(partial(self._is_over, until))
 
     def _without_reserve(self) -> None:
         """No path keeps more clearance than the certificate asks for: what keeps no more is looked for."""
