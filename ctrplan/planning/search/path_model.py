@@ -205,14 +205,14 @@ class PathModel:
         return rows, np.where(room_mm < 0, spared_mm, np.maximum(spared_mm, 0.0))
 
     def _of_nesting(self) -> tuple[Array, Array]:
-        """The same of the tubes' nesting at every corner."""
+        """Rows (R, X) and room (R,) [mm] of the tubes' nesting at every corner."""
         (slope, room), weights_mm = self._space.nesting_rules, self._space.weights_mm
         rows = MM_PER_M * np.einsum("rm,kmx->krx", slope / weights_mm, self.levels.spread)
         left_mm = MM_PER_M * (room - self.corners @ slope.T)
         return rows.reshape(left_mm.size, self.size), np.maximum(left_mm.reshape(-1), 0.0)
 
     def _of_joints(self) -> tuple[Array, Array]:
-        """The same of the joints' limits at every corner."""
+        """Rows (R, X) and room (R,) [mm] of the joints' limits at every corner."""
         drive, rows = self._space.drive, self.levels.spread.reshape(self.corners.size, self.size)
         left = np.stack([drive.upper - self.corners, self.corners - drive.lower]) * self._space.weights_mm
         room_mm = left.reshape(-1)
