@@ -121,8 +121,9 @@ def test_solved_states_refuse_what_interpolated_ones_leave(
     way = np.array([q, q + np.radians(0.5) * scenario.robot.drive.is_rotation])
     walked = checker.walk(way, checker.density, PathLimits())
     enough = replace(walked, clearance_m=np.full_like(walked.clearance_m, checker.limits.clearance_m))
-    monkeypatch.setattr(checker, "_walked", lambda _: enough)
-    assert "friction allows" in checker.along(way).reason
+    with monkeypatch.context() as patch:
+        patch.setattr(checker, "walk", lambda *_: enough)
+        assert "friction allows" in checker.along(way).reason
     samples = checker.walk(q[None], checker.density, PathLimits())
     sample = replace(samples.at_end(), clearance_m=np.array([checker.limits.clearance_m]))  # interpolated: just enough
     assert "friction allows" in checker._too_close_between(q, sample)
