@@ -16,7 +16,7 @@ from ctrplan.files.scenario_file import load_scenario
 from ctrplan.motion.checker import MotionChecker
 from ctrplan.planning.compensate import CLOSE_M, aimed, brought_to_goal
 from ctrplan.planning.goal_states import goal_state
-from ctrplan.planning.search.path_model import Contacts, PathModel, levels_of
+from ctrplan.planning.search.path_model import NearPlaces, PathModel, levels_of
 from ctrplan.planning.search.polish import Polish
 from ctrplan.scenario.joint_space import bare_scenario
 from ctrplan.scenario.prediction import predict_end, start_states
@@ -88,7 +88,7 @@ def test_contacts_agree_with_differences_of_what_is_left(beside: MotionChecker) 
     """
     path, weights_mm = roundabout(), beside.space.weights_mm
     samples = replace(beside.known_walk(path), nearest_phi=np.zeros((0, 2)))  # shapes of corners alone
-    contacts = list(Contacts(beside).along(path, samples))
+    contacts = list(NearPlaces(beside).along(path, samples))
     levels = levels_of(beside, path, moves_goal=True)
     model = PathModel(beside, path, levels, contacts)
     assert contacts and {contact.leg for contact in contacts} >= {1, 2, 3}
@@ -107,7 +107,7 @@ def test_contacts_agree_with_differences_of_what_is_left(beside: MotionChecker) 
 
 def test_a_step_stays_within_what_the_model_limits_and_leaves_the_tip(beside: MotionChecker) -> None:
     path = roundabout()
-    contacts = list(Contacts(beside).along(path, beside.known_walk(path)))
+    contacts = list(NearPlaces(beside).along(path, beside.known_walk(path)))
     model = PathModel(beside, path, levels_of(beside, path, moves_goal=True), contacts)
     for step in (model.step(0.05), model.step(1.0), model.nearest(np.ones(model.size))):
         assert step is not None and (model.rows @ step <= model.room_mm + 1e-9).all()

@@ -28,11 +28,11 @@ NEAR_M = 1e-3  # room at a place beyond which no motion worth a linear model tak
 ALIKE_M = 0.15e-3  # of room between shapes of a place: those with more than the nearest have by so much are left out
 SPARE_MM = 0.03  # of room kept, so that what is left out, second order and places between samples, does not refuse
 SHORT_MM = 0.5  # of a leg, below which its length is taken to change as that of one as long
-CONTACT_SOLVES = 3  # times the work of solving a state, that solving it with derivatives of its near shapes takes
+PLACE_SOLVES = 3  # times the work of solving a state, that solving it with derivatives of its near shapes takes
 
 
 @dataclass(frozen=True, eq=False)
-class Contact:
+class NearPlace:
     """A place of a path where a shape is near the anatomy."""
 
     leg: int
@@ -73,15 +73,15 @@ def levels_of(checker: MotionChecker, corners: Array, *, moves_goal: bool) -> Le
     return Levels(spread, np.repeat(np.arange(len(counts)), counts), has_goal)
 
 
-class Contacts:
+class NearPlaces:
     """Solves places of paths with derivatives, and remembers them."""
 
     def __init__(self, checker: MotionChecker) -> None:
         """Nothing is solved yet."""
         self._checker, self._known = checker, dict[bytes, list[tuple[float, Array]]]()
 
-    def along(self, corners: Array, samples: PathSamples) -> Iterator[Contact]:
-        """Contacts where a walk of a path (K, m) has least room on its way, if that is less than NEAR_M."""
+    def along(self, corners: Array, samples: PathSamples) -> Iterator[NearPlace]:
+        """Places where a walk of a path (K, m) has least room on its way, if that is less than NEAR_M."""
         if self._checker.field is None:
             return
         room_m = samples.clearance_m - self._checker.limits.clearance_m
@@ -95,7 +95,7 @@ class Contacts:
                 near = self._at(q, samples.nearest_phi[row] if samples.nearest_phi.size else None)
                 least = min((room_mm for room_mm, _ in near), default=0.0)
                 off_mm = float(room_m[row]) * MM_PER_M - least  # of interpolated shapes
-                yield from (Contact(leg, fraction, room_mm + off_mm, by) for room_mm, by in near)
+                yield from (NearPlace(leg, fraction, room_mm + off_mm, by) for room_mm, by in near)
 
     def _at(self, q: Array, phi: Array | None) -> list[tuple[float, Array]]:
         """Rooms [mm] of body points at q (m,) that have less than those beside them, and how joints (m,) change them.
@@ -113,7 +113,7 @@ class Contacts:
         grid, spacing_m, needed_m = anatomy_grid(scenario), checker.density.point_spacing_m, checker.limits.clearance_m
         assert grid is not None, "there is a field"
         checker.watch.ask()
-        checker.meter.add(CONTACT_SOLVES * checker.solved_ns)
+        checker.meter.add(PLACE_SOLVES * checker.solved_ns)
         pairs, (theta_b, l_b) = mechanics.n - 1, checker.space.drive.collars(q)
         states = np.vstack([np.zeros(pairs), corner_signs(pairs)])
         if phi is not None and np.isfinite(phi).all():
@@ -147,11 +147,11 @@ def _lowest(values: Array) -> NDArray[np.intp]:
 class PathModel:
     """What motions x (X,) [mm] of a path's levels do: quadratic for its cost, linear for all that is limited."""
 
-    def __init__(self, checker: MotionChecker, corners: Array, levels: Levels, contacts: list[Contact]) -> None:
-        """`corners` (K, m); contacts as they are there."""
+    def __init__(self, checker: MotionChecker, corners: Array, levels: Levels, places: list[NearPlace]) -> None:
+        """`corners` (K, m); places as they are there."""
         self._checker, self._space, self._cost = checker, checker.space, checker.scenario.cost
         self.corners, self.levels, self.size = corners, levels, levels.spread.shape[2]
-        limits = [self._of_contacts(contacts), self._of_nesting(), self._of_joints()]
+        limits = [self._of_places(places), self._of_nesting(), self._of_joints()]
         self.rows, self.room_mm = (np.concatenate(parts) for parts in zip(*limits, strict=True))
         kept = np.any(self.rows != 0, axis=1)  # no motion puts the others right
         self.rows, self.room_mm = self.rows[kept], self.room_mm[kept]
@@ -194,13 +194,13 @@ class PathModel:
         _, values, turned = np.linalg.svd(by)
         return np.asarray(turned[int(np.sum(values > RANK * values[0])) :].T)
 
-    def _of_contacts(self, contacts: list[Contact]) -> tuple[Array, Array]:
+    def _of_places(self, places: list[NearPlace]) -> tuple[Array, Array]:
         """Rows (R, X) and room (R,) [mm] of clearance."""
-        spread, rows = self.levels.spread, np.zeros((len(contacts), self.size))
-        for row, contact in zip(rows, contacts, strict=True):
-            ends = (1 - contact.fraction) * spread[contact.leg] + contact.fraction * spread[contact.leg + 1]
-            row[:] = -contact.by_joints @ ends
-        room_mm = np.array([contact.room_mm for contact in contacts])
+        spread, rows = self.levels.spread, np.zeros((len(places), self.size))
+        for row, place in zip(rows, places, strict=True):
+            ends = (1 - place.fraction) * spread[place.leg] + place.fraction * spread[place.leg + 1]
+            row[:] = -place.by_joints @ ends
+        room_mm = np.array([place.room_mm for place in places])
         spared_mm = room_mm - SPARE_MM
         return rows, np.where(room_mm < 0, spared_mm, np.maximum(spared_mm, 0.0))
 

@@ -22,7 +22,7 @@ from ctrplan.mechanics.walk import PathSamples
 from ctrplan.motion.checker import ASTRAY_M, DEFINITE_COLLISION_M, MotionChecker
 from ctrplan.planning.compensate import aimed, brought_to_goal
 from ctrplan.planning.goal_states import FIRST_MM, LEAST_MM, LONGER, SHORTER, TIP_STEPS
-from ctrplan.planning.search.path_model import Contacts, PathModel, levels_of
+from ctrplan.planning.search.path_model import NearPlaces, PathModel, levels_of
 from ctrplan.planning.search.roadmap_search import RoadmapSearch
 from ctrplan.scenario.scenario import Goal
 from ctrplan.scenario.tip_solver import TipSolver, TipTarget, angle_to, tip_target
@@ -46,7 +46,7 @@ class Polish:
         self.solver = TipSolver(checker.space, checker.mechanics, checker.watch)
         self.corners, self.cost_mm = merge_legs(corners), np.inf
         self.cost_mm = self._cost_mm(self.corners)
-        self._contacts, self._rng = Contacts(checker), np.random.default_rng(seed)
+        self._near, self._rng = NearPlaces(checker), np.random.default_rng(seed)
         self._stray_mm = np.zeros(0)  # lengths of random steps of each level, and of all together
         self._work = self._steps()
 
@@ -149,7 +149,7 @@ class Polish:
 
     def _model_of(self, corners: Array, samples: PathSamples) -> PathModel:
         levels = levels_of(self.checker, corners, moves_goal=self.moves_goal)
-        return PathModel(self.checker, corners, levels, list(self._contacts.along(corners, samples)))
+        return PathModel(self.checker, corners, levels, list(self._near.along(corners, samples)))
 
     def _takes_corrected(self, corners: Array | None) -> bool:
         """Whether a path, corrected where it comes too close, is valid and costs less; then it is the path."""
