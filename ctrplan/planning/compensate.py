@@ -19,6 +19,7 @@ from ctrplan.certificate.arrival import Arrival, beside_nominal, friction_varian
 from ctrplan.certificate.certificate import Certificate, CertificateSamples
 from ctrplan.certificate.certify import finished, frictionless_arrives
 from ctrplan.certificate.walked_legs import walk_legs
+from ctrplan.drive.drive import JOINT_ROUNDING
 from ctrplan.mechanics.history import HistoryState
 from ctrplan.motion.checker import MotionChecker
 from ctrplan.planning.endings import settled_again
@@ -45,7 +46,6 @@ LOOKED_AT = 4  # places between corners of a line, a budget
 CLOSE_M = 0.02e-3  # of the predicted tip to the target; better than histories are simulated
 REFINED = 2  # times that the middle over all coefficients of friction is looked at again, a budget
 LONGEST_STEP_MM = 10.0  # of joint length
-AT_LIMIT = 1e-9  # rad or m from a joint's limit; rounding
 SHARES = (0.5, 0.25)  # of a correction, tried where no whole one is certified
 MOST_WAYS = 3 + len(SHARES)
 
@@ -143,7 +143,7 @@ def _corrected_once(
 def _is_at_limit(checker: MotionChecker, joints: Array, delta: Array) -> bool:
     """Whether a joint that a correction moved stands at its limit."""
     drive = checker.space.drive
-    stands = np.isclose(joints, drive.lower, atol=AT_LIMIT) | np.isclose(joints, drive.upper, atol=AT_LIMIT)
+    stands = np.any(np.isclose(joints, [drive.lower, drive.upper], atol=JOINT_ROUNDING), axis=0)
     return bool(np.any(stands & (delta != 0)))
 
 

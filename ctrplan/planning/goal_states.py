@@ -26,7 +26,7 @@ from ctrplan.errors import InputError, NoAnswerError
 from ctrplan.mechanics.equilibria import SAME_SHAPE_M, branches, is_unique
 from ctrplan.mechanics.shapes import Status
 from ctrplan.motion.checker import DEFINITE_COLLISION_M, MotionChecker
-from ctrplan.planning.reach import Configuration, Reach, bound_slopes, configuration, distinct_rows, reach
+from ctrplan.planning.reach import SHORTER, Configuration, Reach, bound_slopes, configuration, distinct_rows, reach
 from ctrplan.planning.room import refuse_blocked_target
 from ctrplan.scenario.joint_space import JointSpace
 from ctrplan.scenario.scenario import Goal
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 STEPS = 12
 FIRST_MM, LEAST_MM = 20.0, 0.5  # of joint length: the first step, and where a state is as good as down
-LONGER, SHORTER = 1.5, 0.5  # the next step, after one that led lower and after one that did not
+LONGER = 1.5  # the next step, after one that led lower
 MIN_PROGRESS = 0.995  # of the bound, below which a step leads lower
 TIP_STEPS = 6  # of inverse kinematics, which bring the tip back after each
 FLAT = 1e-6  # share of the bound's derivatives that joints can follow without moving the tip
@@ -253,7 +253,7 @@ def turn_notes(scenario: Scenario, ends: Sequence[Array]) -> tuple[str, ...]:
 
 
 SPACING_M = 2e-3  # of the points that are solved for
-CORRECTIONS = 3  # of the zero-clearance target, so that the frictionless tip with clearance arrives
+CORRECTIONS = 3  # of what a simpler model aimed at: each leaves a quarter or less of the error; a budget
 SHARE = 0.5  # of the tolerance that points on the line, and straight legs between them, may use each
 BETWEEN = 5  # places of a leg that are looked at
 MOST_BEGINNINGS = 6

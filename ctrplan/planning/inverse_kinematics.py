@@ -20,6 +20,7 @@ from ctrplan.motion.checker import MotionChecker
 from ctrplan.motion.limits import breach, path_limits
 from ctrplan.planning.reach import (
     REFINED_SHARE,
+    SHORTER,
     Configuration,
     Reach,
     closer_by_joints,
@@ -185,7 +186,6 @@ TrackStatus = Literal["reached", "limited", "shortened", "stopped"]
 STEP_S = 0.05  # between steps at 20 Hz
 LOOKS, HEADWAY = 4, 0.7  # by a known history, before a way is walked, while each leaves at most that share of the last
 ATTEMPTS = 2  # at a step, of which those after the first one correct what the tip and the body did
-SHORTER = 0.5  # of a motion, where it should keep the limits by what a straight line says
 
 
 @shown

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrplan.base.arrays import MM_PER_M, Array
+from ctrplan.base.arrays import MM_PER_M, TINY, Array
 from ctrplan.base.long_work import SearchWatch
 from ctrplan.mechanics.core import Mechanics
 from ctrplan.mechanics.shapes import Status
@@ -29,7 +29,6 @@ ITERATIONS = 25
 STALL_STEPS, MIN_PROGRESS = 6, 0.8  # steps after which the distance must have fallen to this share
 PASSES = 3  # each holds the limits that the step before it broke
 NO_STEP_M = 1e-7  # of weighted joint length, that changes nothing
-ROUNDING = 1e-12  # what is left of 1 where nothing is
 LONGEST_STEP_M = 30e-3  # of weighted joint length
 DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-4, 1e-7, 1e4  # beside the squared singular values, m per m
 M_PER_RAD = 20e-3  # weight of the tip's direction against its position
@@ -348,7 +347,7 @@ def least_within(curvature: Array, slope: Array, rows: Array, room: Array) -> Ar
     turned = -solve_triangular(upper, rows.T, trans="T")
     weights, _ = nnls(np.vstack([turned, over / scale]), np.append(np.zeros(len(free)), 1.0))
     rest = 1 - over @ weights / scale  # nothing where no x is within room
-    return None if rest < ROUNDING else np.asarray(free + scale / rest * solve_triangular(upper, turned @ weights))
+    return None if rest < TINY else np.asarray(free + scale / rest * solve_triangular(upper, turned @ weights))
 
 
 def angle_to(tangent: Array, direction: Array | None) -> Array:

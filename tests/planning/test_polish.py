@@ -81,11 +81,16 @@ def beside(case: Scenario) -> MotionChecker:
     return MotionChecker(replace(case, anatomy=(AnatomyPart(Sphere(centre, 15e-3), "avoid", 0.0),)), reserve_m=0.0)
 
 
-def test_contacts_agree_with_differences_of_what_is_left(beside: MotionChecker) -> None:
-    """What the model says of each contact's room, beside the place solved again a little farther on.
+@pytest.mark.parametrize("turn", [np.eye(3), np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])])
+def test_near_places_agree_with_differences_of_what_is_left(beside: MotionChecker, turn: Array) -> None:
+    """What the model says of each place's room, beside the place solved again a little farther on, whatever the base.
 
     Distances of the model are a grid's, whose slope differs by some per cent from the ball's.
     """
+    ball = beside.scenario.anatomy[0].shape
+    assert isinstance(ball, Sphere)
+    turned = (AnatomyPart(Sphere(turn @ ball.center_m, ball.radius_m), "avoid", 0.0),)
+    beside = MotionChecker(replace(beside.scenario, base_R=turn, anatomy=turned), reserve_m=0.0)
     path, weights_mm = roundabout(), beside.space.weights_mm
     samples = replace(beside.known_walk(path), nearest_phi=np.zeros((0, 2)))  # shapes of corners alone
     contacts = list(NearPlaces(beside).along(path, samples))
@@ -107,7 +112,13 @@ def test_contacts_agree_with_differences_of_what_is_left(beside: MotionChecker) 
 
 def test_a_step_stays_within_what_the_model_limits_and_leaves_the_tip(beside: MotionChecker) -> None:
     path = roundabout()
-    contacts = list(NearPlaces(beside).along(path, beside.known_walk(path)))
+    walked = beside.known_walk(path)
+    walked = replace(walked, clearance_m=walked.clearance_m - 0.05e-3)  # as where an interpolated shape is nearest
+    contacts = list(NearPlaces(beside).along(path, walked))
+    for contact in contacts:  # the nearest shape there counts as the walk's
+        at = (walked.segment == contact.leg) & (walked.fraction == contact.fraction)
+        least = min(c.room_mm for c in contacts if (c.leg, c.fraction) == (contact.leg, contact.fraction))
+        assert least == pytest.approx(float(walked.clearance_m[at][0] - beside.limits.clearance_m) * MM_PER_M)
     model = PathModel(beside, path, levels_of(beside, path, moves_goal=True), contacts)
     for step in (model.step(0.05), model.step(1.0), model.nearest(np.ones(model.size))):
         assert step is not None and (model.rows @ step <= model.room_mm + 1e-9).all()

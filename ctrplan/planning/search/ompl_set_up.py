@@ -14,6 +14,7 @@ from ompl import util as ou
 
 from ctrplan.base.arrays import Array
 from ctrplan.base.long_work import ASKED_NS, HEURISTIC_NS, SearchOver
+from ctrplan.drive.drive import JOINT_ROUNDING
 from ctrplan.motion.checker import MotionChecker
 from ctrplan.scenario.joint_space import JointSpace
 from ctrplan.scenario.tip_solver import GoalState
@@ -90,9 +91,6 @@ class MotionValidity(ob.MotionValidator):  # type: ignore[misc]
         return self.checker.motion(self.read(a), self.read(b)).valid
 
 
-GOAL_TOLERANCE = 1e-9  # rad or m; states at the goal are copies of goal states
-
-
 class BoundObjective(ob.OptimizationObjective):  # type: ignore[misc]
     """Weighted joint length + stops + friction error along the path + error left at the goal, in mm.
 
@@ -158,7 +156,7 @@ class BoundObjective(ob.OptimizationObjective):  # type: ignore[misc]
         if not len(self.goals):
             return False
         gaps = np.array([self.checker.space.difference(goal, q) for goal in self.goals])
-        return bool(np.any(np.all(np.abs(gaps) < GOAL_TOLERANCE, axis=1)))
+        return bool(np.any(np.all(np.abs(gaps) < JOINT_ROUNDING, axis=1)))
 
 
 class SearchProblem:

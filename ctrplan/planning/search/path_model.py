@@ -18,17 +18,14 @@ from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.mechanics.friction import corner_signs
 from ctrplan.mechanics.gradients import collar_names
 from ctrplan.mechanics.walk import PathSamples
-from ctrplan.motion.checker import MotionChecker
-from ctrplan.planning.goal_states import RANK
+from ctrplan.motion.checker import ASTRAY_M, MotionChecker
+from ctrplan.planning.goal_states import LEAST_MM, RANK
 from ctrplan.planning.reach import BoundSlopes, bound_slopes
 from ctrplan.scenario.scenario import anatomy_grid
 from ctrplan.scenario.tip_solver import least_within
 
-NEAR_M = 1e-3  # room at a place beyond which no motion worth a linear model takes it
 ALIKE_M = 0.15e-3  # of room between shapes of a place: those with more than the nearest have by so much are left out
 SPARE_MM = 0.03  # of room kept, so that what is left out, second order and places between samples, does not refuse
-SHORT_MM = 0.5  # of a leg, below which its length is taken to change as that of one as long
-PLACE_SOLVES = 3  # times the work of solving a state, that solving it with derivatives of its near shapes takes
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,14 +78,14 @@ class NearPlaces:
         self._checker, self._known = checker, dict[bytes, list[tuple[float, Array]]]()
 
     def along(self, corners: Array, samples: PathSamples) -> Iterator[NearPlace]:
-        """Places where a walk of a path (K, m) has least room on its way, if that is less than NEAR_M."""
+        """Places where a walk of a path (K, m) has least room on its way, if that is less than ASTRAY_M."""
         if self._checker.field is None:
             return
         room_m = samples.clearance_m - self._checker.limits.clearance_m
         for leg in range(len(corners) - 1):
             on_leg = np.flatnonzero(samples.segment == leg)
             for row in on_leg[_lowest(room_m[on_leg])].tolist():
-                if room_m[row] >= NEAR_M:
+                if room_m[row] >= ASTRAY_M:
                     continue
                 fraction = float(samples.fraction[row])
                 q = corners[leg] + fraction * (corners[leg + 1] - corners[leg])
@@ -113,7 +110,6 @@ class NearPlaces:
         grid, spacing_m, needed_m = anatomy_grid(scenario), checker.density.point_spacing_m, checker.limits.clearance_m
         assert grid is not None, "there is a field"
         checker.watch.ask()
-        checker.meter.add(PLACE_SOLVES * checker.solved_ns)
         pairs, (theta_b, l_b) = mechanics.n - 1, checker.space.drive.collars(q)
         states = np.vstack([np.zeros(pairs), corner_signs(pairs)])
         if phi is not None and np.isfinite(phi).all():
@@ -127,12 +123,14 @@ class NearPlaces:
         moved = np.flatnonzero(moves.any(axis=1))
         names, moves = [collar_names(mechanics.n)[k] for k in moved.tolist()], moves[moved]
         sides = grid.spacing_m / 2 * np.vstack([np.eye(3), -np.eye(3)])
-        for state in states[least_m < least_m.min() + ALIKE_M]:
+        near = states[least_m < least_m.min() + ALIKE_M]
+        checker.meter.add(checker.solved_ns * (1 + len(near)))  # derivatives of a shape take as long as all shapes
+        for state in near:
             body, by, _, _ = mechanics.core_body(theta_b, l_b, state, names, "search", spacing_m)
             own = scenario.located(body[:, :3])
             room_m = grid.sample(own) - body[:, 3] - needed_m
             for k in _lowest(room_m).tolist():
-                if room_m[k] < max(NEAR_M, room_m.min() + ALIKE_M):
+                if room_m[k] < max(ASTRAY_M, room_m.min() + ALIKE_M):
                     up, down = grid.sample(own[k] + sides).reshape(2, 3)
                     slope = (up - down) / grid.spacing_m @ scenario.base_R @ np.nan_to_num(by[k]) @ moves
                     yield float(room_m[k]) * MM_PER_M, slope / checker.space.weights_mm * MM_PER_M
@@ -225,7 +223,7 @@ class PathModel:
         for kind in (self._space.drive.is_rotation, ~self._space.drive.is_rotation):
             legs = np.diff(self.corners * self._space.weights_mm, axis=0)[:, kind]
             spread = np.diff(self.levels.spread, axis=0)[:, kind]
-            length = np.maximum(np.linalg.norm(legs, axis=1), SHORT_MM)
+            length = np.maximum(np.linalg.norm(legs, axis=1), LEAST_MM)
             curvature += np.einsum("kmx,kmy,k->xy", spread, spread, self._cost.path / length)
             slope += np.einsum("kmx,km,k->x", spread, legs, self._cost.path / length)
         return curvature, slope

@@ -21,20 +21,19 @@ from ctrplan.drive.legs import merge_legs
 from ctrplan.mechanics.walk import PathSamples
 from ctrplan.motion.checker import ASTRAY_M, DEFINITE_COLLISION_M, MotionChecker
 from ctrplan.planning.compensate import aimed, brought_to_goal
-from ctrplan.planning.goal_states import FIRST_MM, LEAST_MM, LONGER, SHORTER, TIP_STEPS
+from ctrplan.planning.goal_states import CORRECTIONS, FIRST_MM, LEAST_MM, LONGER, TIP_STEPS
+from ctrplan.planning.reach import SHORTER
 from ctrplan.planning.search.path_model import NearPlaces, PathModel, levels_of
 from ctrplan.planning.search.roadmap_search import RoadmapSearch
 from ctrplan.scenario.scenario import Goal
-from ctrplan.scenario.tip_solver import TipSolver, TipTarget, angle_to, tip_target
+from ctrplan.scenario.tip_solver import LEAST_DAMPING, TipSolver, TipTarget, angle_to, tip_target
 
-LEAST_GAIN_MM = 1e-3  # of the cost: below, two paths are alike
-WORTH_MM = 0.05  # of the cost: a step that promises less is not worth a walk
-DAMPING, LEAST_DAMPING = 0.05, 1e-3  # 1/mm: of the first step, which for 20 mm adds half of what 20 mm cost; and at all
-FIRMER, SOFTER = 4.0, 0.25  # the next damping, after a step that was not taken and after one that was
-CORRECTIONS = 3  # of a step that ended too close: each leaves a quarter or less of what was missing
+LEAST_GAIN_MM = 0.05  # of the cost: a step that gains less is not worth a walk
+DAMPING = 0.05  # 1/mm: of the first step, which for 20 mm adds half of what 20 mm cost
+# Share of the search's reserve of clearance that a path keeps where it is driven; without any, compensation finds no
+# room, and one plan of sinus ended 2.9 mm off its target
+RESERVE_LEFT = 0.5
 TURNS = 4  # of a race: half of them to begin so many paths, half for the best of them; a budget
-SHIFT_M = 0.5e-3  # of a goal, after which a path is put right before it is shifted further: half of what may be astray
-RESERVE_LEFT = 0.5  # of the search's reserve of clearance, that a polished path keeps when it is brought to its goal
 
 
 class Polish:
@@ -80,12 +79,12 @@ class Polish:
         while model.size:
             yield
             step = model.step(damping)
-            if step is None or model.gain_mm(step) < WORTH_MM or np.linalg.norm(step) < LEAST_MM:
+            if step is None or model.gain_mm(step) < LEAST_GAIN_MM or np.linalg.norm(step) < LEAST_MM:
                 return
             if self._takes_corrected(self._moved(model, step)):
-                damping, model = max(SOFTER * damping, LEAST_DAMPING), self._model()
+                damping, model = max(SHORTER**2 * damping, LEAST_DAMPING), self._model()
             else:
-                damping *= FIRMER
+                damping /= SHORTER**2
 
     def _stray(self) -> Iterator[None]:
         """Random steps of each level and of all, until one led lower or they are short."""
@@ -277,7 +276,7 @@ class Race:
         there, moved = driven[0].scenario.goal, racer
         here_m, goal_m = racer.checker.scenario.goal.tip_m, there.tip_m
         assert here_m is not None and goal_m is not None, "it is compensated"
-        count = int(np.ceil(np.linalg.norm(goal_m - here_m) / SHIFT_M))
+        count = int(np.ceil(np.linalg.norm(goal_m - here_m) / (SHORTER * ASTRAY_M)))
         for k in range(1, count + 1):
             goal = replace(there, tip_m=here_m + k / count * (goal_m - here_m))
             checker = self._checker(self.roadmap.checker.reserve_m, goal)
