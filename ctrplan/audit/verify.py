@@ -21,12 +21,11 @@ from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.base.long_work import Progress, StageProgress, interrupt_event, part_of
 from ctrplan.base.package import shown
 from ctrplan.certificate.certificate import SAME, SHARE, Certificate, Difference, Settling, joined_certificates
-from ctrplan.certificate.certify import certify
+from ctrplan.certificate.certify import certify, either_arrives
 from ctrplan.drive.trajectory import PERIOD_S, remade_trajectory
 from ctrplan.errors import CtrplanError
 from ctrplan.files.plan_file import WrittenPlan, check_origin, load_plan
 from ctrplan.mechanics.shapes import Accuracy
-from ctrplan.planning.compensate import either_arrives
 from ctrplan.planning.endings import settled_again
 from ctrplan.planning.goal_states import nearest_turn
 from ctrplan.plans.plan import Plan, plan_to_json

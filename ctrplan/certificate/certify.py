@@ -28,6 +28,7 @@ from ctrplan.certificate.problems import frictionless_miss, goal_miss_m, line_er
 from ctrplan.certificate.walked_legs import WalkedLegs, walk_legs
 from ctrplan.mechanics.shapes import Accuracy, Shape
 from ctrplan.scenario.prediction import FrictionStart, PathPrediction, predict_end, start_states, step_error
+from ctrplan.scenario.tip_solver import angle_to, target_in_robot_frame
 
 if TYPE_CHECKING:
     from ctrplan.drive.trajectory import Trajectory
@@ -84,6 +85,42 @@ def frictionless_arrives(
 ) -> list[str]:
     """Sentences if the frictionless tip misses the goal."""
     return frictionless_miss(scenario, samples.tip_m)
+
+
+def predicted_arrives(
+    scenario: Scenario, samples: CertificateSamples, prediction: PathPrediction, arrival: Arrival | None
+) -> list[str]:
+    """Sentences if the middle of the arrivals misses the goal, or the target is outside the worst-case envelope.
+
+    How far arrivals are from the middle, and what else is uncertain, is the arrival's to say.
+    """
+    goal, result = scenario.goal, []
+    allowed = f"{goal.tolerance_m * MM_PER_M:g} mm"
+    off = arrival.by_cause.offset_m if arrival else np.inf
+    if not off <= goal.tolerance_m:
+        result.append(f"The predicted tip ends {off * MM_PER_M:.2f} mm from the target, tolerance {allowed}.")
+    if goal.direction is not None and goal.direction_tolerance_rad is not None:
+        tangent = prediction.tangent[:, -1].mean(axis=0)
+        angle = float(angle_to(tangent[None], scenario.base_R.T @ goal.direction)[0])
+        if not angle <= goal.direction_tolerance_rad:
+            most = f"{np.degrees(goal.direction_tolerance_rad):g} deg"
+            result.append(f"The predicted tip's direction is {np.degrees(angle):.1f} deg off, tolerance {most}.")
+    shift = float(np.linalg.norm(samples.tip_m[-1] - target_in_robot_frame(scenario)))
+    bound = float(samples.bound_m[-1])
+    if not shift <= bound + goal.tolerance_m:
+        shown = (
+            f"{shift * MM_PER_M:.2f} mm from the frictionless tip, the worst-case error is {bound * MM_PER_M:.2f} mm"
+        )
+        result.append(f"The target lies outside the worst-case envelope: {shown}.")
+    return result
+
+
+def either_arrives(
+    scenario: Scenario, samples: CertificateSamples, prediction: PathPrediction, arrival: Arrival | None
+) -> list[str]:
+    """Sentences if the goal is missed both by the frictionless tip and by the middle of the arrivals."""
+    missed = frictionless_arrives(scenario, samples, prediction, arrival)
+    return missed if missed and predicted_arrives(scenario, samples, prediction, arrival) else []
 
 
 def certify(

@@ -204,7 +204,7 @@ class MotionChecker:
 
     def is_definite_collision(self, q: Array) -> bool:
         """Whether the zero-clearance shape at q (m,) collides by so much that the state is not worth a solve."""
-        return self.space.allowed(q) and self.rooms([q[None]])[0] < DEFINITE_COLLISION_M
+        return self.space.allowed(q) and bool(self.state_rooms(q[None])[0] < DEFINITE_COLLISION_M)
 
     def without_reserve(self) -> MotionChecker:
         """A checker that keeps no reserve; it has checked nothing yet."""
@@ -323,6 +323,10 @@ class MotionChecker:
         if self.field is None or not ways:
             return np.full(len(ways), np.inf)
         return np.array([stations.room_m.min() for stations in self.look(ways)])
+
+    def state_rooms(self, q: Array) -> Array:
+        """(K,) [m] the same of states (K, m)."""
+        return self._rooms_and_tips(*self.space.drive.collars(q))[0]
 
     def look(self, ways: list[Array]) -> list[Stations]:
         """Zero-clearance shapes on polylines (K, m) each, which say cheaply what to expect of them."""

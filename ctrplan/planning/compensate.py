@@ -7,6 +7,7 @@ certified is the corrected motion. A line is followed likewise, place by place.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -15,9 +16,9 @@ from numpy.typing import NDArray
 
 from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.base.long_work import Progress, part_of
-from ctrplan.certificate.arrival import Arrival, beside_nominal, friction_variants
-from ctrplan.certificate.certificate import Certificate, CertificateSamples
-from ctrplan.certificate.certify import finished, frictionless_arrives
+from ctrplan.certificate.arrival import beside_nominal, friction_variants
+from ctrplan.certificate.certificate import Certificate
+from ctrplan.certificate.certify import finished, predicted_arrives
 from ctrplan.certificate.walked_legs import walk_legs
 from ctrplan.drive.drive import JOINT_ROUNDING
 from ctrplan.mechanics.history import HistoryState
@@ -29,7 +30,6 @@ from ctrplan.robot.robot import Robot
 from ctrplan.scenario.prediction import (
     TIP_TOLERANCE_M,
     FrictionStart,
-    PathPrediction,
     ball_centre,
     end_tips,
     predict_end,
@@ -37,7 +37,7 @@ from ctrplan.scenario.prediction import (
     start_states,
 )
 from ctrplan.scenario.scenario import Scenario
-from ctrplan.scenario.tip_solver import DAMPING, angle_to, target_in_robot_frame
+from ctrplan.scenario.tip_solver import DAMPING, target_in_robot_frame
 from ctrplan.uncertainty.target import TargetPose
 
 ITERATIONS = 8
@@ -47,7 +47,7 @@ CLOSE_M = 0.02e-3  # of the predicted tip to the target; better than histories a
 REFINED = 2  # times that the middle over all coefficients of friction is looked at again, a budget
 LONGEST_STEP_MM = 10.0  # of joint length
 SHARES = (0.5, 0.25)  # of a correction, tried where no whole one is certified
-MOST_WAYS = 3 + len(SHARES)
+MOST_WAYS = 4 + len(SHARES)
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,6 +72,7 @@ def compensate(
     checker: MotionChecker,
     corners: Array,
     certificate: Certificate,
+    driven: Array | None = None,
     *,
     starts: Sequence[FrictionStart] | None = None,
     progress: Progress | None = None,
@@ -81,7 +82,8 @@ def compensate(
     The change stays within limits and margins, and the target within the worst-case envelope of the commanded
     configuration; the path is certified again. Changing the last legs costs no stop, but moves the body all along them.
     Where that is not certified, two short legs at the end correct the path, or slides alone, or part of the change is
-    made. A path that can't be improved so is returned as it was.
+    made. Where the corrected path is known to be about `driven` (K, m), that is tried first. A path that can't be
+    improved so is returned as it was.
     """
     start_friction = start_states(checker.scenario) if starts is None else list(starts)
     without = arrival_error(certificate)
@@ -92,7 +94,7 @@ def compensate(
     for turn in range(ROUNDS):
         before = best
         reporter = part_of(progress, turn, ROUNDS)
-        best, is_stopped = _corrected_once(checker, before, start_friction, starts, reporter)
+        best, is_stopped = _corrected_once(checker, before, None if turn else driven, start_friction, starts, reporter)
         is_beyond_limits |= is_stopped
         if best is before or is_on_target(best.certificate):
             break
@@ -108,13 +110,17 @@ def compensate(
 def _corrected_once(
     checker: MotionChecker,
     before: Compensated,
+    driven: Array | None,
     start_friction: Sequence[FrictionStart],
     starts: Sequence[FrictionStart] | None,
     progress: Progress | None,
 ) -> tuple[Compensated, bool]:
     """The best certified correction of a path, itself without one; and whether a joint's limit stopped any."""
     best, is_beyond_limits, corners = before, False, before.corners
-    for k, way in enumerate(_corrected_ways(checker, corners, before.certificate, start_friction)):
+    known = [] if driven is None else [_Corrected(driven, driven[-1] - corners[-1], True)]
+    for k, way in enumerate(
+        itertools.chain(known, _corrected_ways(checker, corners, before.certificate, start_friction))
+    ):
         moved = way.corners
         is_beyond_limits |= _is_at_limit(checker, moved[-1], way.delta)
         if not way.is_whole and best is not before:
@@ -150,19 +156,39 @@ def _is_at_limit(checker: MotionChecker, joints: Array, delta: Array) -> bool:
 def aimed(checker: MotionChecker, corners: Array) -> tuple[MotionChecker, Array]:
     """A checker whose goal is where the frictionless tip has to end so that the tip with friction arrives, and the path
     (K, m) moved there, valid or not, as it costs when it is compensated; both as they are where that is not possible.
+
+    Friction at the end of the moved path has to leave the same offset, which it does not where it turns round.
     """
     scenario = checker.scenario
-    goal, robot = scenario.goal, scenario.robot
+    goal = scenario.goal
     if goal.tip_m is None or goal.joints is not None or goal.line_m is not None or len(corners) < 2:
         return checker, corners
-    offset = ball_centre(end_tips(robot, corners, start_states(scenario))) - _frictionless(robot, corners[-1:])[0][0]
-    if not np.isfinite(offset).all():
-        return checker, corners
-    there = replace(goal, tip_m=goal.tip_m - scenario.base_R @ offset)
-    other = MotionChecker(replace(scenario, goal=there), checker.style, checker.meter, checker.reserve_m)
-    other.watch = checker.watch
-    moved = brought_to_goal(other, corners)
-    return (checker, corners) if moved is None else (other, moved)
+    offset, before = _offset_m(scenario, corners), None
+    for _ in range(ITERATIONS):
+        if not np.isfinite(offset).all():
+            break
+        there = replace(goal, tip_m=goal.tip_m - scenario.base_R @ offset)
+        other = MotionChecker(replace(scenario, goal=there), checker.style, checker.meter, checker.reserve_m)
+        other.watch = checker.watch
+        moved = brought_to_goal(other, corners)
+        if moved is None:
+            break
+        change = _offset_m(scenario, moved) - offset
+        if np.linalg.norm(change) <= TIP_TOLERANCE_M:
+            return other, moved
+        step = change
+        if before is not None:  # Anderson's: where the last two changes, drawn on, would be none
+            turned = change - before[1]
+            drawn_on = float(change @ turned) / max(float(turned @ turned), 1e-18)
+            step = change - drawn_on * (offset - before[0] + turned)
+        before, offset = (offset, change), offset + step
+    return checker, corners
+
+
+def _offset_m(scenario: Scenario, corners: Array) -> Array:
+    """(3,) from the frictionless tip at the end of a path (K, m) to the middle of where the tip with friction ends."""
+    middle = ball_centre(end_tips(scenario.robot, corners, start_states(scenario)))
+    return middle - _frictionless(scenario.robot, corners[-1:])[0][0]
 
 
 def brought_to_goal(checker: MotionChecker, corners: Array) -> Array | None:
@@ -194,42 +220,6 @@ def arrival_error(certificate: Certificate) -> float:
 def is_on_target(certificate: Certificate) -> bool:
     """Whether the middle of the arrival is at the target."""
     return certificate.arrival is not None and certificate.arrival.by_cause.offset_m <= TIP_TOLERANCE_M
-
-
-def predicted_arrives(
-    scenario: Scenario, samples: CertificateSamples, prediction: PathPrediction, arrival: Arrival | None
-) -> list[str]:
-    """Sentences if the middle of the arrivals misses the goal, or the target is outside the worst-case envelope.
-
-    How far arrivals are from the middle, and what else is uncertain, is the arrival's to say.
-    """
-    goal, result = scenario.goal, []
-    allowed = f"{goal.tolerance_m * MM_PER_M:g} mm"
-    off = arrival.by_cause.offset_m if arrival else np.inf
-    if not off <= goal.tolerance_m:
-        result.append(f"The predicted tip ends {off * MM_PER_M:.2f} mm from the target, tolerance {allowed}.")
-    if goal.direction is not None and goal.direction_tolerance_rad is not None:
-        tangent = prediction.tangent[:, -1].mean(axis=0)
-        angle = float(angle_to(tangent[None], scenario.base_R.T @ goal.direction)[0])
-        if not angle <= goal.direction_tolerance_rad:
-            most = f"{np.degrees(goal.direction_tolerance_rad):g} deg"
-            result.append(f"The predicted tip's direction is {np.degrees(angle):.1f} deg off, tolerance {most}.")
-    shift = float(np.linalg.norm(samples.tip_m[-1] - target_in_robot_frame(scenario)))
-    bound = float(samples.bound_m[-1])
-    if not shift <= bound + goal.tolerance_m:
-        shown = (
-            f"{shift * MM_PER_M:.2f} mm from the frictionless tip, the worst-case error is {bound * MM_PER_M:.2f} mm"
-        )
-        result.append(f"The target lies outside the worst-case envelope: {shown}.")
-    return result
-
-
-def either_arrives(
-    scenario: Scenario, samples: CertificateSamples, prediction: PathPrediction, arrival: Arrival | None
-) -> list[str]:
-    """Sentences if the goal is missed both by the frictionless tip and by the middle of the arrivals."""
-    missed = frictionless_arrives(scenario, samples, prediction, arrival)
-    return missed if missed and predicted_arrives(scenario, samples, prediction, arrival) else []
 
 
 def corrected(corners: Array, legs: int, is_rotation: NDArray[np.bool_], delta: Array) -> Array:

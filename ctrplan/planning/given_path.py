@@ -20,13 +20,13 @@ from ctrplan.base.arrays import MM_PER_M, Array, numbers
 from ctrplan.base.long_work import Progress, part_of
 from ctrplan.certificate.certificate import Certificate, joined_certificates
 from ctrplan.certificate.certify import certify as certified_legs
+from ctrplan.certificate.certify import either_arrives
 from ctrplan.certificate.problems import PARTED
 from ctrplan.certificate.walked_legs import miscounted
 from ctrplan.drive.legs import distance_from_polyline, merge_legs
 from ctrplan.drive.trajectory import PERIOD, PERIOD_S, Trajectory
 from ctrplan.errors import InputError, NoAnswerError
 from ctrplan.motion.checker import MotionChecker
-from ctrplan.planning.compensate import either_arrives
 from ctrplan.planning.goal_states import nearest_turn
 from ctrplan.planning.reordering import assemble, least_error_order
 from ctrplan.plans.plan import Plan

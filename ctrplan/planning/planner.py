@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ctrplan.base.arguments import EVENT, PROGRESS, SEARCH_TIME, SEED, Flag, Made, checked, rows_of
-from ctrplan.base.arrays import Array
+from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.base.long_work import Laps, SearchClock, SearchEnd, WorkMeter, interrupt_event, part_of
 from ctrplan.base.long_work import Progress as FractionReport
 from ctrplan.certificate.certificate import Certificate, joined_certificates
@@ -42,7 +42,7 @@ from ctrplan.planning.goal_states import (
 )
 from ctrplan.planning.reordering import Reordered, as_given, assemble
 from ctrplan.planning.room import refuse_blocked_fixtures, refuse_impossible_margins, start_room, start_trouble
-from ctrplan.planning.search.stage_search import Candidate, Progress, Report, StageSearch
+from ctrplan.planning.search.stage_search import Answer, Candidate, Progress, Report, StageSearch
 from ctrplan.plans.plan import ENDED_BY_TIME, Plan
 from ctrplan.plans.planned_motion import Compensation
 from ctrplan.plans.uncertainty import stated_uncertainty
@@ -123,10 +123,10 @@ def plan(
             raise
         spent_ns = [meter.spent_ns for meter in request.meters]  # corrections at the end are no search
         laps.end("search")
-        finish = _finish(scenario, stages, compensated, report)
+        finish, stages = _cheapest_as_driven(scenario, stages, compensated, report)
         laps.end("ending and compensation")
     notes: tuple[str, ...] = (*scenario.warnings, *((ENDED_BY_TIME,) if ended_by == "time" else ()))
-    paths = [best.result for _, best in stages]
+    paths = [stage.best.result for stage in stages]
     notes += turn_notes(scenario, [path.after[-1] for path in paths])
     if any(path.on_line for path in paths):
         notes += ("Along the line, joints move simultaneously.",)
@@ -178,7 +178,7 @@ class _PlanRequest:
             raise NoAnswerError(f"{scenario.path or scenario.name}: start: {other[0].lower()}{other[1:]}.")
 
 
-Stages = list[tuple[Candidate, Candidate]]
+Stages = list[Answer]
 
 
 def _anytime_stages(scenario: Scenario, request: _PlanRequest) -> tuple[Candidate, Stages, SearchEnd]:
@@ -189,23 +189,23 @@ def _anytime_stages(scenario: Scenario, request: _PlanRequest) -> tuple[Candidat
     """
     if not scenario.via:
         stages, ended_by, _ = _stages(scenario, request, StageSearch.run)
-        return stages[-1][0], stages, ended_by
+        return stages[-1].first, stages, ended_by
     hasty, _, spent = _stages(scenario, request, StageSearch.run_to_first)
     ran_out: SearchEnd = "time" if request.timed else "count"
     if spent >= request.budget:
-        return hasty[-1][0], hasty, ran_out
+        return hasty[-1].first, hasty, ran_out
     try:
         stages, ended_by, _ = _stages(
             scenario, replace(request, budget=request.budget - spent, before=spent), StageSearch.run
         )
     except (KeyboardInterrupt, NoAnswerError):
-        return hasty[-1][0], hasty, ran_out
-    kept = min(stages, hasty, key=lambda way: sum(best.cost_mm for _, best in way))
-    return hasty[-1][0], kept, ended_by
+        return hasty[-1].first, hasty, ran_out
+    kept = min(stages, hasty, key=lambda way: sum(stage.best.cost_mm for stage in way))
+    return hasty[-1].first, kept, ended_by
 
 
 def _stages(
-    scenario: Scenario, request: _PlanRequest, run: Callable[[StageSearch], tuple[Candidate, Candidate]]
+    scenario: Scenario, request: _PlanRequest, run: Callable[[StageSearch], Answer]
 ) -> tuple[Stages, SearchEnd, float]:
     """The first and the best certified path to each target, from where the one before ended; what ended it; its time.
 
@@ -247,7 +247,8 @@ def _stages(
             stages.append(run(search))
             spent += clock.now()
             ended_by = clock.name if clock.ran_out else ended_by
-        start, scenario = stages[-1][1].corners[-1], led_on(scenario, stages[-1][1].corners)
+        corners = stages[-1].best.corners
+        start, scenario = corners[-1], led_on(scenario, corners)
     return stages, ended_by, spent
 
 
@@ -262,7 +263,7 @@ def _with_goals(checker: MotionChecker, seed: int) -> tuple[MotionChecker, list[
     return bare, goals
 
 
-def _along_line(checker: MotionChecker, began: float) -> tuple[Candidate, Candidate]:
+def _along_line(checker: MotionChecker, began: float) -> Answer:
     """The line's own path, certified. Raises NoAnswerError where it fails."""
     scenario = checker.scenario
     corners, failed = follow_line(checker, scenario.start, scenario.goal)
@@ -278,7 +279,7 @@ def _along_line(checker: MotionChecker, began: float) -> tuple[Candidate, Candid
     return _first_certified(checker, result, walk, found_s, began, "line")
 
 
-def _without_motion(checker: MotionChecker, began: float) -> tuple[Candidate, Candidate]:
+def _without_motion(checker: MotionChecker, began: float) -> Answer:
     """The start itself, certified, where it is the goal: nothing is searched. Raises NoAnswerError where it fails."""
     scenario, corners = checker.scenario, checker.scenario.start[None]
     found_s = time.monotonic() - began
@@ -291,10 +292,10 @@ def _without_motion(checker: MotionChecker, began: float) -> tuple[Candidate, Ca
 
 def _first_certified(
     checker: MotionChecker, result: Reordered, walk: WalkedLegs, found_s: float, began: float, found_by: str
-) -> tuple[Candidate, Candidate]:
+) -> Answer:
     """A certified way that no search was needed for, as the first and the best."""
     candidate = Candidate(checker, result.after, walk, found_s, time.monotonic() - began, found_by, result)
-    return candidate, candidate
+    return Answer(candidate, candidate)
 
 
 @dataclass(frozen=True, eq=False)
@@ -307,18 +308,45 @@ class _Finish:
     notes: tuple[str, ...]
 
 
+def _cheapest_as_driven(
+    scenario: Scenario, stages: Stages, compensated: bool, report: Report
+) -> tuple[_Finish, Stages]:
+    """The ways to the targets with their ends, of all candidates for the last the cheapest as it arrives.
+
+    Where compensation leaves an offset, that costs as much as an error at the goal: another candidate may cost less.
+    """
+    result, kept = _finish(scenario, stages, compensated, report), stages
+    offset_mm = _offset_cost_mm(scenario, result)
+    for candidate in stages[-1].dearer:
+        if candidate.cost_mm >= kept[-1].best.cost_mm + offset_mm:
+            break
+        if not candidate.certificate.valid:
+            continue
+        others = [*stages[:-1], stages[-1]._replace(best=candidate)]
+        other = _finish(scenario, others, compensated, report)
+        if candidate.cost_mm + _offset_cost_mm(scenario, other) < kept[-1].best.cost_mm + offset_mm:
+            result, kept, offset_mm = other, others, _offset_cost_mm(scenario, other)
+    return result, kept
+
+
+def _offset_cost_mm(scenario: Scenario, finish: _Finish) -> float:
+    """What it costs by how much the middle of where the tip may arrive misses the last target."""
+    arrival = finish.certificate.arrival
+    return scenario.cost.error_goal * MM_PER_M * arrival.by_cause.offset_m if arrival else 0.0
+
+
 def _finish(scenario: Scenario, stages: Stages, compensated: bool, report: Report) -> _Finish:
     """Ends the way to every target so that friction is forgotten, and compensates what is left, one after the other.
 
     The friction states that one stage ends with are those that the next begins with. Where a corrected stage leaves no
     valid way on, nothing is corrected.
     """
-    last, certificates = stages[-1][1], list[Certificate]()
-    cost_mm = sum(best.cost_mm for _, best in stages)
+    last, certificates = stages[-1].best, list[Certificate]()
+    cost_mm = sum(stage.best.cost_mm for stage in stages)
     report(Progress("search", 1.0, cost_mm))
     shift = np.zeros_like(last.corners[0])
     ways, notes, compensation = list[Array](), list[str](), None
-    for k, (_, best) in enumerate(stages):
+    for k, (_, best, _) in enumerate(stages):
         reporter = part_of(lambda fraction: report(Progress("certificate", fraction, cost_mm)), k, len(stages))
         stage, corners, is_moved = best.checker.scenario, best.result.after, bool(shift.any())
         starts: list[FrictionStart] | None = list(certificates[-1].end_states) or None if certificates else None
@@ -338,7 +366,8 @@ def _finish(scenario: Scenario, stages: Stages, compensated: bool, report: Repor
         notes += [ended.note] if ended.note else []
         corners, certificate, change = ended.corners, ended.certificate, None
         if compensated and stage.goal.tip_m is not None and stage.goal.joints is None:
-            result = compensate(checker, corners, certificate, starts=starts, progress=reporter)
+            driven = best.driven if corners is best.result.after else None
+            result = compensate(checker, corners, certificate, driven, starts=starts, progress=reporter)
             corners, certificate, change = result.corners, result.certificate, result.compensation
         if np.isfinite(certificate.spare_m):  # nothing was corrected: what is driven is asked for all its clearance
             settling = certificate.settling

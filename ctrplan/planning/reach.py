@@ -49,6 +49,7 @@ class BoundSlopes:
     bound_by: Array  # (K, m) [m per rad or m] of the corner whose tip is farthest from the frictionless one
     tip_m: Array  # (K, 3) frictionless, robot's frame
     tip_by: Array  # (K, 3, m)
+    bound_m: Array  # (K,) the distance of those tips
 
 
 def bound_slopes(checker: MotionChecker, q: Array) -> BoundSlopes:
@@ -64,7 +65,7 @@ def bound_slopes(checker: MotionChecker, q: Array) -> BoundSlopes:
     rows, farthest = np.arange(len(q)), np.argmax(size, axis=1)
     unit = away[rows, farthest] / np.maximum(size[rows, farthest], 1e-12)[:, None]
     bound_by = np.einsum("ki,kij->kj", unit, by[rows, 1 + farthest] - by[:, 0])
-    return BoundSlopes(bound_by, position[:, 0], by[:, 0])
+    return BoundSlopes(bound_by, position[:, 0], by[:, 0], size[rows, farthest])
 
 
 HOLD_OFF_M = 0.1e-3  # room beyond the margins for what a straight motion leaves out: 1 mm along a wall of 5 mm radius

@@ -81,18 +81,47 @@ class NearPlaces:
         """Places where a walk of a path (K, m) has least room on its way, if that is less than ASTRAY_M."""
         if self._checker.field is None:
             return
-        room_m = samples.clearance_m - self._checker.limits.clearance_m
-        for leg in range(len(corners) - 1):
+        room_m, at = samples.clearance_m - self._checker.limits.clearance_m, _places(corners, samples)
+        for row in self._rows(samples, room_m):
+            near = self._at(at[row], samples.nearest_phi[row] if samples.nearest_phi.size else None)
+            least = min((room_mm for room_mm, _ in near), default=0.0)
+            off_mm = float(room_m[row]) * MM_PER_M - least  # of interpolated shapes
+            leg, fraction = int(samples.segment[row]), float(samples.fraction[row])
+            yield from (NearPlace(leg, fraction, room_mm + off_mm, by) for room_mm, by in near)
+
+    def foreseen(self, corners: Array, walked: Array, samples: PathSamples) -> list[NearPlace] | None:
+        """The same of a path (K, m) that was not walked, from a walk of another beside it with legs like its own.
+
+        The zero-clearance shapes tell: where the walk had its samples, their room differs from that of the walk's
+        shapes by about as much on either path. None where the path is too close by more than ASTRAY_M.
+        """
+        if self._checker.field is None:
+            return []
+        space, at, of_walk = self._checker.space, _places(corners, samples), _places(walked, samples)
+        own_m = self._checker.state_rooms(np.concatenate([at, of_walk])).reshape(2, -1)
+        room_m = samples.clearance_m - self._checker.limits.clearance_m + own_m[0] - own_m[1]
+        if room_m.min() < -ASTRAY_M:
+            return None
+        rows = self._rows(samples, room_m)
+        sides = np.eye(len(space.weights_mm)) * LEAST_MM / space.weights_mm
+        beside = (at[rows][:, None, None] + np.stack([sides, -sides])).reshape(-1, len(sides))
+        is_allowed = space.allowed_rows(beside)  # else the place itself is one side
+        beside = np.where(is_allowed[:, None], beside, np.repeat(at[rows], 2 * len(sides), axis=0))
+        up, down = self._checker.state_rooms(beside).reshape(len(rows), 2, len(sides)).swapaxes(0, 1)
+        apart_mm = LEAST_MM * np.maximum(is_allowed.reshape(len(rows), 2, len(sides)).sum(axis=1), 1)
+        slopes = (up - down) * MM_PER_M / apart_mm
+        return [
+            NearPlace(int(samples.segment[row]), float(samples.fraction[row]), float(room_m[row]) * MM_PER_M, slope)
+            for row, slope in zip(rows, slopes, strict=True)
+        ]
+
+    def _rows(self, samples: PathSamples, room_m: Array) -> list[int]:
+        """Samples of each leg that have less room (S,) than those around, and less than ASTRAY_M."""
+        rows = list[int]()
+        for leg in range(int(samples.segment[-1]) + 1):
             on_leg = np.flatnonzero(samples.segment == leg)
-            for row in on_leg[_lowest(room_m[on_leg])].tolist():
-                if room_m[row] >= ASTRAY_M:
-                    continue
-                fraction = float(samples.fraction[row])
-                q = corners[leg] + fraction * (corners[leg + 1] - corners[leg])
-                near = self._at(q, samples.nearest_phi[row] if samples.nearest_phi.size else None)
-                least = min((room_mm for room_mm, _ in near), default=0.0)
-                off_mm = float(room_m[row]) * MM_PER_M - least  # of interpolated shapes
-                yield from (NearPlace(leg, fraction, room_mm + off_mm, by) for room_mm, by in near)
+            rows += on_leg[_valleys(room_m[on_leg])].tolist()
+        return [row for row in rows if room_m[row] < ASTRAY_M]
 
     def _at(self, q: Array, phi: Array | None) -> list[tuple[float, Array]]:
         """Rooms [mm] of body points at q (m,) that have less than those beside them, and how joints (m,) change them.
@@ -136,6 +165,59 @@ class NearPlaces:
                     yield float(room_m[k]) * MM_PER_M, slope / checker.space.weights_mm * MM_PER_M
 
 
+# Places of a leg, by Gauss's rule on [0, 1], at which the bound is differenced, and their weights
+GAUSS = (np.polynomial.legendre.leggauss(3)[0] + 1) / 2, np.polynomial.legendre.leggauss(3)[1] / 2
+
+
+def slope_along(checker: MotionChecker, corners: Array, levels: Levels, samples: PathSamples) -> Array:
+    """(X,) how levels change what the error along a walked path (K, m) costs, the friction law's loads as they are."""
+    space, cost, result = checker.space, checker.scenario.cost, np.zeros(levels.spread.shape[2])
+    if not cost.error_along or not result.size:
+        return result
+    error_m = checker.errors(corners, samples)
+    share = error_m / np.maximum(samples.position_m, 1e-12)
+    price = cost.error_along * MM_PER_M / cost.mm_per_rad  # of m over mm
+    fraction, weight = GAUSS
+    for leg in range(len(corners) - 1):
+        on_leg = np.flatnonzero(samples.segment == leg)
+        rows, at = np.append(max(on_leg[0] - 1, 0), on_leg), np.append(0.0, samples.fraction[on_leg])
+        moved = (corners[leg + 1] - corners[leg]) * space.weights_mm
+        length_mm = float(np.linalg.norm(moved))
+        mean_m = float(np.trapezoid(error_m[rows], at))
+        if price * mean_m * length_mm < LEAST_MM:
+            continue
+        spread = levels.spread[leg : leg + 2]
+        result += price * mean_m * (moved / length_mm) @ (spread[1] - spread[0])
+        q = corners[leg] + fraction[:, None] * (corners[leg + 1] - corners[leg])
+        by = bound_slopes(checker, q).bound_by / space.weights_mm
+        by *= (weight * np.interp(fraction, at, share[rows]))[:, None]
+        for place, f in zip(by, fraction, strict=True):
+            result += price * length_mm * place @ ((1 - f) * spread[0] + f * spread[1])
+    return result
+
+
+def _places(corners: Array, samples: PathSamples) -> Array:
+    """(S, m) joint values on a path (K, m) where a walk of it, or of one with legs like its own, has its samples."""
+    begins, ends = corners[samples.segment], corners[np.minimum(samples.segment + 1, len(corners) - 1)]
+    return begins + samples.fraction[:, None] * (ends - begins)
+
+
+def _valleys(values: Array) -> list[int]:
+    """Where values (N,) are least between ridges that rise from there by ALIKE_M on either side."""
+    result, least, ridge = list[int](), 0, np.inf
+    for row, value in enumerate(values.tolist()):
+        if np.isfinite(ridge):
+            ridge = max(ridge, value)
+            if value <= ridge - ALIKE_M:
+                least, ridge = row, np.inf
+        elif value < values[least]:
+            least = row
+        elif value >= values[least] + ALIKE_M:
+            result.append(least)
+            ridge = value
+    return result if np.isfinite(ridge) else [*result, least]
+
+
 def _lowest(values: Array) -> NDArray[np.intp]:
     """Rows of values (N,) that are less than those on either side; the first of equal ones."""
     before, after = np.append(np.inf, values[:-1]), np.append(values[1:], np.inf)
@@ -145,15 +227,24 @@ def _lowest(values: Array) -> NDArray[np.intp]:
 class PathModel:
     """What motions x (X,) [mm] of a path's levels do: quadratic for its cost, linear for all that is limited."""
 
-    def __init__(self, checker: MotionChecker, corners: Array, levels: Levels, places: list[NearPlace]) -> None:
-        """`corners` (K, m); places as they are there."""
+    def __init__(
+        self,
+        checker: MotionChecker,
+        corners: Array,
+        levels: Levels,
+        places: list[NearPlace],
+        along: Array | float = 0.0,
+    ) -> None:
+        """`corners` (K, m); places as they are there, and the slope (X,) of what the error along the way costs."""
         self._checker, self._space, self._cost = checker, checker.space, checker.scenario.cost
         self.corners, self.levels, self.size = corners, levels, levels.spread.shape[2]
         limits = [self._of_places(places), self._of_nesting(), self._of_joints()]
         self.rows, self.room_mm = (np.concatenate(parts) for parts in zip(*limits, strict=True))
         kept = np.any(self.rows != 0, axis=1)  # no motion puts the others right
         self.rows, self.room_mm = self.rows[kept], self.room_mm[kept]
+        self.along = np.zeros(self.size) + along
         self.curvature, self.slope = self._of_length()
+        self.slope = self.slope + self.along
         if levels.has_goal:
             bound_by = self.slopes.bound_by[0] / self._space.weights_mm * MM_PER_M
             self.slope = self.slope + self._cost.error_goal * bound_by @ levels.spread[-1]
@@ -171,9 +262,28 @@ class PathModel:
         """By how much a motion (X,) lowers the cost."""
         return float(-self.slope @ motion - motion @ self.curvature @ motion / 2)
 
+    def foreseen_mm(self, walked: PathModel) -> float:
+        """What its path costs less stops and what is unknown, by the walked path's slope of the error along the way."""
+        legs, spread = np.diff(self.corners, axis=0), self.levels.spread
+        motion = np.einsum("km,kmx->x", (self.corners - walked.corners) * self._space.weights_mm, spread)
+        motion /= np.maximum(spread.sum(axis=(0, 1)), 1.0)
+        cost_mm = self._cost.path * float(self._space.lengths_mm(legs).sum()) + float(self.along @ motion)
+        if not self.levels.has_goal:
+            return cost_mm
+        return cost_mm + self._cost.error_goal * MM_PER_M * float(self.slopes.bound_m[0])
+
     def nearest(self, motion: Array) -> Array | None:
         """The motion (X,) within limits that is nearest to another; to none, the least that mends broken limits."""
         return self._least(np.eye(self.size), -motion)
+
+    def correction(self) -> Array | None:
+        """The motion (X,) that mends broken limits and lowers the cost, without limits about as long as the least.
+
+        None without any. The least alone may cost more than all that was gained.
+        """
+        least = self.nearest(np.zeros(self.size))
+        size = 0.0 if least is None else float(np.linalg.norm(least))
+        return self.step(float(np.linalg.norm(self.slope)) / size) if size > 0 else least
 
     def _least(self, curvature: Array, slope: Array) -> Array | None:
         """The least of a quadratic within limits, the tip where it is."""

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +24,7 @@ from ctrplan.motion.checker import ASTRAY_M, DEFINITE_COLLISION_M, MotionChecker
 from ctrplan.planning.compensate import aimed, brought_to_goal
 from ctrplan.planning.goal_states import CORRECTIONS, FIRST_MM, LEAST_MM, LONGER, TIP_STEPS
 from ctrplan.planning.reach import SHORTER
-from ctrplan.planning.search.path_model import NearPlaces, PathModel, levels_of
+from ctrplan.planning.search.path_model import NearPlaces, PathModel, levels_of, slope_along
 from ctrplan.planning.search.roadmap_search import RoadmapSearch
 from ctrplan.scenario.scenario import Goal
 from ctrplan.scenario.tip_solver import LEAST_DAMPING, TipSolver, TipTarget, angle_to, tip_target
@@ -33,6 +34,7 @@ DAMPING = 0.05  # 1/mm: of the first step, which for 20 mm adds half of what 20 
 # Share of the search's reserve of clearance that a path keeps where it is driven; without any, compensation finds no
 # room, and one plan of sinus ended 2.9 mm off its target
 RESERVE_LEFT = 0.5
+MOST_AHEAD = 8  # steps of a model before a walk; a budget
 TURNS = 4  # of a race: half of them to begin so many paths, half for the best of them; a budget
 
 
@@ -74,17 +76,54 @@ class Polish:
             yield from self._stray()
 
     def _descend(self) -> Iterator[None]:
-        """Steps of all levels, as the model of the path has them, until it promises no more."""
-        damping, model = DAMPING, self._model()
+        """Steps of all levels, as the model of the path has them, until it promises no more.
+
+        A path is walked after several steps: between them, zero-clearance shapes tell the next model where it is near.
+        """
+        damping, most, model = DAMPING, 1, self._model()
         while model.size:
             yield
-            step = model.step(damping)
-            if step is None or model.gain_mm(step) < LEAST_GAIN_MM or np.linalg.norm(step) < LEAST_MM:
+            onward, steps = model, 0
+            while steps < most and (step := self._worthwhile(onward, damping)) is not None:
+                ahead = self._foreseen(self._moved(onward, step), model)
+                if ahead is not None and ahead.foreseen_mm(model) < onward.foreseen_mm(model):
+                    onward, steps = ahead, steps + 1
+                elif steps:
+                    break
+                else:
+                    damping /= SHORTER**2
+            if not steps:
                 return
-            if self._takes_corrected(self._moved(model, step)):
-                damping, model = max(SHORTER**2 * damping, LEAST_DAMPING), self._model()
+            if self._takes_corrected(onward.corners):
+                damping, most = max(SHORTER**2 * damping, LEAST_DAMPING), min(2 * most, MOST_AHEAD)
+                model = self._model()
+            elif steps > 1:
+                most = steps // 2
             else:
                 damping /= SHORTER**2
+
+    def _worthwhile(self, model: PathModel, damping: float) -> Array | None:
+        """A model's step (X,), None where it gains too little."""
+        step = model.step(damping)
+        is_short = step is None or np.linalg.norm(step) < LEAST_MM or model.gain_mm(step) < LEAST_GAIN_MM
+        return None if is_short else step
+
+    def _foreseen(self, corners: Array | None, model: PathModel) -> PathModel | None:
+        """The model of a path beside the best, as far as it can be foreseen, corrected where that is too close.
+
+        None where it cannot be, or limits forbid it.
+        """
+        walk = self.checker.known_walk(self.corners)
+        for _ in range(1 + CORRECTIONS):
+            places = None if corners is None else self._near.foreseen(corners, self.corners, walk)
+            if corners is None or places is None:
+                return None
+            ahead = PathModel(self.checker, corners, model.levels, places, model.along)
+            if (ahead.room_mm >= 0).all():
+                return ahead
+            step = ahead.correction()
+            corners = None if step is None else self._moved(ahead, step)
+        return None
 
     def _stray(self) -> Iterator[None]:
         """Random steps of each level and of all, until one led lower or they are short."""
@@ -148,7 +187,8 @@ class Polish:
 
     def _model_of(self, corners: Array, samples: PathSamples) -> PathModel:
         levels = levels_of(self.checker, corners, moves_goal=self.moves_goal)
-        return PathModel(self.checker, corners, levels, list(self._near.along(corners, samples)))
+        along = slope_along(self.checker, corners, levels, samples)
+        return PathModel(self.checker, corners, levels, list(self._near.along(corners, samples)), along)
 
     def _takes_corrected(self, corners: Array | None) -> bool:
         """Whether a path, corrected where it comes too close, is valid and costs less; then it is the path."""
@@ -162,7 +202,7 @@ class Polish:
             if not short_m < ASTRAY_M:
                 return False
             model = self._model_of(corners, samples)
-            step = model.nearest(np.zeros(model.size))
+            step = model.correction()
             corners = None if step is None else self._moved(model, step)
         return False
 
@@ -231,6 +271,14 @@ class Polish:
         return back
 
 
+class Result(NamedTuple):
+    """A polished path."""
+
+    to_goal: Array  # (K, m) with the frictionless tip at the goal
+    driven: Array  # (K, m) as compensation moves it
+    cost_mm: float  # of that
+
+
 @dataclass(eq=False)
 class Race:
     """Polishes paths of a roadmap to different goal states, each as it will be driven."""
@@ -241,7 +289,7 @@ class Race:
     is_compensated: bool  # whether paths are moved in the end, so that the tip with friction arrives
     moves_goal: bool  # whether others than the roadmap's goal states will do
     racers: list[Polish] = field(default_factory=list)
-    begun: list[tuple[float, MotionChecker, Array]] = field(default_factory=list)  # costs and paths when they moved on
+    begun: list[tuple[float, Array]] = field(default_factory=list)  # costs and paths when they moved on
 
     def run(self, now: Callable[[], float], until: float, is_over: Callable[[float], bool]) -> None:
         """Polishes until then: paths to the most promising goals for a turn each, then the cheapest to its end.
@@ -260,7 +308,7 @@ class Race:
         for racer in sorted(self.racers, key=lambda racer: racer.cost_mm):
             if not is_over(until) and np.isfinite(racer.cost_mm):
                 moved = self._moved_on(racer)
-                self.begun.append((moved.cost_mm, moved.checker, moved.corners))
+                self.begun.append((moved.cost_mm, moved.corners))
                 moved.run(partial(is_over, until))
                 self.racers += [moved] if moved is not racer else []
 
@@ -269,13 +317,13 @@ class Race:
 
         A path that was polished is at its limits, and friction at its end may have turned round.
         """
-        back = self._back(racer.checker, racer.corners)
-        driven = None if back is None or back is racer.corners else self._driven(self.roadmap.checker, back)
+        driven = self._driven(self.roadmap.checker, racer.corners)
         if driven is None:
             return racer
         there, moved = driven[0].scenario.goal, racer
         here_m, goal_m = racer.checker.scenario.goal.tip_m, there.tip_m
-        assert here_m is not None and goal_m is not None, "it is compensated"
+        if here_m is None or goal_m is None:
+            return racer
         count = int(np.ceil(np.linalg.norm(goal_m - here_m) / (SHORTER * ASTRAY_M)))
         for k in range(1, count + 1):
             goal = replace(there, tip_m=here_m + k / count * (goal_m - here_m))
@@ -288,21 +336,27 @@ class Race:
                 return racer
         return moved
 
-    def cost_mm(self, corners: Array, reserve_m: float) -> float:
+    def cost_mm(self, corners: Array) -> float:
         """What a path (K, m) costs as it is driven; infinite where it can't be."""
-        driven = self._driven(self._checker(reserve_m), corners)
-        motion = driven and driven[0].along(driven[1])
-        return driven[0].cost_mm(motion, ends_at_goal=True) if driven and motion and motion.valid else np.inf
+        driven = self._driven(self.roadmap.checker, corners)
+        return np.inf if driven is None else self._price_mm(*driven)
 
-    def results(self) -> Iterator[tuple[Array, float]]:
-        """Polished paths (K, m) to the goal, and what they cost as they are driven; the cheapest first."""
-        ends = [(racer.cost_mm, racer.checker, racer.corners) for racer in self.racers]
-        for cost_mm, checker, corners in sorted([*ends, *self.begun], key=lambda end: end[0]):
-            back = self._back(checker, corners) if np.isfinite(cost_mm) else None
-            if back is corners:
-                yield back, cost_mm
-            elif back is not None:  # compensation goes a little another way from there
-                yield back, self.cost_mm(back, RESERVE_LEFT * self.roadmap.checker.reserve_m)
+    def results(self) -> Iterator[Result]:
+        """Polished paths, the cheapest first, those that can be driven."""
+        ends = [(racer.cost_mm, racer.corners) for racer in self.racers]
+        least = self._checker(RESERVE_LEFT * self.roadmap.checker.reserve_m)
+        for cost_mm, corners in sorted([*ends, *self.begun], key=lambda end: end[0]):
+            driven = self._driven(least, corners) if np.isfinite(cost_mm) else None
+            if driven is None or not np.isfinite(price_mm := self._price_mm(*driven)):
+                continue
+            is_moved = driven[1] is not corners
+            to_goal = brought_to_goal(self.roadmap.checker, driven[1]) if is_moved else corners
+            if to_goal is not None:
+                yield Result(to_goal, driven[1], price_mm)
+
+    def _price_mm(self, checker: MotionChecker, corners: Array) -> float:
+        motion = checker.along(corners)
+        return checker.cost_mm(motion, ends_at_goal=True) if motion.valid else np.inf
 
     def _checker(self, reserve_m: float, goal: Goal | None = None) -> MotionChecker:
         """The roadmap's checker with another reserve or another goal."""
@@ -329,8 +383,3 @@ class Race:
             return checker, corners
         there, moved = aimed(checker, corners)
         return None if there is checker else (there, moved)
-
-    def _back(self, checker: MotionChecker, corners: Array) -> Array | None:
-        """A path (K, m) to the roadmap's goal which compensation moves to about a path to a checker's; None without."""
-        own = self.roadmap.checker
-        return corners if checker is own else brought_to_goal(own, corners)

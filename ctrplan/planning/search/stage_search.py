@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -65,6 +66,7 @@ class Candidate:
     found_by: str
     reordered: Reordered | None = None  # in order, and compared with other orders
     progress: Callable[[float], None] | None = None  # of the certificate
+    driven: Array | None = None  # (K, m) as compensation may move it, where that is known
     as_driven_mm: float | None = None  # the cost beside others', where it is known how compensation will change both
 
     @cached_property
@@ -83,6 +85,14 @@ class Candidate:
     def certificate(self) -> Certificate:
         """With histories simulated, and of clearance as much as the walk asked for: corrections may follow."""
         return finished(self.walk)
+
+
+class Answer(NamedTuple):
+    """What the search to a target leaves."""
+
+    first: Candidate  # that was certified
+    best: Candidate
+    dearer: tuple[Candidate, ...] = ()  # than the best, that passed their certificates too, the cheapest first
 
 
 Report = Callable[[Progress], None]
@@ -113,7 +123,7 @@ class StageSearch:
     is_compensated: bool = False  # whether what is found is moved, so that the tip with friction arrives
     has_chains: bool = False  # whether the roadmap has those that withdraw from the goals
 
-    def run_to_first(self) -> tuple[Candidate, Candidate]:
+    def run_to_first(self) -> Answer:
         """The first certified path, as the first and the best."""
         self._first_path()
         if self.best is None:
@@ -121,7 +131,7 @@ class StageSearch:
             self._sample(only_first=True)
         return self._answer()
 
-    def run(self) -> tuple[Candidate, Candidate]:
+    def run(self) -> Answer:
         """The first and the best certified path."""
         roadmap = self._first_path()
         if self.best is None:
@@ -145,16 +155,17 @@ class StageSearch:
         race = Race(roadmap, self._expanded, self.seed, self.is_compensated, self.moves_goal)
         driven_mm = np.inf
         with self._ending(until):
-            driven_mm = race.cost_mm(before.corners, roadmap.checker.reserve_m)
+            driven_mm = race.cost_mm(before.corners)
             race.run(self.clock.now, until, self._is_over)
         begun_mm = driven_mm if np.isfinite(driven_mm) else before.cost_mm
-        for corners, cost_mm in race.results():
+        for result in race.results():
             if self._is_enough():
                 break
-            if not begun_mm - cost_mm > WORTH_A_CERTIFICATE * begun_mm:
+            gain_mm = begun_mm - result.cost_mm
+            if not gain_mm > WORTH_A_CERTIFICATE * begun_mm:
                 continue
-            as_driven_mm = before.cost_mm - (begun_mm - cost_mm) if self.is_compensated else None
-            if not self._tidied(roadmap.checker, corners, ROADMAP, as_driven_mm=as_driven_mm):
+            as_driven_mm = before.cost_mm - gain_mm if self.is_compensated else None
+            if not self._tidied(roadmap.checker, result.to_goal, ROADMAP, result.driven, as_driven_mm):
                 return True
             if self._is_over(self.budget):
                 break
@@ -165,15 +176,16 @@ class StageSearch:
         if self.checker.reserve_m > 0:
             self.checker = self.checker.without_reserve()
 
-    def _answer(self) -> tuple[Candidate, Candidate]:
+    def _answer(self) -> Answer:
         """The first and the best that their own simulation does not contradict.
 
         Raises NoAnswerError or KeyboardInterrupt without one.
         """
-        for candidate in sorted(self.certified, key=lambda candidate: candidate.cost_mm):
+        certified = sorted(self.certified, key=lambda candidate: candidate.cost_mm)
+        for k, candidate in enumerate(certified, 1):
             self._tell()
             if candidate.certificate.valid:
-                return self.first or candidate, candidate
+                return Answer(self.first or candidate, candidate, tuple(certified[k:]))
             self.failure = candidate.certificate.problems[0]
         if self.interrupted.is_set():
             raise KeyboardInterrupt
@@ -368,11 +380,17 @@ class StageSearch:
         return ""
 
     def _tidied(
-        self, checker: MotionChecker, corners: Array, found_by: str, *, as_driven_mm: float | None = None
+        self,
+        checker: MotionChecker,
+        corners: Array,
+        found_by: str,
+        driven: Array | None = None,
+        as_driven_mm: float | None = None,
     ) -> str:
         """Reorders and certifies a path (K, m), keeps it if it is the best; why it failed, empty if it did not.
 
-        `as_driven_mm` is what it costs beside others if it stays as it is.
+        `driven` (K, m) is how compensation may move it, and `as_driven_mm` what that costs beside others, if it stays
+        as it is.
         """
         found_s = time.monotonic() - self.began
         result = least_error_order(checker, merge_legs(corners))
@@ -389,7 +407,7 @@ class StageSearch:
         certified_s = time.monotonic() - self.began
         candidate = Candidate(checker, result.after, walk, found_s, certified_s, found_by, result)
         if np.array_equal(result.after, corners):
-            candidate = replace(candidate, as_driven_mm=as_driven_mm)
+            candidate = replace(candidate, driven=driven, as_driven_mm=as_driven_mm)
         self._keep(candidate)
         return ""
 
