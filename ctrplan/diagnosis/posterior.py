@@ -192,7 +192,7 @@ class _Comparison:
         built = sum(map(is_built, scored.terms))
         whole = self._linearised(linear(scored.fit), scored.fit.noise, owners, widths)
         if near is None or near not in self.known_sets:
-            self._weigh(scored, terms, widths, owners, built, whole)
+            self._weigh(scored, widths, whole)
             return
         names = frozenset(t.name for t in terms)
         rough = self._first_order(near, names, self._cost(names, widths, built), built, whole)
@@ -203,24 +203,17 @@ class _Comparison:
             self.known_sets[scored], self._weights[scored] = result, result.weight
             _note(self._promised, terms, result)
             return
-        self._weigh(scored, terms, widths, owners, built, whole)
+        self._weigh(scored, widths, whole)
         if rough.weight > best.weight:
             self._best_near[near] = rough, self.known_sets[scored]
 
-    def _weigh(
-        self,
-        scored: Scored,
-        terms: Sequence[Term],
-        widths: Mapping[str, Width],
-        owners: Sequence[str],
-        built: int,
-        whole: Linearised,
-    ) -> None:
+    def _weigh(self, scored: Scored, widths: Mapping[str, Width], whole: Linearised) -> None:
         """A set beside everything unknown; to first order without any of the frames, which are free in all fits.
 
         Beside the same error where that is hopeless.
         """
-        weights = list[float]()
+        terms, owners, weights = self._named(scored), scored.fit.chain.owners, list[float]()
+        built = sum(map(is_built, scored.terms))
         spectra, complete = self.errors.spectra(whole), list[_Set]()
         for gone in self._frames(scored):
             names = frozenset(t.name for t in terms) - gone
