@@ -100,7 +100,9 @@ def fit(
             continue
         gain = here.loss - there.loss
         if gain > 0:
-            here, damping = there, damping / 10 if damping > FIRST_DAMPING else 0.0
+            if gain > promised / 2:  # what bends more than that, bends again where steps are longer
+                damping = damping / 10 if damping > FIRST_DAMPING else 0.0
+            here = there
         else:
             damping = max(damping * 10, FIRST_DAMPING)
         vain = gain <= 0 and promised < VAIN

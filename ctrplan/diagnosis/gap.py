@@ -52,10 +52,11 @@ def open_test_set(before: Fit, after: Fit, held_out_set: Measurements, group: ND
     values = (before.chain.neutral, before.p, after.p)
     for chain, p in zip(chains[1:], values[1:], strict=True):
         chain.correction = friction_correction(chain, p)
-    predictions = [chain.predict(p, derivatives=False) for chain, p in zip(chains, values, strict=True)]
+    effective_there = chains[2].predict(after.p)
+    predictions = [chain.predict(p, derivatives=False) for chain, p in zip(chains[:2], values[:2], strict=True)]
+    predictions.append(effective_there)
     failed = predictions[1].failed | predictions[2].failed
     kept = ~excused(failed)
-    effective_there = chains[2].predict(after.p)
     result = _residuals(effective_there.subset(kept), held_out_set.subset(kept), group[kept], noise)
     outlying, near = np.zeros(len(kept), bool), ~outliers(result.raw_norm)
     outlying[np.flatnonzero(kept)[~near]] = True

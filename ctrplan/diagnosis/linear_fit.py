@@ -36,6 +36,11 @@ class Linear:
         back = replace(self, r=self.r + self.J[:, :, gone] @ self.offset[gone])
         return back.columns(np.flatnonzero(~gone).tolist())
 
+    @property
+    def loss(self) -> float:
+        """Loss of the poses and of the priors, with weights as they are."""
+        return float(self.weight @ (self.r**2).sum(axis=1) + self.precision @ self.offset**2)
+
     def refitted(self) -> Linear:
         """After one Gauss-Newton step."""
         H, gradient = self._system()

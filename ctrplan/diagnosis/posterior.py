@@ -34,7 +34,7 @@ from ctrplan.diagnosis.linear_fit import STATED, Linear, Width, widths_of
 from ctrplan.diagnosis.term_pieces import is_built, pieces
 from ctrplan.diagnosis.unknown_errors import Peak, UnknownErrors, without_error
 from ctrplan.diagnosis.verdict import ACTS, UNKNOWN_ACTS, Posterior, log_odds, normalised
-from ctrplan.diagnosis.workbench import Bench, Candidates, Linearisation, Scored, Workbench, linear
+from ctrplan.diagnosis.workbench import Bench, Candidates, Linearisation, Scored, Screened, Workbench, linear
 from ctrplan.pipeline.term import Term
 
 MOST_EFFECTS = 4  # of a set
@@ -73,10 +73,8 @@ def compared(bench: Workbench, chosen: Scored, known: Candidates, search: bool =
     """
     base = bench.scored([])
     less = [bench.scored([t for t in chosen.terms if t is not gone], chosen.fit) for gone in chosen.terms]
-    among = [scored for scored in (base, *bench.visited, *less, chosen) if _is_alike(scored.fit, chosen.fit)]
-    comparison = _Comparison(bench, known, base, chosen)
-    for scored in among:
-        comparison.add(scored)
+    among = [scored for scored in (base, *bench.visited, *less) if _is_alike(scored.fit, chosen.fit)]
+    comparison = _Comparison(bench, known, base, chosen, among)
     if search:
         comparison.climb()
         if comparison.best is not chosen:  # poses count as they do in the most probable set
@@ -148,9 +146,11 @@ class _Comparison:
         self._evidence: dict[frozenset[str], _Set] = {}  # of sets that were fitted
         self._promised: dict[frozenset[str], _Set] = {}  # of others, to first order
         self._expanded: set[Scored] = set()
-        self._near: dict[Scored, list[tuple[list[Term], _Set]]] = {}
-        for scored in fitted:
-            self.add(scored)
+        self._near: dict[Scored, list[tuple[list[Term], _Set, Screened]]] = {}
+        self._peaks: dict[Scored, float] = {}
+        self._best_near: dict[Scored, tuple[_Set, _Set]] = {}  # of sets near one: to first order, and as weighed
+        for scored in (chosen, *fitted):
+            self.add(scored, chosen)
 
     @property
     def fitted(self) -> list[Scored]:
@@ -181,22 +181,43 @@ class _Comparison:
         """Logarithm of prior times likelihood of a set, whichever of the frames that are free in it act."""
         return self._weights[scored]
 
-    def add(self, scored: Scored) -> None:
-        """A set as it is fitted; to first order without any of the frames, which are free in all fits.
+    def add(self, scored: Scored, near: Scored | None = None) -> None:
+        """A set as it is fitted, beside everything unknown; beside the error of a set `near` it where that is hopeless.
 
-        Beside the same error where that is hopeless, else beside everything unknown.
+        It is where that error makes it less probable than the set near it, or than the best one of others there.
         """
         if scored in self.known_sets:
             return
-        weights = list[float]()
         terms, (widths, owners) = self._named(scored), self._of_fit(scored)
-        built = [t for t in scored.terms if is_built(t)]
-        of_built = len(built) * self.of_piece
+        built = sum(map(is_built, scored.terms))
         whole = self._linearised(linear(scored.fit), scored.fit.noise, owners, widths)
+        if near is None or near not in self.known_sets:
+            self._weigh(scored, widths, whole)
+            return
+        names = frozenset(t.name for t in terms)
+        rough = self._first_order(near, names, self._cost(names, widths, built), built, whole)
+        mine = self.known_sets[near]
+        best, as_weighed = self._best_near.get(near, (mine, mine))
+        if rough.weight < best.weight - WINDOW:
+            result = replace(rough, beside=rough.beside + as_weighed.beside - best.beside)
+            self.known_sets[scored], self._weights[scored] = result, result.weight
+            _note(self._promised, terms, result)
+            return
+        self._weigh(scored, widths, whole)
+        if rough.weight > best.weight:
+            self._best_near[near] = rough, self.known_sets[scored]
+
+    def _weigh(self, scored: Scored, widths: Mapping[str, Width], whole: Linearised) -> None:
+        """A set beside everything unknown; to first order without any of the frames, which are free in all fits.
+
+        Beside the same error where that is hopeless.
+        """
+        terms, owners, weights = self._named(scored), scored.fit.chain.owners, list[float]()
+        built = sum(map(is_built, scored.terms))
         spectra, complete = self.errors.spectra(whole), list[_Set]()
         for gone in self._frames(scored):
             names = frozenset(t.name for t in terms) - gone
-            cost = self._cost(names, widths) + of_built
+            cost = self._cost(names, widths, built)
             kept = [k for k, name in enumerate(owners) if name not in gone]
             fit = Linearised(whole.r, whole.J[:, :, kept], whole.precision[kept])
             lost = complete[0].peak.here(whole) - complete[0].peak.here(fit) if complete else 0.0
@@ -251,8 +272,7 @@ class _Comparison:
             for variants in self._more(here):
                 self._fit_best(variants, here)
             for gone in here.terms:
-                parent = self.as_known(self._fit([t for t in here.terms if t is not gone], here))
-                for variants in self._more(parent, gone):
+                for variants in self._instead(here, gone):
                     self._fit_best(variants, here)
 
     def _fit_best(self, variants: Sequence[Promise], here: Scored) -> None:
@@ -266,52 +286,106 @@ class _Comparison:
     def _fit(self, terms: list[Term], here: Scored) -> Scored:
         """A set near another one, fitted from there or from where fits start, whichever promises more."""
         scored = self.bench.scored(terms, here.fit, None)
-        self.add(scored)
+        self.add(scored, here)
         return scored
 
-    def _more(self, here: Scored, instead: Term | None = None) -> list[list[Promise]]:
-        """The most probable neighbours of a set by their first step, of different effects; `instead` of one of them.
+    def _more(self, here: Scored) -> list[list[Promise]]:
+        """The most probable neighbours of a set by their first step, of different effects."""
+        promises = ((enlarged.weight, [*here.terms, *added]) for added, enlarged, _ in self._neighbours(here))
+        return self._worth_a_fit(here, promises)
 
-        One that brings nothing loses no more than its prior odds, and as much again for its parameters; one that stands
-        in the place of another no more than that beside it.
+    def _instead(self, here: Scored, gone: Term) -> list[list[Promise]]:
+        """Sets with another effect or none in the place of one of a set, by their first step from where that acts."""
+        return self._worth_a_fit(here, self._replaced(here, gone))
+
+    def _worth_a_fit(self, here: Scored, promises: Iterable[Promise]) -> list[list[Promise]]:
+        """Promised sets near another by the effect that they end with, the most probable first.
+
+        One that brings nothing loses no more than its prior odds, and as much again for its parameters.
         """
         variants: dict[str, list[Promise]] = {}
-        for added, enlarged in self._neighbours(here):
-            variants.setdefault(added[-1].name, []).append((enlarged.weight, [*here.terms, *added]))
-        ranked = {name: sorted(several, key=lambda variant: -variant[0]) for name, several in variants.items()}
-        replaced = ranked.pop(instead.name, None) if instead else None
-        if instead and not replaced:
-            return []
-        least = (replaced[0][0] if replaced else self.known_sets[here].weight) + 2 * log_odds(ACTS)
-        worth = [several for several in ranked.values() if several[0][0] > least]
-        return sorted(worth, key=lambda several: -several[0][0])[:REFITTED]
+        for weight, terms in promises:
+            if weight > self._least(here):
+                variants.setdefault(terms[-1].name if terms else "", []).append((weight, terms))
+        ranked = [sorted(several, key=lambda variant: -variant[0]) for several in variants.values()]
+        return sorted(ranked, key=lambda several: -several[0][0])[:REFITTED]
+
+    def _least(self, here: Scored) -> float:
+        """What a set near another has to promise."""
+        return self.known_sets[here].weight + 2 * log_odds(ACTS)
+
+    def _replaced(self, here: Scored, gone: Term) -> Iterator[Promise]:
+        """Sets without an effect of a set, with each that may be added or none, to first order.
+
+        Those that leave the poses too far off, however little their parameters cost, are not weighed.
+        """
+        mine, rest = self.known_sets[here], [t for t in here.terms if t is not gone]
+        own = linear(here.fit)
+        most = own.loss + 2 * (mine.weight - self._least(here))
+        near = [(added, screened.linear, screened.owners) for added, _, screened in self._neighbours(here)]
+        for added, whole, owners in [*near, ([], own, here.fit.chain.owners)]:
+            if any(t.effect.needs == gone.name for t in (*rest, *added)):
+                continue
+            kept = np.array(owners) != gone.name
+            left = whole.without(~kept).refitted()
+            if left.loss < most:
+                named, names = tuple(np.array(owners)[kept]), (mine.names - {gone.name}) | {t.name for t in added}
+                widths = widths_of(left, named, {*names, *here.names} - {gone.name})
+                fit = self._linearised(left, self.bench.noise, named, widths)
+                built = sum(map(is_built, rest))
+                promised = self._first_order(here, names, self._cost(names, widths, built), built, fit)
+                yield promised.weight, [*rest, *added]
+
+    def _first_order(
+        self,
+        here: Scored,
+        names: frozenset[str],
+        cost: float,
+        built: int,
+        fit: Linearised,
+        beside_peak: float | None = None,
+    ) -> _Set:
+        """A set near another one that is known, beside the same error of the sizes that are most probable there.
+
+        built: how many of its terms are; beside_peak: logarithm of its evidence there, where that is known.
+        """
+        mine = self.known_sets[here]
+        alone = -np.inf if built else without_error(fit) - cost
+        of_fit = mine.peak.evidence(fit) if beside_peak is None else beside_peak
+        beside = mine.beside + mine.cost + of_fit - self._of_peak(here) - cost
+        return _Set(names, cost, alone, beside, mine.peak)
+
+    def _of_peak(self, here: Scored) -> float:
+        """Logarithm of the evidence of a set beside its most probable error, asked once."""
+        if here not in self._peaks:
+            self._peaks[here] = self.known_sets[here].peak.evidence(self.as_fitted(here))
+        return self._peaks[here]
 
     def compare_neighbours(self, here: Scored) -> None:
         """Compares a set with one effect more, to first order."""
-        for added, neighbour in self._neighbours(here):
+        for added, neighbour, _ in self._neighbours(here):
             _note(self._promised, [*self._named(here), *added], neighbour)
 
-    def _neighbours(self, here: Scored) -> list[tuple[list[Term], _Set]]:
+    def _neighbours(self, here: Scored) -> list[tuple[list[Term], _Set, Screened]]:
         """Those of a set, asked once."""
         if here not in self._near:
             self._near[here] = list(self._added(here))
         return self._near[here]
 
-    def _added(self, here: Scored) -> Iterator[tuple[list[Term], _Set]]:
+    def _added(self, here: Scored) -> Iterator[tuple[list[Term], _Set, Screened]]:
         """Effects that may be added, one or two where one needs the other, and the sets with them to first order."""
         mine = self.known_sets[here]
         others = [t for t in self.known.beside(here.terms) if t.name not in {*mine.names, *here.names}]
         if not others:
             return
-        of_peak, wide = mine.peak.evidence(self.as_fitted(here)), dict[Linearisation, Spectrum]()
+        built, wide = sum(map(is_built, here.terms)), dict[Linearisation, Spectrum]()
         for screened in self.bench.screened(here, others, self.known.completed):
             terms = self.known.completed(here.terms, screened.term)
             added = [t for t in terms if t.name not in here.names]
             names = mine.names | {t.name for t in added}
             widths = widths_of(screened.linear, screened.owners, {*names, *here.names})
             fit = self._linearised(screened.linear, self.bench.noise, screened.owners, widths)
-            cost = self._cost(names, widths) + self.of_piece * sum(map(is_built, here.terms))
-            alone = -np.inf if np.isneginf(mine.alone) else without_error(fit) - cost
+            cost = self._cost(names, widths, built)
             if (panel := screened.panel) is None:
                 of_fit = mine.peak.evidence(fit)
             else:  # what all variants have in common is worked out once
@@ -320,8 +394,7 @@ class _Comparison:
                 moved = -panel.whole.offset  # others stay where they were linearised
                 moved[screened.places] = 0.0
                 of_fit = wide[panel].of(screened.places, fit.precision, moved).highest()[0] / 2
-            beside = mine.beside + mine.cost + of_fit - of_peak - cost
-            yield added, _Set(names, cost, alone, beside, mine.peak)
+            yield added, self._first_order(here, names, cost, built, fit, of_fit), screened
 
     def by_names(self) -> dict[frozenset[str], tuple[float, float]]:
         """Logarithms of the evidence of sets of effects, over their variants."""
@@ -357,10 +430,10 @@ class _Comparison:
         precision = fit.precision / np.square([widths.get(name, STATED).over_stated for name in owners])
         return replace(fit.centred(noise, self.root), precision=precision)
 
-    def _cost(self, names: Iterable[str], widths: Mapping[str, Width]) -> float:
-        """Logarithm of what the choice of one variant of each effect and of its width cost."""
+    def _cost(self, names: Iterable[str], widths: Mapping[str, Width], built: int) -> float:
+        """Logarithm of what the choice of one variant of each effect, of its width and of built terms cost."""
         variants = (float(np.log(self.known.variants.get(name, 1))) for name in names)
-        return sum(variants) + sum(widths.get(name, STATED).cost for name in names)
+        return sum(variants) + sum(widths.get(name, STATED).cost for name in names) + built * self.of_piece
 
 
 def _note(known: dict[frozenset[str], _Set], terms: Sequence[Term], new: _Set) -> None:

@@ -90,15 +90,19 @@ def findings_of(
     if chosen.failed.any() and not excused(chosen.failed).any():
         return ()
     for t in terms:
-        if (others := standing_for(posterior, t.name)) is not None:
+        if (others := standing_for(posterior, t.name, chosen.names)) is not None:
             results.append(Finding(t, tuple(_instead(bench, chosen, t, name, known, sets) for name in others)))
     return tuple(results)
 
 
-def standing_for(posterior: Posterior, name: str) -> list[str] | None:
-    """Effects of which one acts with 0.99 if another does not, the most probable first; None where these are many."""
+def standing_for(posterior: Posterior, name: str, beside: Collection[str] = ()) -> list[str] | None:
+    """Effects of which one acts with 0.99 if another does not, the most probable first; None where these are many.
+
+    Those that act `beside` it stand for nothing.
+    """
     group = [name]
-    others = sorted({other for hypothesis in posterior.hypotheses for other in hypothesis.names} - {name})
+    known = {other for hypothesis in posterior.hypotheses for other in hypothesis.names}
+    others = sorted(known - {name, *beside})
     if posterior.of_effect(name) < 1 / 2:
         return None
     while posterior.of_effect(*group) < NAMED:

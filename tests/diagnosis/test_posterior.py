@@ -15,7 +15,7 @@ from ctrplan.base.arrays import Array
 from ctrplan.calibration import least_squares
 from ctrplan.calibration.discrepancy import SIZES, Linearised
 from ctrplan.calibration.residuals import Noise
-from ctrplan.diagnosis import CATALOGUE, partial_diagnosis
+from ctrplan.diagnosis import CATALOGUE, partial_diagnosis, posterior
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
 from ctrplan.diagnosis.linear_fit import Linear, widths_of
 from ctrplan.diagnosis.posterior import compared
@@ -132,6 +132,26 @@ def test_search_comes_to_the_true_pair_that_something_unknown_stood_for() -> Non
     assert set(told.sets[0].names) == {"sensor_offset", "joint_scale"}
     assert told.posterior.of_effect("sensor_offset") > 0.99 and told.posterior.of_effect("joint_scale") > 0.99
     assert told.posterior.of_unknown < 0.2 and told.posterior.probabilities.sum() == pytest.approx(1)
+
+
+@pytest.mark.parametrize("begun", [("sensor_offset",), ("tip_load",), ("tip_load", "sensor_offset")])
+def test_search_ends_with_the_same_set_wherever_it_begins(begun: tuple[str, ...]) -> None:
+    bench, data = bench_of("pair")
+    known = candidates(ROBOT, data, QUICK)
+    terms = [next(t for t in known.terms if t.name == name) for name in begun]
+    told = compared(bench, bench.scored(terms), known, search=True)
+    assert set(told.sets[0].names) == {"sensor_offset", "joint_scale"}
+
+
+def test_sets_that_are_hopeless_are_as_hopeless_beside_everything_unknown(monkeypatch: pytest.MonkeyPatch) -> None:
+    told = []
+    for window in (posterior.WINDOW, np.inf):
+        monkeypatch.setattr(posterior, "WINDOW", window)
+        bench, data = bench_of("pair")
+        told.append(compared(bench, bench.scored([]), candidates(ROBOT, data, QUICK), search=True).posterior)
+    for names in (*((name,) for name in QUICK), tuple(QUICK)):
+        assert told[0].of_effect(*names) == pytest.approx(told[1].of_effect(*names), abs=1e-3)
+    assert told[0].of_unknown == pytest.approx(told[1].of_unknown, abs=1e-3)
 
 
 def test_search_in_a_null_ends_with_nothing() -> None:

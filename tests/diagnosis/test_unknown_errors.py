@@ -95,6 +95,8 @@ def test_look_alikes_are_told_together_and_what_anything_stands_for_is_not() -> 
     assert standing_for(told, "a") == ["b"] and standing_for(told, "c") is None
     certain = normalised({a: (0.0, -99.0), frozenset(): (-99.0, -99.0)})
     assert standing_for(certain, "a") == []
+    pair = normalised({a | c: (0.5, -np.inf), b | c: (0.0, -np.inf)})
+    assert standing_for(pair, "a", ("a", "c")) == ["b"]  # what acts beside it with certainty stands for nothing
     many: Posterior = normalised({frozenset({name}): (0.01 * (name == "a"), -99.0) for name in "abcdefgh"})
     assert standing_for(many, "a") is None
 
