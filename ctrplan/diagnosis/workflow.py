@@ -135,7 +135,9 @@ def _opened(answer: Conclusion, data: Measurements) -> Opened:
         judgement = replace(judgement, adequacy=_left(answer, written))
         gap = open_test_set(answer.base.fit, written.fit, aside, group, answer.noise)
         if doubt := contradiction(judgement.verdict, gap, place):
-            judgement, notes = replace(judgement, verdict="unexplained"), [*notes, doubt]
+            judgement, notes = replace(judgement, verdict="unexplained", findings=()), [*notes, doubt]
+            written = _written(answer, judgement)
+            gap = open_test_set(answer.base.fit, written.fit, aside, group, answer.noise)
     settled = answer.chosen if answer.partial else answer.bench.sized(answer.chosen)
     built = {t.name for t in settled.terms if is_built(t)}
     sentences = [symptom.sentence for symptom in symptoms(settled.fit) if symptom.owner not in built]
