@@ -8,7 +8,7 @@ import contextlib
 import hashlib
 import logging
 import os
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -91,39 +91,39 @@ def store_all(grids: Mapping[str, NDArray[np.float32]]) -> str:
 
     Not being able to is no error: returns why, empty where they are kept.
     """
-    made = set()
-    for key, values in grids.items():
-        if (path := _path(key)) is None:
-            return trouble()
-        try:
-            _write(path, key, values)
-            made.add(path)
-        except OSError as error:
-            logger.info("field not cached: %s", error)
-            return f"{path} could not be written ({error.strerror or error})"
-    if made:
-        with contextlib.suppress(OSError):  # what is kept is kept
-            _prune(made)
+    paths = {key: _path(key) for key in grids}
+    written = {key: path for key, path in paths.items() if path is not None}
+    if not written:
+        return trouble() if grids else ""
+    path = folder = next(iter(written.values())).parent
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with temporary(folder, Path.mkdir) as made:  # which looks through the folder: once for all grids
+            for key, path in written.items():
+                _write(made / path.name, key, np.ascontiguousarray(grids[key], dtype=np.float32))
+                os.replace(made / path.name, path)
+    except OSError as error:
+        logger.info("field not cached: %s", error)
+        return f"{path} could not be written ({error.strerror or error})"
+    with contextlib.suppress(OSError):  # what is kept is kept
+        _prune(folder, {path.name for path in written.values()})
     return ""
 
 
 def _write(path: Path, key: str, values: NDArray[np.float32]) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with temporary(path.parent, Path.touch) as made:
-        content = np.ascontiguousarray(values, dtype=np.float32).tobytes()
-        made.write_bytes(_digest(key, content) + content)
-        os.replace(made, path)
+    content = memoryview(values.reshape(-1)).cast("B")
+    with open(path, "wb") as file:
+        file.write(_digest(key, content))
+        file.write(content)
 
 
-def _prune(newest: set[Path]) -> None:
+def _prune(folder: Path, newest: Collection[str]) -> None:
     """Remove the least recently used grids beyond MAX_TOTAL_BYTES, never the `newest`."""
-    folder = next(iter(newest)).parent
-    kept = (path for path in folder.iterdir() if path.suffix in (SUFFIX, FORMER_SUFFIX))
-    result = sorted(kept, key=lambda path: path.stat().st_mtime, reverse=True)
-    total = sum(path.stat().st_size for path in newest)
-    for path in result:
-        if path in newest:
-            continue
-        total += path.stat().st_size
-        if total > MAX_TOTAL_BYTES:
-            path.unlink(missing_ok=True)
+    with os.scandir(folder) as entries:
+        kept = [(entry.stat(), entry.name) for entry in entries if entry.name.endswith((SUFFIX, FORMER_SUFFIX))]
+    total = sum(stat.st_size for stat, name in kept if name in newest)
+    for stat, name in sorted(kept, key=lambda row: row[0].st_mtime, reverse=True):
+        if name not in newest:
+            total += stat.st_size
+            if total > MAX_TOTAL_BYTES:
+                (folder / name).unlink(missing_ok=True)

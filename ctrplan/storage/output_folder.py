@@ -41,15 +41,17 @@ def temporary(parent: Path, make: Callable[[Path], object]) -> Iterator[Path]:
 
 def remove_abandoned(parent: Path) -> None:
     """Remove every temporary name in `parent` that nobody holds; being refused is no error."""
-    for path in parent.glob(".ctrplan-*"):
-        if NAME.fullmatch(path.name):
-            with contextlib.suppress(OSError):
-                lock = os.open(path, TO_LOCK)
-                try:
-                    fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                    _remove(path)
-                finally:
-                    os.close(lock)
+    abandoned = list[Path]()
+    with contextlib.suppress(OSError), os.scandir(parent) as entries:
+        abandoned = [parent / entry.name for entry in entries if NAME.fullmatch(entry.name)]
+    for path in abandoned:
+        with contextlib.suppress(OSError):
+            lock = os.open(path, TO_LOCK)
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                _remove(path)
+            finally:
+                os.close(lock)
 
 
 def _made(parent: Path, make: Callable[[Path], object]) -> tuple[Path, int]:
