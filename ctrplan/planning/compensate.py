@@ -188,7 +188,8 @@ def aimed(checker: MotionChecker, corners: Array) -> tuple[MotionChecker, Array]
 def _offset_m(scenario: Scenario, corners: Array) -> Array:
     """(3,) from the frictionless tip at the end of a path (K, m) to the middle of where the tip with friction ends."""
     middle = ball_centre(end_tips(scenario.robot, corners, start_states(scenario)))
-    return middle - _frictionless(scenario.robot, corners[-1:])[0][0]
+    offset: Array = middle - _frictionless(scenario.robot, corners[-1:])[0][0]
+    return offset
 
 
 def brought_to_goal(checker: MotionChecker, corners: Array) -> Array | None:

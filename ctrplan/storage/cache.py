@@ -111,7 +111,7 @@ def store_all(grids: Mapping[str, NDArray[np.float32]]) -> str:
 
 
 def _write(path: Path, key: str, values: NDArray[np.float32]) -> None:
-    content = memoryview(values.reshape(-1)).cast("B")
+    content = values.reshape(-1).view(np.uint8).data
     with open(path, "wb") as file:
         file.write(_digest(key, content))
         file.write(content)
