@@ -317,7 +317,7 @@ def _cheapest_as_driven(
     """
     result, kept = _finish(scenario, stages, compensated, report), stages
     offset_mm = _offset_cost_mm(scenario, result)
-    for candidate in stages[-1].dearer:
+    for candidate in stages[-1].dearer if compensated else ():
         if candidate.cost_mm >= kept[-1].best.cost_mm + offset_mm:
             break
         if not candidate.certificate.valid:

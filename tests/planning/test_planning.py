@@ -10,6 +10,7 @@ import threading
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -33,7 +34,7 @@ from ctrplan.motion.checker import Motion, MotionChecker, invalid
 from ctrplan.planning.goal_states import goal_states
 from ctrplan.planning.reordering import as_given, assemble, rotations_first
 from ctrplan.planning.search.ompl_set_up import MotionValidity, StateReader, Validity, state_space
-from ctrplan.planning.search.stage_search import Progress
+from ctrplan.planning.search.stage_search import Answer, Progress
 from ctrplan.scenario.joint_space import JointSpace
 from ctrplan.scenario.scenario import Goal, Scenario
 
@@ -274,6 +275,31 @@ def test_a_path_that_fails_when_all_its_clearance_is_asked_for_is_no_plan(monkey
     monkeypatch.setattr(planner, "certify", refusing)
     with pytest.raises(NoAnswerError, match="no path in time passed its certificate: Refused by the test"):
         ctrplan.plan(scenario("pair_free", "planner.time_s=0.3"), seed=0)
+
+
+@pytest.mark.parametrize(("offsets_mm", "kept"), [([2.0, 0.1, 0.0], 1), ([0.4, 0.0, 0.0], 0), ([2.0, 2.0, 0.0], 2)])
+def test_of_certified_paths_the_cheapest_as_it_arrives_is_kept(
+    offsets_mm: list[float], kept: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An offset that compensation leaves costs 10 mm a millimetre, as an error at the goal; one is invalid."""
+    planner: Any = importlib.import_module("ctrplan.planning.planner")
+    case, asked = scenario("pair_free"), list[int]()
+
+    def candidate(k: int, cost_mm: float, valid: bool = True) -> Any:
+        return SimpleNamespace(k=k, cost_mm=cost_mm, certificate=SimpleNamespace(valid=valid))
+
+    def finished(_: Scenario, stages: Any, *rest: Any) -> Any:
+        asked.append(stages[-1].best.k)
+        by_cause = SimpleNamespace(offset_m=offsets_mm[stages[-1].best.k] / 1e3)
+        return SimpleNamespace(certificate=SimpleNamespace(arrival=SimpleNamespace(by_cause=by_cause)))
+
+    monkeypatch.setattr(planner, "_finish", finished)
+    best = candidate(0, 100.0)
+    dearer = (candidate(3, 101.0, valid=False), candidate(1, 105.0), candidate(2, 107.0))
+    weighed = replace(case, cost=replace(case.cost, error_goal=10.0))
+    _, stages = planner._cheapest_as_driven(weighed, [Answer(best, best, dearer)], True, lambda _: None)
+    assert stages[-1].best.k == kept and stages[-1].first is best
+    assert asked == list(range({0: 1, 1: 2, 2: 3}[kept]))  # those that cannot be cheaper are not compensated
 
 
 def test_simultaneous_motion_is_a_named_fallback(monkeypatch: pytest.MonkeyPatch) -> None:
