@@ -344,10 +344,17 @@ def _finish(scenario: Scenario, stages: Stages, compensated: bool, report: Repor
     last, certificates = stages[-1].best, list[Certificate]()
     cost_mm = sum(stage.best.cost_mm for stage in stages)
     report(Progress("search", 1.0, cost_mm))
+    done = 0.0
+
+    def tell(fraction: float) -> None:
+        nonlocal done
+        done = max(done, fraction)  # several certificates may follow, which none before them knows
+        report(Progress("certificate", done, cost_mm))
+
     shift = np.zeros_like(last.corners[0])
     ways, notes, compensation = list[Array](), list[str](), None
     for k, (_, best, _) in enumerate(stages):
-        reporter = part_of(lambda fraction: report(Progress("certificate", fraction, cost_mm)), k, len(stages))
+        reporter = part_of(tell, k, len(stages))
         stage, corners, is_moved = best.checker.scenario, best.result.after, bool(shift.any())
         starts: list[FrictionStart] | None = list(certificates[-1].end_states) or None if certificates else None
         goal_test: GoalTest = any_end if is_moved else frictionless_arrives

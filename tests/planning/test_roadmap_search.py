@@ -29,6 +29,7 @@ from ctrplan.planning.search.ompl_set_up import SearchProblem
 from ctrplan.planning.search.polish import Race
 from ctrplan.planning.search.roadmap_search import RoadmapSearch
 from ctrplan.planning.search.stage_search import StageSearch
+from ctrplan.scenario.prediction import TIP_TOLERANCE_M
 from ctrplan.scenario.scenario import anatomy_grid
 
 
@@ -355,11 +356,18 @@ def test_a_race_s_results_end_at_the_goal_and_cost_what_they_do_as_driven(vessel
     search = StageSearch(vessel, goals, 0, time.monotonic(), 2.0, clock, lambda _: None, threading.Event())
     race = Race(search._first_path(), search._expanded, 0, is_compensated=True, moves_goal=True)
     race.run(clock.now, clock.now() + 0.3, search._is_over)
-    results = [(corners, cost_mm) for corners, cost_mm in race.results() if np.isfinite(cost_mm)]
+    results = list(race.results())
     assert results and search.best is not None
-    for corners, cost_mm in results:
-        there, moved = aimed(vessel.without_reserve(), corners)
-        motion = there.along(moved)
-        assert goal_state(vessel.without_reserve(), corners[-1]).tip_error_m < 0.1e-3
-        assert motion.valid and there.cost_mm(motion, ends_at_goal=True) == pytest.approx(cost_mm)
-    assert results[0][1] < race.cost_mm(search.best.corners, vessel.reserve_m)
+    for result in results:
+        there, _ = aimed(vessel.without_reserve(), result.to_goal)
+        off = (
+            there.scenario.goal.tip_m
+            - there.mechanics.tips_with_friction(  # type: ignore[operator]
+                *vessel.space.drive.collars(result.driven[-1:]), np.zeros((1, vessel.mechanics.n - 1))
+            ).position_m
+        )
+        assert np.linalg.norm(off) < 2 * TIP_TOLERANCE_M  # both are aimed where friction leaves what was aimed for
+        motion = there.along(result.driven)
+        assert goal_state(vessel.without_reserve(), result.to_goal[-1]).tip_error_m < 0.1e-3
+        assert motion.valid and there.cost_mm(motion, ends_at_goal=True) == pytest.approx(result.cost_mm)
+    assert results[0].cost_mm < race.cost_mm(search.best.corners)

@@ -137,7 +137,7 @@ def test_a_first_path_is_sampled_for_no_longer_than_it_takes(monkeypatch: pytest
     checker = MotionChecker(pair(goal={"joints": {**START, "rotate inner": 20}}))
     goals, clock = goal_states(checker, np.random.default_rng(0)), SearchClock(checker.meter, timed=False, budget_s=0.5)
     search = StageSearch(checker, goals, 0, time.monotonic(), 0.5, clock, lambda _: None, threading.Event())
-    first, best = search.run_to_first()
+    first, best, _ = search.run_to_first()
     assert first is best and to_the_first and all(to_the_first)
 
 
