@@ -28,8 +28,7 @@ from ctrplan.scenario.scenario import anatomy_grid, path_cost_mm
 if TYPE_CHECKING:
     from ctrplan.scenario.scenario import Scenario
 
-# Motions and states whose zero-clearance shapes have less room than this are not solved: none of 214 in three scenarios
-# was valid.
+# Less room of zero-clearance shapes than this, and nothing is solved: none of 214 such in three scenarios was valid
 DEFINITE_COLLISION_M = -1e-3
 DOUBTFUL_M = 3e-3  # less room than that, and a motion is looked at where it has least, before it is walked
 JUMP, JUMP_M = 3.0, 5e-3  # times the steps of the tip beside, and more than that and the translation by
@@ -219,11 +218,9 @@ class MotionChecker:
     def probe(self, q: Array) -> tuple[Motion, PathSamples | None]:
         """A single state, and what the core says of it; None where limits or nesting forbid it."""
         self.meter.add(ASKED_NS)
-        key = q.tobytes()
-        result = self._states.get(key)
-        if result is None:
-            result = self._states[key] = self._probe(q[None, :])
-        return result
+        if (key := q.tobytes()) not in self._states:
+            self._states[key] = self._probe(q[None, :])
+        return self._states[key]
 
     def solved_room_m(self, q: Array) -> float:
         """What a state (m,) that was solved leaves beyond the clearance required; NaN where none was."""
@@ -325,7 +322,7 @@ class MotionChecker:
         return np.array([stations.room_m.min() for stations in self.look(ways)])
 
     def state_rooms(self, q: Array) -> Array:
-        """(K,) [m] the same of states (K, m)."""
+        """(K,) [m] clearance of zero-clearance shapes at states (K, m), beyond what is required."""
         return self._rooms_and_tips(*self.space.drive.collars(q))[0]
 
     def look(self, ways: list[Array]) -> list[Stations]:

@@ -148,7 +148,7 @@ def test_a_step_stays_within_what_the_model_limits_and_leaves_the_tip(beside: Mo
 
 
 def test_room_beside_a_walked_path_is_foreseen(beside: MotionChecker) -> None:
-    """As it is where the path is the walked one, within a quarter of a millimetre mostly some 3 mm away."""
+    """It is the walk's where the path is walked, else within a quarter of a millimetre mostly some 3 mm away."""
     path = roundabout()
     walked, levels = beside.known_walk(path), levels_of(beside, path, moves_goal=True)
     near = NearPlaces(beside)

@@ -90,7 +90,7 @@ class NearPlaces:
             yield from (NearPlace(leg, fraction, room_mm + off_mm, by) for room_mm, by in near)
 
     def foreseen(self, corners: Array, walked: Array, samples: PathSamples) -> list[NearPlace] | None:
-        """The same of a path (K, m) that was not walked, from a walk of another beside it with legs like its own.
+        """Places where a path (K, m) likely has least room, from a walk of another beside it with legs like its own.
 
         The zero-clearance shapes tell: where the walk had its samples, their room differs from that of the walk's
         shapes by about as much on either path. None where the path is too close by more than ASTRAY_M.
