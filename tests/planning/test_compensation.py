@@ -88,6 +88,38 @@ def test_what_the_first_correction_leaves_is_corrected_again(monkeypatch: pytest
     np.testing.assert_allclose(result.corners[-1] - GOAL, result.compensation.correction, atol=1e-12)
 
 
+def test_the_way_that_is_known_to_be_driven_is_tried_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing is corrected where it is certified and arrives; where it does not arrive, corrections follow."""
+    case, turned_last = pair(), np.array([START, [*START[:2], GOAL[2]], GOAL])
+    checker, before = MotionChecker(case), certify(case, turned_last)
+    found = compensate(checker, turned_last, before)
+    assert np.any(found.corners != turned_last)
+    in_vain = compensate(checker, turned_last, before, turned_last + 1e-6)
+    np.testing.assert_array_equal(in_vain.corners, found.corners)
+    monkeypatch.setattr(compensation, "_correction", None)
+    known = compensate(checker, turned_last, before, found.corners)
+    np.testing.assert_array_equal(known.corners, found.corners)
+    np.testing.assert_allclose(known.compensation.correction, found.compensation.correction, atol=1e-12)
+
+
+@pytest.mark.parametrize("slope", [-1.05, -0.9, 0.5])
+def test_the_offset_that_is_aimed_for_is_that_at_the_end(slope: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also where it changes as much as the end does, so that aiming where it last was leads away."""
+    case, path = pair(), np.array([START, [*START[:2], GOAL[2]], GOAL])
+
+    def miss_m(corners: Any) -> Any:
+        return compensation._frictionless(case.robot, corners[-1:])[0][0] - case.goal.tip_m
+
+    def offset_m(_: Any, corners: Any) -> Any:
+        return np.array([0.3e-3, -0.1e-3, 0.2e-3]) + slope * miss_m(corners)
+
+    monkeypatch.setattr(compensation, "_offset_m", offset_m)
+    checker = MotionChecker(case)
+    other, moved = compensation.aimed(checker, path)
+    assert other is not checker and np.linalg.norm(miss_m(moved)) > 0.1e-3
+    assert np.linalg.norm(miss_m(moved) + offset_m(None, moved)) < 2 * TIP_TOLERANCE_M
+
+
 def test_a_line_gets_corners_where_friction_takes_the_tip_off_between_them(monkeypatch: pytest.MonkeyPatch) -> None:
     """A line that begins with a reversal: friction builds up, and the tip does not follow the joints in proportion."""
     case, corners = pair(), np.linspace(GOAL, GOAL - [0.0, 0.4, 0.01], 3)
