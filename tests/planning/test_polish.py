@@ -16,7 +16,7 @@ from ctrplan.files.scenario_file import load_scenario
 from ctrplan.motion.checker import MotionChecker
 from ctrplan.planning.compensate import CLOSE_M, aimed, brought_to_goal
 from ctrplan.planning.goal_states import goal_state
-from ctrplan.planning.search.path_model import NearPlaces, PathModel, levels_of, slope_along
+from ctrplan.planning.search.path_model import NearPlaces, PathModel, _valleys, levels_of, slope_along
 from ctrplan.planning.search.polish import Polish
 from ctrplan.scenario.joint_space import bare_scenario
 from ctrplan.scenario.prediction import TIP_TOLERANCE_M, predict_end, start_states
@@ -168,6 +168,13 @@ def test_room_beside_a_walked_path_is_foreseen(beside: MotionChecker) -> None:
     assert len(off) > 8 and np.median(off) < 0.25
     turned = np.array([0.3, 0.0, 0.0, 0.0])
     assert None in (near.foreseen(path + turned, path, walked), near.foreseen(path - turned, path, walked))
+
+
+def test_a_place_is_a_valley_that_rises_on_either_side() -> None:
+    rooms_mm = np.array([1.0, 0.5, 0.6, 0.45, 0.9, 0.3, 0.31])
+    assert _valleys(1e-3 * rooms_mm) == [3, 5]  # the ridge of 0.1 mm parts nothing
+    assert _valleys(1e-3 * rooms_mm[::-1]) == [1, 3]
+    assert _valleys(1e-3 * rooms_mm[:2]) == [1] and _valleys(np.zeros(3)) == [0]
 
 
 def test_room_is_foreseen_at_limits_of_joints(beside: MotionChecker) -> None:
