@@ -323,7 +323,10 @@ def _cheapest_as_driven(
         if not candidate.certificate.valid:
             continue
         others = [*stages[:-1], stages[-1]._replace(best=candidate)]
-        other = _finish(scenario, others, compensated, report)
+        try:
+            other = _finish(scenario, others, compensated, report)
+        except NoAnswerError:  # what is asked for all its clearance fails; the best does not
+            continue
         if candidate.cost_mm + _offset_cost_mm(scenario, other) < kept[-1].best.cost_mm + offset_mm:
             result, kept, offset_mm = other, others, _offset_cost_mm(scenario, other)
     return result, kept

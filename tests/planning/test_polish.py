@@ -170,6 +170,20 @@ def test_room_beside_a_walked_path_is_foreseen(beside: MotionChecker) -> None:
     assert None in (near.foreseen(path + turned, path, walked), near.foreseen(path - turned, path, walked))
 
 
+def test_a_walk_that_ends_on_its_way_has_a_model_as_far_as_it_goes(beside: MotionChecker) -> None:
+    """As one that is a little too close on a leg, and unstable on the next."""
+    path = roundabout()
+    walked, levels = beside.known_walk(path), levels_of(beside, path, moves_goal=True)
+    for last in (0, 2):
+        ended = walked.at_rows(np.flatnonzero(walked.segment <= last))
+        slope = slope_along(beside, path, levels, ended)
+        places = list(NearPlaces(beside).along(path, ended))
+        model = PathModel(beside, path, levels, places, slope)
+        assert np.isfinite(model.slope).all() and {place.leg for place in places} <= set(range(last + 1))
+        later = levels.spread[: last + 2].sum(axis=(0, 1)) == 0
+        assert later.any() and not slope[later].any()
+
+
 def test_a_place_is_a_valley_that_rises_on_either_side() -> None:
     rooms_mm = np.array([1.0, 0.5, 0.6, 0.45, 0.9, 0.3, 0.31])
     assert _valleys(1e-3 * rooms_mm) == [3, 5]  # the ridge of 0.1 mm parts nothing

@@ -118,7 +118,7 @@ class NearPlaces:
     def _rows(self, samples: PathSamples, room_m: Array) -> list[int]:
         """Samples of each leg that have less room (S,) than those around, and less than ASTRAY_M."""
         rows = list[int]()
-        for leg in range(int(samples.segment[-1]) + 1):
+        for leg in np.unique(samples.segment).tolist():
             on_leg = np.flatnonzero(samples.segment == leg)
             rows += on_leg[_valleys(room_m[on_leg])].tolist()
         return [row for row in rows if room_m[row] < ASTRAY_M]
@@ -178,7 +178,7 @@ def slope_along(checker: MotionChecker, corners: Array, levels: Levels, samples:
     share = error_m / np.maximum(samples.position_m, 1e-12)
     price = cost.error_along * MM_PER_M / cost.mm_per_rad  # of m over mm
     fraction, weight = GAUSS
-    for leg in range(len(corners) - 1):
+    for leg in np.unique(samples.segment).tolist():  # a walk that breaks a limit ends there
         on_leg = np.flatnonzero(samples.segment == leg)
         rows, at = np.append(max(on_leg[0] - 1, 0), on_leg), np.append(0.0, samples.fraction[on_leg])
         moved = (corners[leg + 1] - corners[leg]) * space.weights_mm
