@@ -15,7 +15,7 @@ from ctrplan.errors import InputError
 from ctrplan.pipeline.parametric_chain import ParametricChain
 
 MOST_STEPS = 25
-ENOUGH = 0.05  # decrease of the loss (twice a log-likelihood) below which a fit has converged
+ENOUGH = 0.05  # decrease of the loss (twice a log-likelihood), beside noise as large as what is left, that is vain
 VAIN = 0.5  # decrease promised by a step that was refused below which shorter ones are not tried: 0.7 standard errors
 FIRST_DAMPING, LARGEST_DAMPING = 1.0, 1e6  # of steps in units of the priors: valleys are curved and long in these
 LONGEST_STEP = 2.0  # of a parameter in a step, in standard deviations of its prior
@@ -88,8 +88,9 @@ def fit(
         if not len(p):
             break
         target, promised, unbounded = _step(here, damping)
-        if promised < ENOUGH:
-            if unbounded < ENOUGH or damping > LARGEST_DAMPING:
+        left = max(1.0, here.residuals.loss / max(1, int(here.residuals.given.sum())))  # over what noise leaves
+        if promised < ENOUGH * left:
+            if unbounded < ENOUGH * left or damping > LARGEST_DAMPING:
                 return replace(here, converged=True)
             damping = max(damping * 10, FIRST_DAMPING)  # a step that its bounds bend goes downhill where it is short
             continue
@@ -105,8 +106,8 @@ def fit(
             here = there
         else:
             damping = max(damping * 10, FIRST_DAMPING)
-        vain = gain <= 0 and promised < VAIN
-        if vain or abs(gain) < ENOUGH or damping > LARGEST_DAMPING:  # a loss this near is the solver's own noise
+        vain = gain <= 0 and promised < VAIN * left
+        if vain or abs(gain) < ENOUGH * left or damping > LARGEST_DAMPING:  # a loss this near is the solver's own noise
             return replace(here, converged=True)
     return here
 

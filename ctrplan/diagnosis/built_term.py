@@ -18,11 +18,11 @@ from ctrplan.calibration.discrepancy import Linearised
 from ctrplan.calibration.estimates import estimates
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
 from ctrplan.diagnosis.partial_diagnosis import PartialDiagnosis, mean_square, most_probable, remainder_beside
-from ctrplan.diagnosis.posterior import MOST_EFFECTS, SelectionStep
+from ctrplan.diagnosis.posterior import MOST_EFFECTS
 from ctrplan.diagnosis.remainder import Remainder
 from ctrplan.diagnosis.term_pieces import TermPiece, WideLinearisation, is_built, pieces, wide_linearisation, with_piece
 from ctrplan.diagnosis.unknown_errors import Peak, UnknownErrors
-from ctrplan.diagnosis.workbench import Scored, linear
+from ctrplan.diagnosis.workbench import Scored, SelectionStep, linear
 from ctrplan.effects.learned.learned import Learned
 from ctrplan.pipeline.term import Term
 
@@ -126,7 +126,9 @@ def _grown(
         table = wide_linearisation(bench, here, known)
         ranked = _ranked(table, table.whole.centred(bench.noise, root), peak, choice)
         best: tuple[float, TermPiece, Scored] | None = None
-        for piece, _ in ranked[:TRIED]:
+        for piece, promised in ranked[:TRIED]:
+            if best is not None and promised <= best[0]:
+                break
             there = bench.scored(with_piece(here.terms, piece, table.ranges[piece], bench), here.fit)
             after, _ = errors.evidence(linear(there.fit).centred(bench.noise, root))
             gain = after - before - choice

@@ -19,10 +19,10 @@ from ctrplan.calibration.residuals import Noise
 from ctrplan.diagnosis.adequacy import ignored, remains, rescaled_noise
 from ctrplan.diagnosis.built_term import Built, build
 from ctrplan.diagnosis.partial_diagnosis import PartialDiagnosis, diagnose_partially
-from ctrplan.diagnosis.posterior import Compared, SelectionStep, settled
+from ctrplan.diagnosis.posterior import Compared, settled
 from ctrplan.diagnosis.usable_poses import MOST_POSES, bench_of, checked_split, thinned, without_outliers
 from ctrplan.diagnosis.verdict import Judgement, judge
-from ctrplan.diagnosis.workbench import Candidates, Scored, Workbench
+from ctrplan.diagnosis.workbench import Candidates, Scored, SelectionStep, Workbench
 from ctrplan.measurement.measurements import Measurements, Split, groups
 from ctrplan.robot.robot import Robot
 
@@ -137,7 +137,8 @@ def _beside_a_remainder(
     """
     noise = before.noise if before.is_rescaled else stated
     try:
-        part = diagnose_partially(before.bench.robot, data, usable & ~before.wrong, noise, known, teller)
+        near = before.base.fit
+        part = diagnose_partially(before.bench.robot, data, usable & ~before.wrong, noise, known, teller, near)
     except Interrupted:
         return replace(before, interrupted=True, notes=(*before.notes, INTERRUPTED))
     return replace(

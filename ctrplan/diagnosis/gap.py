@@ -17,6 +17,7 @@ from ctrplan.calibration.fit_warnings import excused
 from ctrplan.calibration.least_squares import Fit
 from ctrplan.calibration.residuals import MODEL_POSITION_M, Noise, Residuals, residuals
 from ctrplan.diagnosis.adequacy import HEAVY, ChiSquare, outliers, tail_weight
+from ctrplan.diagnosis.linear_fit import solved
 from ctrplan.diagnosis.remainder import Place
 from ctrplan.diagnosis.verdict import Verdict
 from ctrplan.measurement.measurements import Measurements
@@ -41,6 +42,7 @@ class Gap:
     chi_square: ChiSquare  # of the held-out set's poses under the predictive distribution of the fit with the effects
     failed: NDArray[np.bool_]  # of all poses of the held-out set: without a solution, before or after
     outlying: NDArray[np.bool_]  # likewise: too far off for noise while few are, left out of every figure
+    correction: tuple[Array, Array] | None  # of all its poses: what friction states leave out, with the effects
 
 
 def open_test_set(before: Fit, after: Fit, held_out_set: Measurements, group: NDArray[np.int_], noise: Noise) -> Gap:
@@ -52,7 +54,7 @@ def open_test_set(before: Fit, after: Fit, held_out_set: Measurements, group: ND
     values = (before.chain.neutral, before.p, after.p)
     for chain, p in zip(chains[1:], values[1:], strict=True):
         chain.correction = friction_correction(chain, p)
-    effective_there = chains[2].predict(after.p)
+    correction, effective_there = chains[2].correction, chains[2].predict(after.p)
     predictions = [chain.predict(p, derivatives=False) for chain, p in zip(chains[:2], values[:2], strict=True)]
     predictions.append(effective_there)
     failed = predictions[1].failed | predictions[2].failed
@@ -82,7 +84,17 @@ def open_test_set(before: Fit, after: Fit, held_out_set: Measurements, group: ND
         chi_square,
         failed,
         outlying,
+        correction,
     )
+
+
+def rms_there_m(fit: Fit, held_out_set: Measurements, like: Gap) -> float:
+    """Rms distance of the poses that a gap's figures are of, by a like fit: with friction states as they are there."""
+    chain = ParametricChain(fit.chain.robot, held_out_set, fit.chain.terms)
+    chain.correction = like.correction if chain.robot_at(fit.p).friction.any() else None
+    kept = ~excused(like.failed) & ~like.outlying
+    error = distances(chain.predict(fit.p, derivatives=False).subset(kept), held_out_set.subset(kept))
+    return float(np.sqrt(np.mean(error**2)))
 
 
 def _tails(fitted: Residuals) -> float:
@@ -93,7 +105,7 @@ def _tails(fitted: Residuals) -> float:
 
 def _spread_m(position_by: Array, after: Fit) -> float:
     """Rms distance, of positions with derivatives (V, 3, P), within the covariance of the parameters."""
-    per_pose = np.einsum("kip,pq,kiq->k", position_by, after.covariance, position_by)
+    per_pose = ((position_by @ after.covariance) * position_by).sum(axis=(1, 2))
     return float(np.sqrt(per_pose.mean())) if len(per_pose) else 0.0
 
 
@@ -118,8 +130,9 @@ def _residuals(
 
 def _predictive(r: Array, J: Array, after: Fit) -> ChiSquare:
     """Residuals (R,) with derivatives (R, P) over noise and the parameters' own uncertainty together."""
-    spread = np.eye(len(r)) + J @ after.covariance @ J.T
-    return ChiSquare(float(r @ np.linalg.solve(spread, r)), len(r))
+    along = J.T @ r
+    taken = along @ solved(after.information + J.T @ J, along)  # r^T (1 + J H^-1 J^T)^-1 r by Woodbury's identity
+    return ChiSquare(float(r @ r - taken), len(r))
 
 
 LARGEST_REST = 1.5  # of the noise: rms error with which a model still agrees with measurements

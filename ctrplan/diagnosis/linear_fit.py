@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -46,6 +46,11 @@ class Linear:
         H, gradient = self._system()
         step = solved(H, gradient - self.precision * self.offset)
         return replace(self, r=self.r - self.J @ step, offset=self.offset + step)
+
+    def widened(self, owners: Sequence[str], widths: Mapping[str, Width]) -> Linear:
+        """With priors as wide as is most probable for the effects that own the parameters."""
+        over_stated = np.square([widths.get(name, STATED).over_stated for name in owners])
+        return replace(self, precision=self.precision / over_stated)
 
     def centred(self, noise: Noise, root: Array) -> Linearised:
         """Residuals at the priors' centres over the noise alone, as poses count: by roots (K,)."""

@@ -207,7 +207,7 @@ def next_experiment(
         sentences.append("Then measure another run, which nothing has read, and ask it with --confirm.")
     if judgement.verdict == "unexplained":
         sentences.append(
-            "Something outside the catalogue acts: repeat the configurations with the largest errors, each several "
+            "Something acts that has no name: repeat the configurations with the largest errors, each several "
             "times and with everything that can be changed changed (load, speed, mounting, temperature), and see "
             "with what the error goes."
         )

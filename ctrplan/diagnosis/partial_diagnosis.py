@@ -15,16 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
+from ctrplan.calibration.least_squares import Fit
 from ctrplan.calibration.residuals import Noise
 from ctrplan.diagnosis.adequacy import Adequacy, remains
 from ctrplan.diagnosis.correlated_bench import FRAMES, HOMED, SHIFT, CorrelatedBench, frames_beside
 from ctrplan.diagnosis.linear_fit import left_out_residuals
-from ctrplan.diagnosis.posterior import Compared, Report, SelectionStep, settled
+from ctrplan.diagnosis.posterior import Compared, Report, settled
 from ctrplan.diagnosis.remainder import Remainder, localise, shares
 from ctrplan.diagnosis.term_pieces import is_built
 from ctrplan.diagnosis.usable_poses import block_split, blocks, on_one_branch, thinned, thinning
 from ctrplan.diagnosis.verdict import Judgement, Verdict, findings_of
-from ctrplan.diagnosis.workbench import Candidates, Scored, Workbench, linear
+from ctrplan.diagnosis.workbench import Candidates, Scored, SelectionStep, Workbench, linear
 from ctrplan.measurement.measurements import Measurements, Split
 from ctrplan.pipeline.term import Term
 from ctrplan.robot.robot import Robot
@@ -105,19 +106,30 @@ class PartialDiagnosis:
 
 
 def diagnose_partially(
-    robot: Robot, data: Measurements, usable: NDArray[np.bool_], noise: Noise, known: Candidates, tell: Report
+    robot: Robot,
+    data: Measurements,
+    usable: NDArray[np.bool_],
+    noise: Noise,
+    known: Candidates,
+    tell: Report,
+    begun: Fit | None = None,
 ) -> PartialDiagnosis:
-    """Searches, asks what holds, and describes the rest; `usable` (K,) are the poses to go by."""
+    """Searches, asks what holds, and describes the rest; `usable` (K,) are the poses to go by.
+
+    begun: a calibration of like poses, near which these are calibrated.
+    """
     tell("looking for what holds beside a rest")
-    block = blocks(data, _memory(robot, data, usable, noise))
+    block = blocks(data, _memory(robot, data, usable, noise, begun))
     parts = thinned(block_split(data, usable, block), data)
+    near = begun
     if data.is_stream:
         first = _bench(robot, data, noise, parts, block)
-        certain = on_one_branch(*first.corrected(first.scored([])))
-        parts = Split(parts.selection[certain], parts.held_out_set)
+        framed = first.scored([], begun)
+        certain = on_one_branch(*first.corrected(framed))
+        parts, near = Split(parts.selection[certain], parts.held_out_set), framed.fit
     bench = _bench(robot, data, noise, parts, block)
-    base = Workbench(robot, bench.data, noise, bench.group).scored([])
-    return most_probable(*bench.corrected(bench.scored([])), known, parts, block, base, tell)
+    base = Workbench(robot, bench.data, noise, bench.group).scored([], begun)
+    return most_probable(*bench.corrected(bench.scored([], near)), known, parts, block, base, tell)
 
 
 def _bench(robot: Robot, data: Measurements, noise: Noise, parts: Split, block: NDArray[np.int_]) -> CorrelatedBench:
@@ -195,7 +207,7 @@ def _by_name(bench: CorrelatedBench, chosen: Scored) -> tuple[CorrelatedBench, S
     return bench.corrected(bench.scored(names, chosen.fit))
 
 
-def _memory(robot: Robot, data: Measurements, usable: NDArray[np.bool_], noise: Noise) -> float:
+def _memory(robot: Robot, data: Measurements, usable: NDArray[np.bool_], noise: Noise, begun: Fit | None) -> float:
     """The memory of the calibrated model's errors on a continuous motion, in s, or in rows where there are no times."""
     if not data.is_stream:
         return 0.0
@@ -203,7 +215,7 @@ def _memory(robot: Robot, data: Measurements, usable: NDArray[np.bool_], noise: 
     some = some[:: thinning(len(some))]
     alone = np.arange(len(some))
     bench = CorrelatedBench(robot, data.subset(some), noise, alone)
-    return bench.estimated(bench.scored([])).memory
+    return bench.estimated(bench.scored([], begun)).memory
 
 
 def remainder_beside(bench: CorrelatedBench, chosen: Scored, noise: Noise) -> Remainder:

@@ -27,14 +27,21 @@ import numpy as np
 from scipy.special import logsumexp
 
 from ctrplan.calibration.discrepancy import Linearised, Spectrum
-from ctrplan.calibration.least_squares import Fit
-from ctrplan.calibration.residuals import Noise
 from ctrplan.diagnosis.correlated_bench import FRAMES
 from ctrplan.diagnosis.linear_fit import STATED, Linear, Width, widths_of
 from ctrplan.diagnosis.term_pieces import is_built, pieces
 from ctrplan.diagnosis.unknown_errors import Peak, UnknownErrors, without_error
 from ctrplan.diagnosis.verdict import ACTS, UNKNOWN_ACTS, Posterior, log_odds, normalised
-from ctrplan.diagnosis.workbench import Bench, Candidates, Linearisation, Scored, Screened, Workbench, linear
+from ctrplan.diagnosis.workbench import (
+    Bench,
+    Candidates,
+    Linearisation,
+    Scored,
+    Screened,
+    SelectionStep,
+    Workbench,
+    linear,
+)
 from ctrplan.pipeline.term import Term
 
 MOST_EFFECTS = 4  # of a set
@@ -44,17 +51,6 @@ ROUNDS = 3  # of a search, each with the friction states and the rest that the s
 
 Report = Callable[[str], None]
 Promise = tuple[float, list[Term]]  # the weight of a set to first order, and its terms
-
-
-@dataclass(frozen=True)
-class SelectionStep:
-    """One step of the path: how much more probable (logarithm) the poses are with it."""
-
-    action: str  # "compare", "build"
-    effect: str
-    parameters: tuple[str, ...]
-    gain: float
-    taken: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,21 +67,22 @@ def compared(bench: Workbench, chosen: Scored, known: Candidates, search: bool =
 
     Built terms are no effects: what they do is done by something unknown.
     """
-    base = bench.scored([])
-    less = [bench.scored([t for t in chosen.terms if t is not gone], chosen.fit) for gone in chosen.terms]
-    among = [scored for scored in (base, *bench.visited, *less) if _is_alike(scored.fit, chosen.fit)]
+    return _searched(bench, chosen, known, search).compared(chosen)
+
+
+def _searched(bench: Workbench, chosen: Scored, known: Candidates, search: bool) -> _Comparison:
+    """The sets that were fitted to the same poses over the same noise, before their neighbours are weighed."""
+    base, fit = bench.scored([]), chosen.fit
+    of_poses = [scored for scored in (base, *bench.visited) if scored.fit.chain.data is fit.chain.data]
+    among = [scored for scored in of_poses if scored.fit.noise.position_m == fit.noise.position_m]
     comparison = _Comparison(bench, known, base, chosen, among)
     if search:
         comparison.climb()
         if comparison.best is not chosen:  # poses count as they do in the most probable set
             likely = dict.fromkeys([comparison.as_known(base), comparison.as_known(chosen), *comparison.likely])
             comparison = _Comparison(bench, known, base, comparison.best, likely)
-    for here in (base, chosen, comparison.best):
-        comparison.compare_neighbours(comparison.as_known(here))
-    ranked = sorted(comparison.fitted, key=comparison.weight, reverse=True)
-    gain = comparison.weight(ranked[0]) - comparison.weight(comparison.as_known(chosen))
-    along = comparison.errors.along(comparison.as_fitted(ranked[0]))
-    return Compared(normalised(comparison.by_names(), along), tuple(ranked), gain)
+    comparison.compare_less(comparison.best)
+    return comparison
 
 
 def settled(
@@ -97,20 +94,15 @@ def settled(
     path = list[SelectionStep]()
     while True:
         tell("comparing sets of effects beside " + (", ".join(here.names) or "the calibrated robot"))
-        result, before = compared(bench, here, known, search=True), {t.key for t in here.terms}
-        best = result.sets[0]
+        comparison, before = _searched(bench, here, known, search=True), here
+        best = comparison.best
         bench, here = bench.corrected(best)
-        if {t.key for t in best.terms} == before:
-            return bench, result, here, tuple(path)
-        names = tuple(q.name for t in best.terms for q in t.parameters)
-        path.append(SelectionStep("compare", " and ".join(best.names), names, round(result.gain, 2), bool(names)))
+        if _key(best.terms) == _key(before.terms):
+            return bench, comparison.compared(before), here, tuple(path)
+        names, gain = tuple(q.name for t in best.terms for q in t.parameters), comparison.gain(before)
+        path.append(SelectionStep("compare", " and ".join(best.names), names, round(gain, 2), bool(names)))
         if here is best or len(path) == ROUNDS:
-            return bench, result, here, tuple(path)
-
-
-def _is_alike(fit: Fit, other: Fit) -> bool:
-    """Whether two fits are of the same poses over the same noise, so that their evidences compare."""
-    return fit.chain.data is other.chain.data and fit.noise.position_m == other.noise.position_m
+            return bench, comparison.compared(before), here, tuple(path)
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +128,7 @@ class _Comparison:
     def __init__(
         self, bench: Workbench, known: Candidates, base: Scored, chosen: Scored, fitted: Iterable[Scored] = ()
     ) -> None:
-        self.bench, self.known = bench, known
+        self.bench, self.known, self.base = bench, known, base
         self.of_piece = float(np.log(len(pieces(bench.robot, bench.data, known.terms))))  # of which a term is built
         self.root = np.sqrt(np.where(base.failed | chosen.failed, 0.0, chosen.fit.residuals.weight))
         ends = [self.as_fitted(scored) for scored in (base, chosen)]
@@ -153,11 +145,6 @@ class _Comparison:
             self.add(scored, chosen)
 
     @property
-    def fitted(self) -> list[Scored]:
-        """Sets that were fitted."""
-        return list(self.known_sets)
-
-    @property
     def likely(self) -> list[Scored]:
         """Those that another weighing of the poses may make the most probable."""
         highest = self.weight(self.best)
@@ -167,6 +154,19 @@ class _Comparison:
     def best(self) -> Scored:
         """The most probable of them."""
         return max(self.known_sets, key=self.weight)
+
+    def compared(self, chosen: Scored) -> Compared:
+        """The posterior, with what stands near the base, the set that was begun with, and the best one."""
+        for here in dict.fromkeys(self.as_known(scored) for scored in (self.base, chosen, self.best)):
+            if here in self.likely:
+                self.compare_neighbours(here)
+        ranked = sorted(self.known_sets, key=self.weight, reverse=True)
+        along = self.errors.along(self.as_fitted(ranked[0]))
+        return Compared(normalised(self.by_names(), along), tuple(ranked), self.gain(chosen))
+
+    def gain(self, chosen: Scored) -> float:
+        """Logarithm of how much more probable the best set is than the one that was begun with."""
+        return self.weight(self.best) - self.weight(self.as_known(chosen))
 
     def as_known(self, scored: Scored) -> Scored:
         """The set as it is fitted by now: further on where its fit had used up its steps."""
@@ -190,7 +190,7 @@ class _Comparison:
             return
         terms, (widths, owners) = self._named(scored), self._of_fit(scored)
         built = sum(map(is_built, scored.terms))
-        whole = self._linearised(linear(scored.fit), scored.fit.noise, owners, widths)
+        whole = linear(scored.fit).widened(owners, widths).centred(scored.fit.noise, self.root)
         if near is None or near not in self.known_sets:
             self._weigh(scored, widths, whole)
             return
@@ -276,18 +276,17 @@ class _Comparison:
                     self._fit_best(variants, here)
 
     def _fit_best(self, variants: Sequence[Promise], here: Scored) -> None:
-        """Variants of an effect beside a set, the most promising first, until none promises more than one has."""
+        """Variants of an effect beside a set, the most promising first, until none promises more than one has.
+
+        Each is fitted from there or from where fits start, whichever promises more.
+        """
         highest = -np.inf
         for promised, terms in variants:
             if promised <= highest:
                 return
-            highest = max(highest, self.known_sets[self.as_known(self._fit(terms, here))].weight)
-
-    def _fit(self, terms: list[Term], here: Scored) -> Scored:
-        """A set near another one, fitted from there or from where fits start, whichever promises more."""
-        scored = self.bench.scored(terms, here.fit, None)
-        self.add(scored, here)
-        return scored
+            scored = self.bench.scored(terms, here.fit, None)
+            self.add(scored, here)
+            highest = max(highest, self.known_sets[self.as_known(scored)].weight)
 
     def _more(self, here: Scored) -> list[list[Promise]]:
         """The most probable neighbours of a set by their first step, of different effects."""
@@ -329,12 +328,16 @@ class _Comparison:
             kept = np.array(owners) != gone.name
             left = whole.without(~kept).refitted()
             if left.loss < most:
-                named, names = tuple(np.array(owners)[kept]), (mine.names - {gone.name}) | {t.name for t in added}
-                widths = widths_of(left, named, {*names, *here.names} - {gone.name})
-                fit = self._linearised(left, self.bench.noise, named, widths)
-                built = sum(map(is_built, rest))
-                promised = self._first_order(here, names, self._cost(names, widths, built), built, fit)
-                yield promised.weight, [*rest, *added]
+                lacking = self._lacking(here, gone, added, left, np.array(owners)[kept].tolist())
+                yield lacking.weight, [*rest, *added]
+
+    def _lacking(self, here: Scored, gone: Term, added: Sequence[Term], left: Linear, owners: Sequence[str]) -> _Set:
+        """A set near another one, with others in the place of an effect, to first order; owners of its parameters."""
+        names = (self.known_sets[here].names - {gone.name}) | {t.name for t in added}
+        widths = widths_of(left, owners, {*names, *here.names} - {gone.name})
+        built = sum(is_built(t) for t in here.terms if t is not gone)
+        fit = left.widened(owners, widths).centred(self.bench.noise, self.root)
+        return self._first_order(here, names, self._cost(names, widths, built), built, fit)
 
     def _first_order(
         self,
@@ -361,6 +364,18 @@ class _Comparison:
             self._peaks[here] = self.known_sets[here].peak.evidence(self.as_fitted(here))
         return self._peaks[here]
 
+    def compare_less(self, here: Scored) -> None:
+        """Compares a set with those of one effect less, to first order where that makes them hopeless."""
+        known = {_key(scored.terms) for scored in self.known_sets}
+        for gone in here.terms:
+            rest, kept = [t for t in here.terms if t is not gone], np.array(here.fit.chain.owners) != gone.name
+            left = linear(here.fit).without(~kept).refitted()
+            lacking = self._lacking(here, gone, [], left, np.array(here.fit.chain.owners)[kept].tolist())
+            if lacking.weight > self.known_sets[here].weight - WINDOW:
+                self.add(self.bench.scored(rest, here.fit), here)
+            elif _key(rest) not in known:
+                _note(self._promised, [t for t in self._named(here) if t.name != gone.name], lacking)
+
     def compare_neighbours(self, here: Scored) -> None:
         """Compares a set with one effect more, to first order."""
         for added, neighbour, _ in self._neighbours(here):
@@ -384,7 +399,7 @@ class _Comparison:
             added = [t for t in terms if t.name not in here.names]
             names = mine.names | {t.name for t in added}
             widths = widths_of(screened.linear, screened.owners, {*names, *here.names})
-            fit = self._linearised(screened.linear, self.bench.noise, screened.owners, widths)
+            fit = screened.linear.widened(screened.owners, widths).centred(self.bench.noise, self.root)
             cost = self._cost(names, widths, built)
             if (panel := screened.panel) is None:
                 of_fit = mine.peak.evidence(fit)
@@ -417,18 +432,7 @@ class _Comparison:
     def as_fitted(self, scored: Scored) -> Linearised:
         """A set at its own fit."""
         widths, owners = self._of_fit(scored)
-        return self._linearised(linear(scored.fit), scored.fit.noise, owners, widths)
-
-    def _linearised(
-        self,
-        fit: Linear,
-        noise: Noise,
-        owners: Sequence[str],
-        widths: Mapping[str, Width],
-    ) -> Linearised:
-        """Residuals at the priors' centres over the noise alone, as poses count."""
-        precision = fit.precision / np.square([widths.get(name, STATED).over_stated for name in owners])
-        return replace(fit.centred(noise, self.root), precision=precision)
+        return linear(scored.fit).widened(owners, widths).centred(scored.fit.noise, self.root)
 
     def _cost(self, names: Iterable[str], widths: Mapping[str, Width], built: int) -> float:
         """Logarithm of what the choice of one variant of each effect, of its width and of built terms cost."""

@@ -20,12 +20,11 @@ from ctrplan.diagnosis.correlated_bench import FRAMES
 from ctrplan.diagnosis.gap import Gap
 from ctrplan.diagnosis.next_experiment import Decision, Proposal
 from ctrplan.diagnosis.partial_diagnosis import PartialDiagnosis
-from ctrplan.diagnosis.posterior import SelectionStep
 from ctrplan.diagnosis.reading import MisreadError, Reading
 from ctrplan.diagnosis.remainder import Place, Remainder
 from ctrplan.diagnosis.slips import Slip
 from ctrplan.diagnosis.verdict import Judgement, Posterior, Verdict, names_of
-from ctrplan.diagnosis.workbench import Scored
+from ctrplan.diagnosis.workbench import Scored, SelectionStep
 from ctrplan.effects.learned.learned import Learned
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.pipeline.term import Term

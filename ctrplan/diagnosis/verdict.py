@@ -56,15 +56,22 @@ class Judgement:
 def judge(
     bench: Workbench, chosen: Scored, known: Candidates, posterior: Posterior, sets: Sequence[Scored]
 ) -> Judgement:
-    """The verdict on the most probable of the `sets` that were fitted, before the held-out set is opened."""
+    """The verdict by the posterior over all sets, before the held-out set is opened; `chosen` is the most probable of
+    the `sets` that were fitted.
+
+    One set may be the most probable of many that agree on something else: nothing is missing only where nothing acts
+    is more probable than not.
+    """
     left = remains(bench, chosen)
-    if not chosen.terms:
-        return Judgement("no_missing_effect" if posterior.of_unknown < 1 / 2 else "unexplained", (), left)
+    if not chosen.terms and posterior.of_verdict("no_missing_effect", ()) > 1 / 2:
+        return Judgement("no_missing_effect", (), left)
     findings = findings_of(bench, chosen, chosen.terms, known, posterior, sets)
     if posterior.of_unknown > 1 / 2:
-        note = f"Something unknown acts beside {' and '.join(chosen.names)}, {shown(posterior.of_unknown)}."
-        return Judgement("unexplained", (), left, (note,))
-    if _is_strained(bench, chosen) or len(findings) < len(chosen.terms):
+        beside = f"Something unknown acts beside {' and '.join(chosen.names)}, {shown(posterior.of_unknown)}."
+        return Judgement("unexplained", (), left, (beside,) if chosen.terms else ())
+    if not findings or len(findings) < len(chosen.terms):
+        return Judgement("unexplained", (), left, (_open(posterior),))
+    if _is_strained(bench, chosen):
         return Judgement("unexplained", (), left)
     shared = [f for f in findings if not f.alternatives and _is_shared(bench, chosen, f.term)]
     if shared:
@@ -72,6 +79,14 @@ def judge(
         return Judgement("unexplained", rest, left, tuple(_disbelieved(f.term) for f in shared))
     verdict: Verdict = "ambiguous" if any(f.alternatives for f in findings) else "named"
     return Judgement(verdict, findings, left)
+
+
+def _open(posterior: Posterior) -> str:
+    """What may act where nothing is certain enough for a name, the most probable first."""
+    names = {name for hypothesis in posterior.hypotheses for name in hypothesis.names}
+    ranked = sorted(names, key=lambda name: -posterior.of_effect(name))
+    likely = [f"{name}, {shown(posterior.of_effect(name))}" for name in ranked[:MOST_RIVALS]]
+    return f"No set of effects is certain. {'; '.join(likely)}; something unknown, {shown(posterior.of_unknown)}."
 
 
 def findings_of(
@@ -96,18 +111,17 @@ def findings_of(
 
 
 def standing_for(posterior: Posterior, name: str, beside: Collection[str] = ()) -> list[str] | None:
-    """Effects of which one acts with 0.99 if another does not, the most probable first; None where these are many.
+    """Effects of which one acts with 0.99 if another does not, the most probable first; None where these are many, or
+    one is more probable than that other.
 
     Those that act `beside` it stand for nothing.
     """
     group = [name]
     known = {other for hypothesis in posterior.hypotheses for other in hypothesis.names}
     others = sorted(known - {name, *beside})
-    if posterior.of_effect(name) < 1 / 2:
-        return None
     while posterior.of_effect(*group) < NAMED:
         best = max(others, key=lambda other: posterior.of_effect(*group, other), default=None)
-        if best is None or len(group) > MOST_RIVALS:
+        if best is None or len(group) > MOST_RIVALS or posterior.of_effect(best) > posterior.of_effect(name):
             return None
         group.append(best)
         others.remove(best)

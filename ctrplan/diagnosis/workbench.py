@@ -121,6 +121,17 @@ class Screened:
     places: Sequence[int] = ()  # (P,) of the columns there
 
 
+@dataclass(frozen=True)
+class SelectionStep:
+    """One step of the path: how much more probable (logarithm) the poses are with it."""
+
+    action: str  # "compare", "build"
+    effect: str
+    parameters: tuple[str, ...]
+    gain: float
+    taken: bool
+
+
 Bench = TypeVar("Bench", bound="Workbench")
 
 
@@ -229,7 +240,8 @@ class Workbench:
 
         Without anything to compare with nothing is promised.
         """
-        starts = [start for place in near or (None,) for start in self._starts(chain, place)]
+        places = near or (None,)
+        starts = [start for place in places for start in self._starts(chain, place, alone=len(places) == 1)]
         if len(starts) == 1 and not compared:
             starts = [np.clip(starts[0], chain.lower, chain.upper)]
         fits = [fit_at(chain, self.noise, self.whitening_group, start) for start in starts]
@@ -239,8 +251,11 @@ class Workbench:
         best = int(np.argmin(promised))
         return fits[best], promised[best]
 
-    def _starts(self, chain: ParametricChain, near: Fit | None) -> list[Array]:
-        """Known values of the parameters, and the effects' own suggestions for those not known yet."""
+    def _starts(self, chain: ParametricChain, near: Fit | None, alone: bool = True) -> list[Array]:
+        """Known values of the parameters, and the effects' own suggestions for those not known yet.
+
+        Far from any fit, and not `alone`, only the one that is nearest to the poses.
+        """
         known = near.chain.keys if near else ()
         starts = [valued(chain, near, chain.start)]
         for t in chain.terms:
@@ -249,7 +264,12 @@ class Workbench:
             suggestions = t.effect.starts([q.name for q in t.parameters])
             if suggestions != [{}]:
                 starts = [_suggested(start, chain, t, values) for start in starts for values in suggestions]
-        return starts
+        return starts if near or alone or len(starts) == 1 else [min(starts, key=lambda start: self._off(chain, start))]
+
+    def _off(self, chain: ParametricChain, p: Array) -> float:
+        """The loss of the poses at parameters (P,)."""
+        seen = chain.predict(np.clip(p, chain.lower, chain.upper), derivatives=False)
+        return residuals(self.data, seen, self.noise, self.whitening_group).loss
 
     def sized(self, scored: Scored) -> Scored:
         """The set with priors of its effects as wide as is most probable, where that is wider than stated.

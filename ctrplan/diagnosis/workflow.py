@@ -21,7 +21,7 @@ from ctrplan.calibration.residuals import Residuals
 from ctrplan.calibration.robot_content import within_file
 from ctrplan.diagnosis.adequacy import Adequacy, ignored, left_out_probability, noise_floor, remains
 from ctrplan.diagnosis.conclusion import HELD_OUT_SHARE, Conclusion, Teller, conclude
-from ctrplan.diagnosis.gap import Gap, contradiction, open_test_set
+from ctrplan.diagnosis.gap import Gap, contradiction, open_test_set, rms_there_m
 from ctrplan.diagnosis.next_experiment import decision, next_experiment
 from ctrplan.diagnosis.partial_diagnosis import PartialDiagnosis, left_by_names
 from ctrplan.diagnosis.posterior import compared
@@ -73,21 +73,19 @@ def opened(answer: Conclusion, data: Measurements) -> Opened:
 
 
 def _harmful(outcome: Opened, data: Measurements) -> list[Term]:
-    """Effects without which poses kept aside are predicted better."""
+    """Effects without which poses kept aside are predicted better; sets with and without them under stated priors."""
     part = outcome.answer.partial
     if part is None or outcome.answer.interrupted or outcome.judgement.verdict != "partial":
         return []
+    bench, chosen, aside = part.bench, outcome.answer.chosen, data.subset(outcome.answer.split.held_out_set)
+
+    def off_m(scored: Scored) -> float:
+        return rms_there_m(bench.handed_over(scored).fit, aside, outcome.gap)
+
     listed = {finding.term.key for finding in outcome.judgement.findings}
-    kept = outcome.answer.split.held_out_set
-    aside, group = data.subset(kept), outcome.answer.group[kept]
-    results, chosen = [], outcome.answer.chosen
-    for t in (t for t in chosen.terms if t.key in listed):
-        rest = part.bench.scored([other for other in chosen.terms if other.key != t.key], chosen.fit, None)
-        fit = _beside_a_remainder(part, rest).fit
-        gap = open_test_set(outcome.answer.base.fit, fit, aside, group, outcome.answer.noise)
-        if MOST_WORSE * gap.after.rms_m < outcome.gap.after.rms_m:
-            results.append(t)
-    return results
+    without = {t: [other for other in chosen.terms if other.key != t.key] for t in chosen.terms if t.key in listed}
+    most_m = off_m(chosen) / MOST_WORSE
+    return [t for t, rest in without.items() if off_m(bench.scored(rest, chosen.fit, None)) < most_m]
 
 
 def _without(answer: Conclusion, harmful: Sequence[Term]) -> Conclusion:

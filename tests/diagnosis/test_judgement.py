@@ -22,7 +22,13 @@ def judged(unknown: float, *names: str) -> Judgement:
     terms = tuple(term(CATALOGUE[name], [p.name for p in CATALOGUE[name].parameters(robot)], robot) for name in names)
     chosen: Any = SimpleNamespace(terms=terms, names=names, failed=np.zeros(4, dtype=bool))
     acts = frozenset(names)
-    posterior = Posterior((Hypothesis(acts, False, log(1 - unknown)), Hypothesis(acts, True, log(unknown))))
+    return judged_by(
+        Posterior((Hypothesis(acts, False, log(1 - unknown)), Hypothesis(acts, True, log(unknown)))), chosen
+    )
+
+
+def judged_by(posterior: Posterior, chosen: Any) -> Judgement:
+    robot = pair_robot()
     return judge(cast(Any, None), chosen, candidates(robot, cast(Any, None), {}), posterior, ())
 
 
@@ -44,3 +50,13 @@ def test_an_effect_is_named_where_nothing_unknown_acts_beside(unknown: float, sa
     assert result.verdict == said
     assert [finding.term.name for finding in result.findings] == (["tip_load"] if said == "named" else [])
     assert any("unknown acts beside tip_load, probability 0.8" in note for note in result.notes) == (said != "named")
+
+
+def test_nothing_is_missing_only_where_that_is_more_probable_than_not() -> None:
+    """The most probable set has no effect, the posterior over all sets has one, and does not know which."""
+    acts = {"homing_offset": 0.23, "off_plane_precurvature": 0.37}
+    sets = [Hypothesis(frozenset({name}), False, log(probability)) for name, probability in acts.items()]
+    unknown = Hypothesis(frozenset(), True, log(0.4))
+    result = judged_by(Posterior((unknown, *sets)), SimpleNamespace(terms=(), names=(), failed=np.zeros(4, dtype=bool)))
+    assert result.verdict == "unexplained" and not result.findings
+    assert [name for name in acts if name in result.notes[0]] == list(acts) and "unknown" in result.notes[0]

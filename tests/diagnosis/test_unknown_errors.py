@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from measured_data import SIGMA_M, SIGMA_RAD, measured, pair_robot, waypoints
+from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
 from ctrplan.base.arrays import Array
@@ -84,9 +85,15 @@ def test_a_smooth_error_beside_a_term_has_no_name(smooth_mm: float) -> None:
 
 def test_a_frame_that_is_displaced_is_more_probable_than_a_smooth_error_in_its_place() -> None:
     """A smooth error of its size may stand for it, with ever less probability the more configurations there are."""
-    few, many = (told_of(rippled(FRAME, 0.3, count), RIPPLE).posterior for count in PLANS)
-    assert 0.5 < few.of_effect("base_misalignment") < many.of_effect("base_misalignment")
-    assert many.of_effect("base_misalignment") > 0.95
+    few, many = (odds(told_of(rippled(FRAME, 0.3, count), RIPPLE).posterior, "base_misalignment") for count in PLANS)
+    assert 0 < few < many
+    assert many > np.log(0.95 / 0.05)
+
+
+def odds(told: Posterior, name: str) -> float:
+    """Logarithm of those that an effect acts, where probabilities are rounded to 1."""
+    weights = {acts: [h.weight for h in told.hypotheses if (name in h.names) is acts] for acts in (True, False)}
+    return float(logsumexp(weights[True]) - logsumexp(weights[False]))
 
 
 def test_look_alikes_are_told_together_and_what_anything_stands_for_is_not() -> None:
@@ -97,6 +104,8 @@ def test_look_alikes_are_told_together_and_what_anything_stands_for_is_not() -> 
     assert standing_for(certain, "a") == []
     pair = normalised({a | c: (0.5, -np.inf), b | c: (0.0, -np.inf)})
     assert standing_for(pair, "a", ("a", "c")) == ["b"]  # what acts beside it with certainty stands for nothing
+    three = normalised({a: (0.0, -99.0), b: (-0.1, -99.0), c: (-0.2, -99.0)})  # none more probable than not
+    assert standing_for(three, "a") == ["b", "c"] and standing_for(three, "b") is None
     many: Posterior = normalised({frozenset({name}): (0.01 * (name == "a"), -99.0) for name in "abcdefgh"})
     assert standing_for(many, "a") is None
 
