@@ -17,6 +17,7 @@ import numpy as np
 from ctrplan.calibration.discrepancy import Linearised
 from ctrplan.calibration.estimates import estimates
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
+from ctrplan.diagnosis.next_experiment import SEPARATING_LOG_ODDS
 from ctrplan.diagnosis.partial_diagnosis import PartialDiagnosis, mean_square, most_probable, remainder_beside
 from ctrplan.diagnosis.posterior import MOST_EFFECTS
 from ctrplan.diagnosis.remainder import Remainder
@@ -26,7 +27,9 @@ from ctrplan.diagnosis.workbench import Scored, SelectionStep, linear
 from ctrplan.effects.learned.learned import Learned
 from ctrplan.pipeline.term import Term
 
-TRIED = 4  # pieces that are fitted for good in each round
+TRIED = (
+    4  # pieces that are fitted for good in each round, of those that promise more than one has or as much as the first
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +130,7 @@ def _grown(
         ranked = _ranked(table, table.whole.centred(bench.noise, root), peak, choice)
         best: tuple[float, TermPiece, Scored] | None = None
         for piece, promised in ranked[:TRIED]:
-            if best is not None and promised <= best[0]:
+            if best is not None and promised <= min(best[0], ranked[0][1] - SEPARATING_LOG_ODDS):
                 break
             there = bench.scored(with_piece(here.terms, piece, table.ranges[piece], bench), here.fit)
             after, _ = errors.evidence(linear(there.fit).centred(bench.noise, root))
@@ -139,8 +142,10 @@ def _grown(
         rounds.append(Round(tuple(ranked), best[0], taken))
         if taken is None:
             break
-        bench, here = bench.corrected(best[2])
+        bench, here = bench.corrected(best[2], is_followed=False)
         known = [piece for piece in known if piece != taken]
+    if here is not chosen:  # friction states follow when all is built
+        bench, here = bench.corrected(here)
     return bench, here, rounds
 
 

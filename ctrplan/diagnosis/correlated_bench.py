@@ -81,13 +81,13 @@ class CorrelatedBench(Workbench):
         """Ordinary calibration and the frames, but those that are among the terms or in the robot file."""
         return [self.base(terms), *frames_beside(self.robot, self.data, terms)]
 
-    def corrected(self, scored: Scored) -> tuple[CorrelatedBench, Scored]:
+    def corrected(self, scored: Scored, *, is_followed: bool = True) -> tuple[CorrelatedBench, Scored]:
         """A bench that has the friction states of a set's own path and the discrepancy that it leaves, and the set
-        fitted there.
+        fitted there; not `is_followed`: with the states as they are.
         """
         bench = self._beginning()
         bench._handed = {}
-        if self.data.is_stream and self.robot.n > 1:
+        if is_followed and self.data.is_stream and self.robot.n > 1:
             bench._phi, bench.restarts = self._followed(scored)
         bench.noise = replace(self.plain, discrepancy=self.estimated(scored))
         return bench, bench.scored(scored.terms, scored.fit)

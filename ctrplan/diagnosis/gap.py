@@ -88,12 +88,17 @@ def open_test_set(before: Fit, after: Fit, held_out_set: Measurements, group: ND
     )
 
 
-def rms_there_m(fit: Fit, held_out_set: Measurements, like: Gap) -> float:
-    """Rms distance of the poses that a gap's figures are of, by a like fit: with friction states as they are there."""
+def rms_there_m(fit: Fit, held_out_set: Measurements, group: NDArray[np.int_], noise: Noise, like: Gap) -> float:
+    """Rms distance of the held-out set's poses by a like fit, with friction states as a gap has them.
+
+    Poses that either leaves without a solution, and its own outliers, are left out.
+    """
     chain = ParametricChain(fit.chain.robot, held_out_set, fit.chain.terms)
     chain.correction = like.correction if chain.robot_at(fit.p).friction.any() else None
-    kept = ~excused(like.failed) & ~like.outlying
-    error = distances(chain.predict(fit.p, derivatives=False).subset(kept), held_out_set.subset(kept))
+    there = chain.predict(fit.p, derivatives=False)
+    kept = ~excused(like.failed | there.failed)
+    result = _residuals(there.subset(kept), held_out_set.subset(kept), group[kept], noise)
+    error = distances(there.subset(kept), held_out_set.subset(kept))[~outliers(result.raw_norm)]
     return float(np.sqrt(np.mean(error**2)))
 
 

@@ -73,19 +73,19 @@ def opened(answer: Conclusion, data: Measurements) -> Opened:
 
 
 def _harmful(outcome: Opened, data: Measurements) -> list[Term]:
-    """Effects without which poses kept aside are predicted better; sets with and without them under stated priors."""
+    """Effects without which poses kept aside are predicted better."""
     part = outcome.answer.partial
     if part is None or outcome.answer.interrupted or outcome.judgement.verdict != "partial":
         return []
-    bench, chosen, aside = part.bench, outcome.answer.chosen, data.subset(outcome.answer.split.held_out_set)
-
-    def off_m(scored: Scored) -> float:
-        return rms_there_m(bench.handed_over(scored).fit, aside, outcome.gap)
-
     listed = {finding.term.key for finding in outcome.judgement.findings}
-    without = {t: [other for other in chosen.terms if other.key != t.key] for t in chosen.terms if t.key in listed}
-    most_m = off_m(chosen) / MOST_WORSE
-    return [t for t, rest in without.items() if off_m(bench.scored(rest, chosen.fit, None)) < most_m]
+    kept, results, chosen = outcome.answer.split.held_out_set, list[Term](), outcome.answer.chosen
+    aside, group, noise = data.subset(kept), outcome.answer.group[kept], outcome.answer.noise
+    for t in (t for t in chosen.terms if t.key in listed):
+        rest = part.bench.scored([other for other in chosen.terms if other.key != t.key], chosen.fit, None)
+        rms_m = rms_there_m(_beside_a_remainder(part, rest).fit, aside, group, noise, outcome.gap)
+        if MOST_WORSE * rms_m < outcome.gap.after.rms_m:
+            results.append(t)
+    return results
 
 
 def _without(answer: Conclusion, harmful: Sequence[Term]) -> Conclusion:

@@ -125,9 +125,9 @@ def test_a_search_that_builds_nothing_leaves_what_was_found_as_it_is(monkeypatch
     noise, usable = noise_floor(ROBOT, data)[0], usable_poses(ROBOT, data)
     before = diagnose_partially(ROBOT, data, usable, noise, candidates(ROBOT, data, {}), lambda _: None)
 
-    def noted(bench: CorrelatedBench, scored: Scored) -> tuple[CorrelatedBench, Scored]:
+    def noted(bench: CorrelatedBench, scored: Scored, **how: bool) -> tuple[CorrelatedBench, Scored]:
         beside.append(scored.names)
-        return corrected(bench, scored)
+        return corrected(bench, scored, **how)
 
     def vain(bench: CorrelatedBench, chosen: Scored, *more: Any) -> tuple[CorrelatedBench, Scored, list[Any]]:
         return bench, chosen, grown(bench, chosen, *more)[2]
