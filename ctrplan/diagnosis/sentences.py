@@ -82,6 +82,8 @@ def _verdict(diagnosis: Diagnosis) -> str:
         return f"Unexplained: nothing in the catalogue explains the measurements. {_built(diagnosis)}"
     if names:
         return f"Unexplained: {names}; at work, but not alone, {rest}."
+    if diagnosis.posterior and diagnosis.posterior.of_unknown < 1 / 2:
+        return f"Unexplained: it is not certain what acts, {rest}."
     return f"Unexplained: nothing in the catalogue explains the measurements, {rest}."
 
 
