@@ -27,9 +27,7 @@ from ctrplan.diagnosis.workbench import Scored, SelectionStep, linear
 from ctrplan.effects.learned.learned import Learned
 from ctrplan.pipeline.term import Term
 
-TRIED = (
-    4  # pieces that are fitted for good in each round, of those that promise more than one has or as much as the first
-)
+TRIED = 4  # pieces that are fitted in each round, of those that promise more than one has or as much as the first
 
 
 @dataclass(frozen=True, eq=False)
