@@ -24,7 +24,7 @@ from ctrplan.planning.room import (
     ClearanceSurrogate,
     expected_share,
 )
-from ctrplan.planning.search.insertion_chains import Roadmap
+from ctrplan.planning.search.insertions import Roadmap
 from ctrplan.planning.search.ompl_set_up import SearchProblem
 from ctrplan.planning.search.polish import Race
 from ctrplan.planning.search.roadmap_search import RoadmapSearch

@@ -18,10 +18,10 @@ from scipy.sparse.csgraph import dijkstra
 
 from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.base.long_work import EDGE_NS, ROOM_NS, counted_aside
-from ctrplan.motion.checker import DEFINITE_COLLISION_M, MotionChecker
+from ctrplan.motion.checker import DEFINITE_COLLISION_M, MotionChecker, Stations
 from ctrplan.planning.goal_states import Trail
 from ctrplan.planning.room import ClearanceSurrogate
-from ctrplan.planning.search.insertion_chains import SKIPS, Roadmap
+from ctrplan.planning.search.insertions import NEAR_MM, SKIPS, Roadmap, turned_insertions
 from ctrplan.scenario.tip_solver import GoalState, TipSolver, TipTarget
 
 AT_ONCE = 2  # motions checked in parallel; the same everywhere, as it decides what is checked
@@ -29,9 +29,9 @@ SURE = 0.3  # of its length is what a motion counts that is known to be valid, w
 GUESSES = 3  # paths looked at for a motion to check ahead
 NEIGHBOURS = 8
 AT_MM = 1e-6  # of joint length, within which a place is at a motion's end
-NEAR_MM = 30.0  # of joint length, standard deviation of random states beside others, before their tips are brought back
 TIP_STEPS, NEAR_TIP_M = 4, 4e-3  # for that, and how near they must come
 TRIES = 4  # random states looked at for each that is added
+INSERTIONS = 12  # random ones looked at for each state, which takes about as long
 VALID_JUMPS = 0.05  # of motions along which the zero-clearance tip jumps
 LEAST_HOPE = 0.01  # however little is expected: the surrogate may be wrong
 WALK_PER_STATE = 30  # solves of a motion's walk for one of a state: with less doubt than that it is walked at once
@@ -114,6 +114,20 @@ class RoadmapSearch:
         ends = share[self.place[self.edges]].min(axis=1, initial=1.0)
         self.hope = np.minimum(np.minimum(ends, share[self.narrowest]), np.where(self.jumps, VALID_JUMPS, 1.0))
 
+    def _is_likely_valid(self, way: Stations) -> bool:
+        """Whether a way is likelier valid than not, anywhere: where that is in doubt it is solved."""
+        solved = np.zeros(len(way.room_m), dtype=bool)
+        while True:
+            share = np.where(solved, 1.0, self.clearance.share_valid_at(way.joints, way.room_m))
+            least = int(np.argmin(share))
+            if share[least] > 1 / 2:
+                return True
+            is_valid = self.checker.state(way.joints[least]).valid
+            self._learn(self.clearance.extend(way.joints[[least]], way.room_m[[least]]))
+            if not is_valid:
+                return False
+            solved[least] = True
+
     def _learn(self, places: NDArray[np.int_]) -> None:
         """Takes in what solved places leave."""
         self.checker.meter.add(EDGE_NS * len(self.clearance.room_m) * len(places))
@@ -137,6 +151,20 @@ class RoadmapSearch:
             others = {*np.argsort(apart)[:NEIGHBOURS].tolist(), int(self.goals[np.argmin(apart[self.goals])])}
             edges |= {(0, i)} | {(i, j) for j in others} | {(j, i) for j in others}
         self.extend(added, np.array(sorted(edges), dtype=int).reshape(-1, 2))
+        self._add_insertions(rng, INSERTIONS * count)
+
+    def _add_insertions(self, rng: np.random.Generator, count: int) -> None:
+        """Adds those of `count` random ways that are likely valid, cheaper than the path known."""
+        goals, known, first = self.goals, self.known_path(), len(self.joints)
+        left_mm = self.checker.scenario.cost.error_goal * MM_PER_M * np.array([self.left_m[k] for k in goals.tolist()])
+        most_mm = known.cost_mm if known else np.inf
+        ways = turned_insertions(self.checker, self.joints[goals], left_mm, rng, count, most_mm)
+        ways = [way for way in ways if self._is_likely_valid(way.stations)]
+        if ways:
+            amid = first + 2 * np.arange(len(ways))
+            nodes = np.stack([np.zeros_like(amid), amid, amid + 1, goals[[way.goal for way in ways]]], axis=1)
+            edges = np.concatenate([nodes[:, k : k + 2] for k in range(3)])
+            self.extend(np.concatenate([way.states for way in ways]), edges)
 
     def add_trails(self, trails: list[Trail]) -> None:
         """Adds goal states a step apart, joined to those ahead in their trail; the last ones also to others."""

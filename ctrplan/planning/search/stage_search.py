@@ -25,7 +25,7 @@ from ctrplan.motion.checker import MotionChecker
 from ctrplan.motion.limits import path_limits
 from ctrplan.planning.goal_states import descended, distinct
 from ctrplan.planning.reordering import Reordered, as_given, least_error_order
-from ctrplan.planning.search.insertion_chains import direct_roadmap, retreat_roadmap
+from ctrplan.planning.search.insertions import direct_roadmap, retreat_roadmap
 from ctrplan.planning.search.ompl_set_up import SearchProblem
 from ctrplan.planning.search.polish import Race
 from ctrplan.planning.search.roadmap_search import RoadmapSearch

@@ -1,9 +1,13 @@
-"""Paths that withdraw along the robot's own body: a roadmap for insertions through lumens, where sampling is lost.
+"""Paths of insertion, where random states lead nowhere: those that withdraw along the robot's own body, and those that
+turn before and after.
 
 The body of a robot at its goal lies in free space. Bringing the tip back along that body, from goal to plate, by small
 steps of inverse kinematics gives configurations that stay near it; driven the other way they are an insertion that
 follows its own leader as well as the drive can. The roadmap joins these configurations of all goals, the start's
 among them, by L-shaped motions, and its cheapest path is found by checking only the motions that matter.
+
+Where the lumen is wide, or there is none, few motions do: a turn that points the robot, an insertion in two legs, and a
+turn to the goal. Of random such ways most are refused by one or two of their zero-clearance shapes.
 """
 
 from __future__ import annotations
@@ -14,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arrays import MM_PER_M, Array
-from ctrplan.motion.checker import MotionChecker
+from ctrplan.motion.checker import MotionChecker, Stations
 from ctrplan.planning.room import expected_share
 from ctrplan.scenario.tip_solver import GoalState, TipSolver, TipTarget
 
@@ -24,6 +28,7 @@ SKIPS = (1, 2, 4, 8)  # stations along a chain that a motion may go
 NEIGHBOURS = 4  # in other chains, to either side
 MOST_GOALS = 12
 FAR_SHARE = 0.6  # of the stations that some chain must reach
+NEAR_MM = 30.0  # of joint length: how far beside others random states are looked for, and how much dearer ways are
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +38,15 @@ class Roadmap:
     joints: Array
     edges: NDArray[np.int_]  # (E, 2) from, to
     goals: NDArray[np.int_]  # nodes that are goal states
+
+
+@dataclass(frozen=True, eq=False)
+class TurnedInsertion:
+    """A way from the start that turns, is inserted in two legs, and turns to a goal."""
+
+    states: Array  # (2, m) in the midst of the insertion and at its end
+    goal: int  # its number
+    stations: Stations
 
 
 def direct_roadmap(checker: MotionChecker, goals: list[GoalState]) -> Roadmap:
@@ -124,3 +138,74 @@ def _edges(
         apart = np.linalg.norm(checker.space.difference(q[i], q[others]) * checker.space.weights_mm, axis=1)
         result |= {(i, int(j)) for j in others[np.argsort(apart)[:NEIGHBOURS]]}
     return np.array(sorted(result), dtype=int).reshape(-1, 2)
+
+
+def turned_insertions(
+    checker: MotionChecker, goals: Array, left_mm: Array, rng: np.random.Generator, count: int, most_mm: float
+) -> list[TurnedInsertion]:
+    """Of `count` random ways, those whose zero-clearance shapes are free, the cheapest first.
+
+    To goals (G, m), where what is left costs left_mm (G,); a way whose length and stops cost more with that than
+    most_mm is left out.
+    """
+    space, start, weights = checker.space, checker.scenario.start, checker.scenario.cost
+    is_rotation = space.drive.is_rotation
+    if is_rotation.all() or not is_rotation.any():
+        return []
+    delta = space.difference(start, goals)
+    straight_mm = weights.path * space.lengths_mm(delta) + left_mm
+    chance = np.exp((straight_mm.min() - straight_mm) / NEAR_MM)
+    goal = rng.choice(len(goals), size=count, p=chance / chance.sum())
+    turn = np.zeros((count, is_rotation.size))
+    turn[:, is_rotation] = _detours(rng, (delta * space.weights_mm)[goal][:, is_rotation])
+    turned = start + turn / space.weights_mm
+    inserted = space.wound_into_limits(np.where(is_rotation, turned, goals[goal]))
+    amid = np.where(is_rotation, inserted, start + rng.uniform(size=inserted.shape) * (inserted - start))
+    ways = list[Array]()
+    for via, end in zip(np.stack([amid, inserted], axis=1), goals[goal], strict=True):
+        first = space.corners(start, via[0], checker.style)
+        ways.append(np.concatenate([first, via[1:], via[1:] + space.difference(via[1], end)]))
+    least_mm = np.array([weights.path * space.lengths_mm(np.diff(way, axis=0)).sum() for way in ways]) + left_mm[goal]
+    least_mm += weights.stop * np.array([len(way) - 1 for way in ways])
+    is_hopeful = space.allowed_rows(amid) & space.allowed_rows(inserted) & (least_mm < most_mm)
+    rows = np.flatnonzero(is_hopeful)[np.argsort(least_mm[is_hopeful])].tolist()
+    free = _free(checker, [checker.stations(ways[row]) for row in rows])
+    return [
+        TurnedInsertion(np.stack([amid[row], inserted[row]]), int(goal[row]), stations)
+        for row, stations in zip(rows, free, strict=True)
+        if stations is not None
+    ]
+
+
+def _detours(rng: np.random.Generator, way: Array) -> Array:
+    """(N, r) random places: to each and on to the end of its way (N, r) is longer than the way by NEAR_MM on average.
+
+    They are uniform in the ellipsoid of all those that are longer by no more.
+    """
+    length = np.linalg.norm(way, axis=1, keepdims=True)
+    whole = length + rng.exponential(NEAR_MM, size=length.shape)
+    axis = way / np.maximum(length, 1e-9)
+    place = rng.normal(size=way.shape)
+    place *= rng.uniform(size=length.shape) ** (1 / way.shape[1]) / np.linalg.norm(place, axis=1, keepdims=True)
+    along = np.sum(place * axis, axis=1, keepdims=True)
+    wide = np.sqrt(whole**2 - length**2)
+    detours: Array = (way + along * axis * whole + (place - along * axis) * wide) / 2
+    return detours
+
+
+def _free(checker: MotionChecker, ways: list[Array]) -> list[Stations | None]:
+    """Shapes at stations (S, m) of each way, None of one with a shape that is too close.
+
+    They are looked at by halves of the ways, each time of those alone that are free so far.
+    """
+    rooms = [np.full(len(way), np.nan) for way in ways]
+    going, parts = list(range(len(ways))), 1
+    while going:
+        parts *= 2
+        todo = [np.unique(np.linspace(0, len(ways[k]) - 1, parts + 1).round().astype(int)) for k in going]
+        todo = [at[np.isnan(rooms[k][at])] for k, at in zip(going, todo, strict=True)]
+        room_m = checker.state_rooms(np.concatenate([ways[k][at] for k, at in zip(going, todo, strict=True)]))
+        for k, at, of_way in zip(going, todo, np.split(room_m, np.cumsum([len(at) for at in todo])[:-1]), strict=True):
+            rooms[k][at] = of_way
+        going = [k for k in going if not np.nanmin(rooms[k]) < 0 and np.isnan(rooms[k]).any()]
+    return [Stations(way, room, False) if room.min() >= 0 else None for way, room in zip(ways, rooms, strict=True)]
