@@ -278,7 +278,8 @@ def refined(checker: MotionChecker, target: TipTarget, q: Array, tolerance_m: fl
     A step follows the derivatives and the bend that the zero-clearance model shows on the way: mostly one does. After
     one that led no nearer comes a shorter one, along the derivatives alone, and no other if that does not either.
     Derivatives are renewed where a step like the one before would not do. Where steps lead is probed, which the
-    configuration there needs in any case.
+    configuration there needs in any case; the tip alone is solved where another step is likely to follow, as the models
+    part on the way by more than twice the tolerance.
     """
     solver = TipSolver(checker.space, checker.mechanics)
     best, share, aim_m = q.copy(), np.ones(len(q)), REFINED_SHARE * tolerance_m
@@ -289,11 +290,11 @@ def refined(checker: MotionChecker, target: TipTarget, q: Array, tolerance_m: fl
         if not len(todo):
             break
         here = best[todo]
-        moved = here + share[todo, None] * (
-            _stepped(solver, target, here, pose[todo], slope[todo], share[todo] == 1) - here
-        )
-        moved = checker.space.projected(moved, fallback=here)
-        there = _probed_pose(checker, moved)
+        moved, part_m = _stepped(solver, target, here, pose[todo], slope[todo], share[todo] == 1)
+        moved = checker.space.projected(here + share[todo, None] * (moved - here), fallback=here)
+        there, is_likely_last = np.empty((len(todo), 6)), part_m <= 2 * tolerance_m
+        there[is_likely_last] = _probed_pose(checker, moved[is_likely_last])
+        there[~is_likely_last] = _pose(_frictionless_tips(checker, moved[~is_likely_last]))
         left = np.linalg.norm(miss_of(target, there)[0], axis=1)
         better = left < error[todo]
         share[todo] = np.where(better, 1.0, share[todo] * SHORTER)
@@ -311,26 +312,38 @@ def _pose_by_joints(checker: MotionChecker, q: Array) -> tuple[Array, Array]:
     NaN where the solve failed; a joint at a limit of the tubes' nesting has no derivative and counts as fixed.
     """
     tips = tips_by_joints(checker, q, np.zeros((len(q), checker.mechanics.n - 1)))
+    return _pose(tips), np.concatenate([tips.position_by, tips.tangent_by], axis=1)
+
+
+def _pose(tips: Tips) -> Array:
+    """(K, 6) tips and tangents; NaN where the solve failed."""
     pose = np.hstack([tips.position_m, tips.tangent])
     pose[tips.status == Status.FAILED] = np.nan
-    return pose, np.concatenate([tips.position_by, tips.tangent_by], axis=1)
+    return pose
+
+
+def _frictionless_tips(checker: MotionChecker, q: Array) -> Tips:
+    """Tips at q (K, m), without derivatives."""
+    states = np.zeros((len(q), checker.mechanics.n - 1))
+    return checker.mechanics.tips_with_friction(*checker.space.drive.collars(q), states)
 
 
 def _probed_pose(checker: MotionChecker, q: Array) -> Array:
     """(K, 6) frictionless tips and tangents at q (K, m); NaN where the solve failed."""
     result = _probed(checker, q)
-    pose = np.array([np.concatenate([s.tip_m[-1], s.tip_tangent[-1]]) for s in result])
+    pose = np.array([np.concatenate([s.tip_m[-1], s.tip_tangent[-1]]) for s in result]).reshape(-1, 6)
     pose[[samples.status[-1] == Status.FAILED for samples in result]] = np.nan
     return pose
 
 
 def _stepped(
     solver: TipSolver, target: TipTarget, q: Array, pose: Array, slope: Array, bent: NDArray[np.bool_]
-) -> Array:
+) -> tuple[Array, Array]:
     """q (K, m) after least-squares steps, no longer than LONGEST_STEP_M of weighted joint length each.
 
     Poses (K, 6) are known at q, derivatives (K, 6, m) near there. Where `bent` (K,), the bend on the way is that of the
-    zero-clearance model, none without a solution of it.
+    zero-clearance model, none without a solution of it. And by how much (K,) [m] the derivatives of the two models part
+    the tips on the way.
     """
     space, joints, here = solver.space, q, pose
     weights, (tip, tangent) = space.weights_mm / MM_PER_M, solver.tips(q)
@@ -344,7 +357,7 @@ def _stepped(
         moved = joints - q
         bend = np.hstack(solver.tips(joints)) - np.hstack([tip, tangent]) - _times(straight, moved)
         here = pose + _times(slope, moved) + np.where(bent[:, None], np.nan_to_num(bend), 0.0)
-    return joints
+    return joints, np.linalg.norm(_times(slope - straight, moved)[:, :3], axis=1)
 
 
 def _times(slope: Array, moved: Array) -> Array:
