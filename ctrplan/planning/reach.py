@@ -401,7 +401,7 @@ def configuration(checker: MotionChecker, target: TipTarget, joints: Array) -> C
 def _branches(solver: TipSolver, target: TipTarget, q: Array) -> NDArray[np.int_]:
     """Neighbours are linked when the configuration in their middle can be put back onto the target nearby.
 
-    The nearest neighbours are tried first, and those that are not linked by others yet: most are, by a few links.
+    The nearest neighbours that would link all are tried first, then those that are not linked by others yet.
     """
     space, count = solver.space, len(q)
     if count < 2:
@@ -412,8 +412,10 @@ def _branches(solver: TipSolver, target: TipTarget, q: Array) -> NDArray[np.int_
     middle = q[a] + delta[a, b] / 2
     kept = np.flatnonzero(space.allowed_rows(middle))
     untried = kept[np.argsort(apart[a[kept], b[kept]], kind="stable")]
+    joins = _joining(count, a[untried], b[untried])
+    untried, at_once = np.concatenate([untried[joins], untried[~joins]]), int(joins.sum())
     # each pair's own zero-clearance tips, which differ a little where the clearance tip is on the target
-    tips, label, at_once = solver.tips(q)[0], np.arange(count), count
+    tips, label = solver.tips(q)[0], np.arange(count)
     while len(untried := untried[label[a[untried]] != label[b[untried]]]):
         pairs, untried, at_once = untried[:at_once], untried[at_once:], 2 * at_once
         back = solver.solve(TipTarget((tips[a[pairs]] + tips[b[pairs]]) / 2), middle[pairs], 5, turned=False)
@@ -423,3 +425,13 @@ def _branches(solver: TipSolver, target: TipTarget, q: Array) -> NDArray[np.int_
             ends = label[a[pair]], label[b[pair]]
             label[label == max(ends)] = min(ends)
     return np.unique(label, return_inverse=True)[1]
+
+
+def _joining(count: int, a: NDArray[np.int_], b: NDArray[np.int_]) -> NDArray[np.bool_]:
+    """(L,) whether each of L pairs among `count` things joins what the pairs before it leave apart."""
+    label, result = np.arange(count), np.zeros(len(a), dtype=bool)
+    for k, (i, j) in enumerate(zip(a.tolist(), b.tolist(), strict=True)):
+        result[k] = label[i] != label[j]
+        if result[k]:
+            label[label == label[j]] = label[i]
+    return result
