@@ -1,13 +1,12 @@
-"""Paths of insertion, where random states lead nowhere: those that withdraw along the robot's own body, and those that
-turn before and after.
+"""What a roadmap is offered: states and ways that are likelier free than random ones.
 
 The body of a robot at its goal lies in free space. Bringing the tip back along that body, from goal to plate, by small
 steps of inverse kinematics gives configurations that stay near it; driven the other way they are an insertion that
-follows its own leader as well as the drive can. The roadmap joins these configurations of all goals, the start's
-among them, by L-shaped motions, and its cheapest path is found by checking only the motions that matter.
+follows its own leader as well as the drive can. A roadmap joins these chains of all goals, the start's among them, by
+L-shaped motions, and its cheapest path is found by checking only the motions that matter.
 
-Where the lumen is wide, or there is none, few motions do: a turn that points the robot, an insertion in two legs, and a
-turn to the goal. Of random such ways most are refused by one or two of their zero-clearance shapes.
+Where there is room, few motions do: a turn that points the robot, an insertion in two legs, and a turn to the goal. Of
+random ways like that most are refused by one or two of their zero-clearance shapes.
 """
 
 from __future__ import annotations
@@ -18,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arrays import MM_PER_M, Array
+from ctrplan.base.long_work import ROOM_NS
 from ctrplan.motion.checker import MotionChecker, Stations
 from ctrplan.planning.room import expected_share
 from ctrplan.scenario.tip_solver import GoalState, TipSolver, TipTarget
@@ -29,6 +29,7 @@ NEIGHBOURS = 4  # in other chains, to either side
 MOST_GOALS = 12
 FAR_SHARE = 0.6  # of the stations that some chain must reach
 NEAR_MM = 30.0  # of joint length: how far beside others random states are looked for, and how much dearer ways are
+TIP_STEPS, NEAR_TIP_M = 4, 4e-3  # by which their tips are brought back, and how near they must come
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,33 +149,50 @@ def turned_insertions(
     To goals (G, m), where what is left costs left_mm (G,); a way whose length and stops cost more with that than
     most_mm is left out.
     """
-    space, start, weights = checker.space, checker.scenario.start, checker.scenario.cost
-    is_rotation = space.drive.is_rotation
+    space, start, is_rotation = checker.space, checker.scenario.start, checker.space.drive.is_rotation
     if is_rotation.all() or not is_rotation.any():
         return []
     delta = space.difference(start, goals)
-    straight_mm = weights.path * space.lengths_mm(delta) + left_mm
+    straight_mm = least_cost_mm(checker, delta) + left_mm
     chance = np.exp((straight_mm.min() - straight_mm) / NEAR_MM)
     goal = rng.choice(len(goals), size=count, p=chance / chance.sum())
     turn = np.zeros((count, is_rotation.size))
     turn[:, is_rotation] = _detours(rng, (delta * space.weights_mm)[goal][:, is_rotation])
-    turned = start + turn / space.weights_mm
-    inserted = space.wound_into_limits(np.where(is_rotation, turned, goals[goal]))
+    inserted = np.where(is_rotation, start + turn / space.weights_mm, goals[goal])
+    inserted = space.wound_into_limits(inserted)
     amid = np.where(is_rotation, inserted, start + rng.uniform(size=inserted.shape) * (inserted - start))
-    ways = list[Array]()
-    for via, end in zip(np.stack([amid, inserted], axis=1), goals[goal], strict=True):
-        first = space.corners(start, via[0], checker.style)
-        ways.append(np.concatenate([first, via[1:], via[1:] + space.difference(via[1], end)]))
-    least_mm = np.array([weights.path * space.lengths_mm(np.diff(way, axis=0)).sum() for way in ways]) + left_mm[goal]
-    least_mm += weights.stop * np.array([len(way) - 1 for way in ways])
+    onward = space.difference(inserted, goals[goal])
+    legs = space.difference(start, amid), amid - inserted, onward
+    least_mm = np.sum([least_cost_mm(checker, leg) for leg in legs], axis=0) + left_mm[goal]
     is_hopeful = space.allowed_rows(amid) & space.allowed_rows(inserted) & (least_mm < most_mm)
     rows = np.flatnonzero(is_hopeful)[np.argsort(least_mm[is_hopeful])].tolist()
-    free = _free(checker, [checker.stations(ways[row]) for row in rows])
+    begun = [space.corners(start, amid[row], checker.style) for row in rows]  # with the start's own winding
+    ends = (np.cumsum([inserted[row] - amid[row], onward[row]], axis=0) for row in rows)
+    ways = [np.vstack([way, way[-1] + end]) for way, end in zip(begun, ends, strict=True)]
+    free = _free(checker, [checker.stations(way) for way in ways])
     return [
         TurnedInsertion(np.stack([amid[row], inserted[row]]), int(goal[row]), stations)
         for row, stations in zip(rows, free, strict=True)
         if stations is not None
     ]
+
+
+def least_cost_mm(checker: MotionChecker, delta: Array) -> Array:
+    """(K,) [mm] what length and stops of L-shaped motions by delta (K, m) cost."""
+    weights, space = checker.scenario.cost, checker.space
+    least_mm: Array = weights.path * space.lengths_mm(delta) + weights.stop * space.legs(delta)
+    return least_mm
+
+
+def states_beside(checker: MotionChecker, q: Array, rng: np.random.Generator) -> Array:
+    """Other configurations with the tips of q (K, m), about NEAR_MM away."""
+    space = checker.space
+    solver = TipSolver(space, checker.mechanics, checker.watch)
+    near = space.wound_into_limits(q + rng.normal(size=q.shape) * NEAR_MM / space.weights_mm)
+    allowed = space.allowed_rows(near)
+    result = solver.solve(TipTarget(solver.tips(q[allowed])[0]), near[allowed], TIP_STEPS, turned=False)
+    checker.meter.add(ROOM_NS * TIP_STEPS * len(near))
+    return result.joints[result.error_m < NEAR_TIP_M]
 
 
 def _detours(rng: np.random.Generator, way: Array) -> Array:
@@ -206,6 +224,6 @@ def _free(checker: MotionChecker, ways: list[Array]) -> list[Stations | None]:
         todo = [at[np.isnan(rooms[k][at])] for k, at in zip(going, todo, strict=True)]
         room_m = checker.state_rooms(np.concatenate([ways[k][at] for k, at in zip(going, todo, strict=True)]))
         for k, at, of_way in zip(going, todo, np.split(room_m, np.cumsum([len(at) for at in todo])[:-1]), strict=True):
-            rooms[k][at] = of_way
+            rooms[k][at] = np.nan_to_num(of_way, nan=-np.inf)  # without a solution
         going = [k for k in going if not np.nanmin(rooms[k]) < 0 and np.isnan(rooms[k]).any()]
     return [Stations(way, room, False) if room.min() >= 0 else None for way, room in zip(ways, rooms, strict=True)]
