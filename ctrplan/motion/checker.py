@@ -191,7 +191,7 @@ class MotionChecker:
         """
         if self.field is None or not self.space.allowed(corners):
             return None
-        points = self._stations(corners)
+        points = self.stations(corners)
         rooms, _ = self._rooms_and_tips(*self.space.drive.collars(points))
         narrowest = int(np.argmin(rooms))
         if rooms[narrowest] < DEFINITE_COLLISION_M:
@@ -327,7 +327,7 @@ class MotionChecker:
 
     def look(self, ways: list[Array]) -> list[Stations]:
         """Zero-clearance shapes on polylines (K, m) each, which say cheaply what to expect of them."""
-        points = [self._stations(way) for way in ways]
+        points = [self.stations(way) for way in ways]
         theta_b, l_b = self.space.drive.collars(np.concatenate(points))
         rooms, tips = self._rooms_and_tips(theta_b, l_b)
         lasts = np.cumsum([len(of_way) for of_way in points[:-1]], dtype=int)
@@ -344,7 +344,7 @@ class MotionChecker:
         rooms, tips = self.mechanics.zero_clearance_rooms(theta_b, l_b, self.field, threads=threads)
         return rooms - self.limits.clearance_m, tips
 
-    def _stations(self, corners: Array) -> Array:
+    def stations(self, corners: Array) -> Array:
         """(S, m) points on a polyline no farther apart than the density's steps."""
         longest = np.where(self.space.drive.is_rotation, self.density.rotation_rad, self.density.translation_m)
         results = [corners[:1]]

@@ -278,7 +278,8 @@ def refined(checker: MotionChecker, target: TipTarget, q: Array, tolerance_m: fl
     A step follows the derivatives and the bend that the zero-clearance model shows on the way: mostly one does. After
     one that led no nearer comes a shorter one, along the derivatives alone, and no other if that does not either.
     Derivatives are renewed where a step like the one before would not do. Where steps lead is probed, which the
-    configuration there needs in any case.
+    configuration there needs in any case; the tip alone is solved where another step is likely to follow, as the models
+    part on the way by more than twice the tolerance.
     """
     solver = TipSolver(checker.space, checker.mechanics)
     best, share, aim_m = q.copy(), np.ones(len(q)), REFINED_SHARE * tolerance_m
@@ -289,11 +290,11 @@ def refined(checker: MotionChecker, target: TipTarget, q: Array, tolerance_m: fl
         if not len(todo):
             break
         here = best[todo]
-        moved = here + share[todo, None] * (
-            _stepped(solver, target, here, pose[todo], slope[todo], share[todo] == 1) - here
-        )
-        moved = checker.space.projected(moved, fallback=here)
-        there = _probed_pose(checker, moved)
+        moved, part_m = _stepped(solver, target, here, pose[todo], slope[todo], share[todo] == 1)
+        moved = checker.space.projected(here + share[todo, None] * (moved - here), fallback=here)
+        there, is_likely_last = np.empty((len(todo), 6)), part_m <= 2 * tolerance_m
+        there[is_likely_last] = _probed_pose(checker, moved[is_likely_last])
+        there[~is_likely_last] = _pose(_frictionless_tips(checker, moved[~is_likely_last]))
         left = np.linalg.norm(miss_of(target, there)[0], axis=1)
         better = left < error[todo]
         share[todo] = np.where(better, 1.0, share[todo] * SHORTER)
@@ -311,26 +312,38 @@ def _pose_by_joints(checker: MotionChecker, q: Array) -> tuple[Array, Array]:
     NaN where the solve failed; a joint at a limit of the tubes' nesting has no derivative and counts as fixed.
     """
     tips = tips_by_joints(checker, q, np.zeros((len(q), checker.mechanics.n - 1)))
+    return _pose(tips), np.concatenate([tips.position_by, tips.tangent_by], axis=1)
+
+
+def _pose(tips: Tips) -> Array:
+    """(K, 6) tips and tangents; NaN where the solve failed."""
     pose = np.hstack([tips.position_m, tips.tangent])
     pose[tips.status == Status.FAILED] = np.nan
-    return pose, np.concatenate([tips.position_by, tips.tangent_by], axis=1)
+    return pose
+
+
+def _frictionless_tips(checker: MotionChecker, q: Array) -> Tips:
+    """Tips at q (K, m), without derivatives."""
+    states = np.zeros((len(q), checker.mechanics.n - 1))
+    return checker.mechanics.tips_with_friction(*checker.space.drive.collars(q), states)
 
 
 def _probed_pose(checker: MotionChecker, q: Array) -> Array:
     """(K, 6) frictionless tips and tangents at q (K, m); NaN where the solve failed."""
     result = _probed(checker, q)
-    pose = np.array([np.concatenate([s.tip_m[-1], s.tip_tangent[-1]]) for s in result])
+    pose = np.array([np.concatenate([s.tip_m[-1], s.tip_tangent[-1]]) for s in result]).reshape(-1, 6)
     pose[[samples.status[-1] == Status.FAILED for samples in result]] = np.nan
     return pose
 
 
 def _stepped(
     solver: TipSolver, target: TipTarget, q: Array, pose: Array, slope: Array, bent: NDArray[np.bool_]
-) -> Array:
+) -> tuple[Array, Array]:
     """q (K, m) after least-squares steps, no longer than LONGEST_STEP_M of weighted joint length each.
 
     Poses (K, 6) are known at q, derivatives (K, 6, m) near there. Where `bent` (K,), the bend on the way is that of the
-    zero-clearance model, none without a solution of it.
+    zero-clearance model, none without a solution of it. And by how much (K,) [m] the derivatives of the two models part
+    the tips on the way.
     """
     space, joints, here = solver.space, q, pose
     weights, (tip, tangent) = space.weights_mm / MM_PER_M, solver.tips(q)
@@ -344,7 +357,7 @@ def _stepped(
         moved = joints - q
         bend = np.hstack(solver.tips(joints)) - np.hstack([tip, tangent]) - _times(straight, moved)
         here = pose + _times(slope, moved) + np.where(bent[:, None], np.nan_to_num(bend), 0.0)
-    return joints
+    return joints, np.linalg.norm(_times(slope - straight, moved)[:, :3], axis=1)
 
 
 def _times(slope: Array, moved: Array) -> Array:
@@ -388,7 +401,7 @@ def configuration(checker: MotionChecker, target: TipTarget, joints: Array) -> C
 def _branches(solver: TipSolver, target: TipTarget, q: Array) -> NDArray[np.int_]:
     """Neighbours are linked when the configuration in their middle can be put back onto the target nearby.
 
-    The nearest neighbours are tried first, and those that are not linked by others yet: most are, by a few links.
+    The nearest neighbours that would link all are tried first, then those that are not linked by others yet.
     """
     space, count = solver.space, len(q)
     if count < 2:
@@ -399,8 +412,10 @@ def _branches(solver: TipSolver, target: TipTarget, q: Array) -> NDArray[np.int_
     middle = q[a] + delta[a, b] / 2
     kept = np.flatnonzero(space.allowed_rows(middle))
     untried = kept[np.argsort(apart[a[kept], b[kept]], kind="stable")]
+    joins = _joining(count, a[untried], b[untried])
+    untried, at_once = np.concatenate([untried[joins], untried[~joins]]), int(joins.sum())
     # each pair's own zero-clearance tips, which differ a little where the clearance tip is on the target
-    tips, label, at_once = solver.tips(q)[0], np.arange(count), count
+    tips, label = solver.tips(q)[0], np.arange(count)
     while len(untried := untried[label[a[untried]] != label[b[untried]]]):
         pairs, untried, at_once = untried[:at_once], untried[at_once:], 2 * at_once
         back = solver.solve(TipTarget((tips[a[pairs]] + tips[b[pairs]]) / 2), middle[pairs], 5, turned=False)
@@ -410,3 +425,13 @@ def _branches(solver: TipSolver, target: TipTarget, q: Array) -> NDArray[np.int_
             ends = label[a[pair]], label[b[pair]]
             label[label == max(ends)] = min(ends)
     return np.unique(label, return_inverse=True)[1]
+
+
+def _joining(count: int, a: NDArray[np.int_], b: NDArray[np.int_]) -> NDArray[np.bool_]:
+    """(L,) whether each of L pairs among `count` things joins what the pairs before it leave apart."""
+    label, result = np.arange(count), np.zeros(len(a), dtype=bool)
+    for k, (i, j) in enumerate(zip(a.tolist(), b.tolist(), strict=True)):
+        result[k] = label[i] != label[j]
+        if result[k]:
+            label[label == label[j]] = label[i]
+    return result

@@ -20,7 +20,7 @@ from ctrplan.motion.checker import MotionChecker
 from ctrplan.planning.reach import _branches, reach
 from ctrplan.reports.live_state import LiveState
 from ctrplan.scenario.joint_space import JointSpace, bare_scenario
-from ctrplan.scenario.tip_solver import REACHED_M, TipSolver, TipTarget, angle_to
+from ctrplan.scenario.tip_solver import REACHED_M, TipSolver, TipTarget, angle_to, target_in_robot_frame
 from ctrplan.storage.toml_document import read_document
 
 ROBOTS = SCENARIOS / "robots"
@@ -52,6 +52,15 @@ def test_tips_are_those_of_the_shape() -> None:
             shape = solve.mechanics.zero_clearance(theta, l)
             np.testing.assert_allclose(tips[row], shape.tip_m, atol=1e-8)
             np.testing.assert_allclose(tangents[row], shape.tip_tangent, atol=1e-7)
+
+
+def test_few_states_are_probed_on_the_way_where_the_models_part() -> None:
+    """Nearly every configuration between the ribs needs a second step: what the first leads to is not worth a bound."""
+    checker = MotionChecker(ctrplan.load_scenario(SCENARIOS / "ribs.toml"))
+    target, begun = TipTarget(target_in_robot_frame(checker.scenario)), checker.calls
+    result = reach(checker, target, 1e-4, np.random.default_rng(0), 400)
+    assert len(result.configurations) >= 40
+    assert checker.calls - begun < 2 * len(result.configurations)
 
 
 def test_jacobian_agrees_with_central_differences_and_turns_exactly() -> None:

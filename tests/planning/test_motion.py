@@ -46,7 +46,7 @@ def test_stations_hold_the_corners_themselves() -> None:
     checker = MotionChecker(load_scenario(SCENARIOS / "vessel.toml"))
     rng = np.random.default_rng(0)
     corners = checker.space.sample(rng, 6)
-    stations = checker._stations(corners)
+    stations = checker.stations(corners)
     for q in corners:
         assert any(q.tobytes() == station.tobytes() for station in stations)
 

@@ -24,9 +24,9 @@ from ctrplan.planning.room import (
     ClearanceSurrogate,
     expected_share,
 )
-from ctrplan.planning.search.insertion_chains import Roadmap
 from ctrplan.planning.search.ompl_set_up import SearchProblem
 from ctrplan.planning.search.polish import Race
+from ctrplan.planning.search.proposals import Roadmap, least_cost_mm
 from ctrplan.planning.search.roadmap_search import RoadmapSearch
 from ctrplan.planning.search.stage_search import StageSearch
 from ctrplan.scenario.prediction import TIP_TOLERANCE_M
@@ -196,7 +196,7 @@ def test_goals_are_promising_by_what_cannot_be_shortened(vessel: MotionChecker) 
     joints = np.vstack([vessel.scenario.start, *(goal.joints for goal in goals)])
     search = RoadmapSearch(vessel, Roadmap(joints, np.array([[0, 1], [0, 2], [0, 3]]), np.array([1, 2, 3])), goals)
     weights = vessel.scenario.cost
-    straight_mm = search._least_mm(vessel.space.difference(joints[0], joints[1:]))
+    straight_mm = least_cost_mm(vessel, vessel.space.difference(joints[0], joints[1:]))
     search.left_m = {k: (100.0 - straight_mm[k - 1]) / weights.error_goal / MM_PER_M for k in (1, 2, 3)}
     search.left_m[2] -= 50.0 / weights.error_goal / MM_PER_M
     search.known[:], search.left[:], search.cost[:] = [True, True, False], 0.0, [100.0, 149.0, 0.0]

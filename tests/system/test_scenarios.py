@@ -13,7 +13,7 @@ import ctrplan
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.motion.checker import MotionChecker
 from ctrplan.planning.goal_states import goal_states
-from ctrplan.planning.search.insertion_chains import retreat_roadmap
+from ctrplan.planning.search.proposals import retreat_roadmap
 from ctrplan.planning.search.roadmap_search import RoadmapSearch
 from ctrplan.scenario.scenario import Goal
 

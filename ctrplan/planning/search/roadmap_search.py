@@ -17,21 +17,20 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
 from ctrplan.base.arrays import MM_PER_M, Array
-from ctrplan.base.long_work import EDGE_NS, ROOM_NS, counted_aside
-from ctrplan.motion.checker import DEFINITE_COLLISION_M, MotionChecker
+from ctrplan.base.long_work import EDGE_NS, counted_aside
+from ctrplan.motion.checker import DEFINITE_COLLISION_M, MotionChecker, Stations
 from ctrplan.planning.goal_states import Trail
 from ctrplan.planning.room import ClearanceSurrogate
-from ctrplan.planning.search.insertion_chains import SKIPS, Roadmap
-from ctrplan.scenario.tip_solver import GoalState, TipSolver, TipTarget
+from ctrplan.planning.search.proposals import SKIPS, Roadmap, least_cost_mm, states_beside, turned_insertions
+from ctrplan.scenario.tip_solver import GoalState
 
 AT_ONCE = 2  # motions checked in parallel; the same everywhere, as it decides what is checked
 SURE = 0.3  # of its length is what a motion counts that is known to be valid, while any path will do
 GUESSES = 3  # paths looked at for a motion to check ahead
 NEIGHBOURS = 8
 AT_MM = 1e-6  # of joint length, within which a place is at a motion's end
-NEAR_MM = 30.0  # of joint length, standard deviation of random states beside others, before their tips are brought back
-TIP_STEPS, NEAR_TIP_M = 4, 4e-3  # for that, and how near they must come
 TRIES = 4  # random states looked at for each that is added
+INSERTIONS = 1200  # random ones looked at whenever the roadmap grows; a budget of 0.05 to 0.2 s
 VALID_JUMPS = 0.05  # of motions along which the zero-clearance tip jumps
 LEAST_HOPE = 0.01  # however little is expected: the surrogate may be wrong
 WALK_PER_STATE = 30  # solves of a motion's walk for one of a state: with less doubt than that it is walked at once
@@ -87,7 +86,7 @@ class RoadmapSearch:
         a, b = edges.T
         delta = space.difference(self.joints[a], self.joints[b])
         length = space.lengths_mm(delta)
-        least = self._least_mm(delta) + 1e-6
+        least = least_cost_mm(self.checker, delta) + 1e-6
         left_m = np.array([self.left_m.get(int(node), np.inf) for node in b])
         left = np.where(np.isfinite(left_m), weights.error_goal * np.nan_to_num(left_m, posinf=0.0) * MM_PER_M, np.inf)
         self.row |= {(int(i), int(j)): k for k, (i, j) in enumerate(edges, len(self.edges))}
@@ -102,17 +101,25 @@ class RoadmapSearch:
         self.jumps = np.concatenate([self.jumps, np.zeros(len(edges), dtype=bool)])
         self._weigh()
 
-    def _least_mm(self, delta: Array) -> Array:
-        """(K,) [mm] length and stops of motions by delta (K, m)."""
-        weights, space = self.checker.scenario.cost, self.checker.space
-        least_mm: Array = weights.path * space.lengths_mm(delta) + weights.stop * space.legs(delta)
-        return least_mm
-
     def _weigh(self) -> None:
         """Puts the hopes of motions to what is known of clearances now."""
         share = np.maximum(self.clearance.share_valid(), LEAST_HOPE)
         ends = share[self.place[self.edges]].min(axis=1, initial=1.0)
         self.hope = np.minimum(np.minimum(ends, share[self.narrowest]), np.where(self.jumps, VALID_JUMPS, 1.0))
+
+    def _is_likely_valid(self, way: Stations) -> bool:
+        """Whether a way is likelier valid than not, anywhere: where that is in doubt it is solved."""
+        solved = np.zeros(len(way.room_m), dtype=bool)
+        while True:
+            share = np.where(solved, 1.0, self.clearance.share_valid_at(way.joints, way.room_m))
+            least = int(np.argmin(share))
+            if share[least] > 1 / 2:
+                return True
+            is_valid = self.checker.state(way.joints[least]).valid
+            self._learn(self.clearance.extend(way.joints[[least]], way.room_m[[least]]))
+            if not is_valid:
+                return False
+            solved[least] = True
 
     def _learn(self, places: NDArray[np.int_]) -> None:
         """Takes in what solved places leave."""
@@ -125,11 +132,11 @@ class RoadmapSearch:
         """Adds up to `count` random states that are likely valid.
 
         Half of them have the tip where that of another state is, of those first from or to which no motion was valid.
+        And insertions, where they are likely valid.
         """
-        space, q = self.checker.space, self.joints
-        results = [self._likely_valid(self._beside(q[self._troubled(rng, TRIES * count // 2)], rng), count // 2)]
-        results.append(self._likely_valid(space.sample(rng, TRIES * count), count - len(results[0])))
-        added = np.concatenate(results)
+        space, q, troubled = self.checker.space, self.joints, self._troubled(rng, TRIES * count // 2)
+        beside = self._likely_valid(states_beside(self.checker, q[troubled], rng), count // 2)
+        added = np.concatenate([beside, self._likely_valid(space.sample(rng, TRIES * count), count - len(beside))])
         everything, edges = np.concatenate([q, added]), set()
         for i in range(len(q), len(everything)):
             apart = np.linalg.norm(space.difference(everything[i], everything) * space.weights_mm, axis=1)
@@ -137,6 +144,19 @@ class RoadmapSearch:
             others = {*np.argsort(apart)[:NEIGHBOURS].tolist(), int(self.goals[np.argmin(apart[self.goals])])}
             edges |= {(0, i)} | {(i, j) for j in others} | {(j, i) for j in others}
         self.extend(added, np.array(sorted(edges), dtype=int).reshape(-1, 2))
+        self._add_insertions(rng)
+
+    def _add_insertions(self, rng: np.random.Generator) -> None:
+        """Adds random insertions that are likely valid, cheaper than the path known."""
+        goals, known, first = self.goals, self.known_path(), len(self.joints)
+        left_mm = self.checker.scenario.cost.error_goal * MM_PER_M * np.array([self.left_m[k] for k in goals.tolist()])
+        most_mm = known.cost_mm if known else np.inf
+        ways = turned_insertions(self.checker, self.joints[goals], left_mm, rng, INSERTIONS, most_mm)
+        if ways := [way for way in ways if self._is_likely_valid(way.stations)]:
+            amid = first + 2 * np.arange(len(ways))
+            nodes = np.stack([np.zeros_like(amid), amid, amid + 1, goals[[way.goal for way in ways]]], axis=1)
+            edges = np.concatenate([nodes[:, k : k + 2] for k in range(3)])
+            self.extend(np.concatenate([way.states for way in ways]), edges)
 
     def add_trails(self, trails: list[Trail]) -> None:
         """Adds goal states a step apart, joined to those ahead in their trail; the last ones also to others."""
@@ -182,16 +202,6 @@ class RoadmapSearch:
         refused = self.edges[self.known & ~np.isfinite(self.cost)].ravel()
         weight = 1e-3 + np.bincount(np.concatenate([refused, self.refused]), minlength=len(self.joints))
         return rng.choice(len(weight), size=count, p=weight / weight.sum())
-
-    def _beside(self, q: Array, rng: np.random.Generator) -> Array:
-        """Other configurations with the tips of q (K, m)."""
-        space = self.checker.space
-        solver = TipSolver(space, self.checker.mechanics, self.checker.watch)
-        near = space.wound_into_limits(q + rng.normal(size=q.shape) * NEAR_MM / space.weights_mm)
-        allowed = space.allowed_rows(near)
-        result = solver.solve(TipTarget(solver.tips(q[allowed])[0]), near[allowed], TIP_STEPS, turned=False)
-        self.checker.meter.add(ROOM_NS * TIP_STEPS * len(near))
-        return result.joints[result.error_m < NEAR_TIP_M]
 
     def _likely_valid(self, q: Array, most: int) -> Array:
         share = self.clearance.share_valid_at(q, self.checker.rooms([row[None] for row in q]))
@@ -302,7 +312,7 @@ class RoadmapSearch:
         likely costs and the least that a straight one does.
         """
         weights, goals, tried = self.checker.scenario.cost, self.goals, np.zeros(len(self.goals), dtype=bool)
-        straight_mm = self._least_mm(self.checker.space.difference(self.joints[0], self.joints[goals]))
+        straight_mm = least_cost_mm(self.checker, self.checker.space.difference(self.joints[0], self.joints[goals]))
         least_mm = straight_mm + weights.error_goal * MM_PER_M * np.array([self.left_m[k] for k in goals.tolist()])
         cost, left = np.where(self.known & ~self._is_tight, self.cost, np.inf), self.left
         while True:

@@ -25,16 +25,16 @@ from ctrplan.motion.checker import MotionChecker
 from ctrplan.motion.limits import path_limits
 from ctrplan.planning.goal_states import descended, distinct
 from ctrplan.planning.reordering import Reordered, as_given, least_error_order
-from ctrplan.planning.search.insertion_chains import direct_roadmap, retreat_roadmap
 from ctrplan.planning.search.ompl_set_up import SearchProblem
 from ctrplan.planning.search.polish import Race
+from ctrplan.planning.search.proposals import direct_roadmap, retreat_roadmap
 from ctrplan.planning.search.roadmap_search import RoadmapSearch
 from ctrplan.scenario.tip_solver import GoalState
 
 # Shares of the time by which the cheapest path of the roadmap is sought, and another where it failed its certificate
-ROADMAP_SHARE, RETRY_SHARE = 0.4, 0.85
+ROADMAP_SHARE, RETRY_SHARE = 0.5, 0.85
 WORTH_A_CERTIFICATE = 5e-3  # of the cost: less gain than that is not worth a certificate, which takes longer
-POLISH_SHARE = 0.6  # of the time, whenever polish begins: a first path that took all of it is where it gains most
+POLISH_SHARE = 0.5  # of the time, whenever polish begins: a first path that took all of it is where it gains most
 # Share of a time by the clock that L-shaped motions have where they lead to no path; and that of simultaneous ones,
 # which a counted search has beside its budget
 L_SHAPED_SHARE, FALLBACK_SHARE = 0.9, 0.18
@@ -280,9 +280,9 @@ class StageSearch:
         """Seeks the cheapest path of a roadmap that grows until time is up."""
         states, doubt = FIRST_STATES, 1.0
         while not self._is_over(until) and len(search.joints) <= MOST_STATES:
+            search.grow(self._rng, states)
             if search.cheap_path(lambda: self._is_over(until), doubt) is None and not self._is_over(until):
                 break  # not even a way
-            search.grow(self._rng, states)
             states, doubt = 2 * states, DOUBT_KEPT * doubt
 
     def _descend(self, search: RoadmapSearch) -> None:

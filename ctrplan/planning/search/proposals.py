@@ -1,9 +1,12 @@
-"""Paths that withdraw along the robot's own body: a roadmap for insertions through lumens, where sampling is lost.
+"""What a roadmap is offered: states and ways that are likelier free than random ones.
 
 The body of a robot at its goal lies in free space. Bringing the tip back along that body, from goal to plate, by small
 steps of inverse kinematics gives configurations that stay near it; driven the other way they are an insertion that
-follows its own leader as well as the drive can. The roadmap joins these configurations of all goals, the start's
-among them, by L-shaped motions, and its cheapest path is found by checking only the motions that matter.
+follows its own leader as well as the drive can. A roadmap joins these chains of all goals, the start's among them, by
+L-shaped motions, and its cheapest path is found by checking only the motions that matter.
+
+Where there is room, few motions do: a turn that points the robot, an insertion in two legs, and a turn to the goal. Of
+random ways like that most are refused by one or two of their zero-clearance shapes.
 """
 
 from __future__ import annotations
@@ -14,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arrays import MM_PER_M, Array
-from ctrplan.motion.checker import MotionChecker
+from ctrplan.base.long_work import ROOM_NS
+from ctrplan.motion.checker import MotionChecker, Stations
 from ctrplan.planning.room import expected_share
 from ctrplan.scenario.tip_solver import GoalState, TipSolver, TipTarget
 
@@ -24,6 +28,8 @@ SKIPS = (1, 2, 4, 8)  # stations along a chain that a motion may go
 NEIGHBOURS = 4  # in other chains, to either side
 MOST_GOALS = 12
 FAR_SHARE = 0.6  # of the stations that some chain must reach
+NEAR_MM = 30.0  # of joint length: how far beside others random states are looked for, and how much dearer ways are
+TIP_STEPS, NEAR_TIP_M = 4, 4e-3  # by which their tips are brought back, and how near they must come
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +39,15 @@ class Roadmap:
     joints: Array
     edges: NDArray[np.int_]  # (E, 2) from, to
     goals: NDArray[np.int_]  # nodes that are goal states
+
+
+@dataclass(frozen=True, eq=False)
+class TurnedInsertion:
+    """A way from the start that turns, is inserted in two legs, and turns to a goal."""
+
+    states: Array  # (2, m) in the midst of the insertion and at its end
+    goal: int  # its number
+    stations: Stations
 
 
 def direct_roadmap(checker: MotionChecker, goals: list[GoalState]) -> Roadmap:
@@ -124,3 +139,91 @@ def _edges(
         apart = np.linalg.norm(checker.space.difference(q[i], q[others]) * checker.space.weights_mm, axis=1)
         result |= {(i, int(j)) for j in others[np.argsort(apart)[:NEIGHBOURS]]}
     return np.array(sorted(result), dtype=int).reshape(-1, 2)
+
+
+def turned_insertions(
+    checker: MotionChecker, goals: Array, left_mm: Array, rng: np.random.Generator, count: int, most_mm: float
+) -> list[TurnedInsertion]:
+    """Of `count` random ways, those whose zero-clearance shapes are free, the cheapest first.
+
+    To goals (G, m), where what is left costs left_mm (G,); a way whose length and stops cost more with that than
+    most_mm is left out.
+    """
+    space, start, is_rotation = checker.space, checker.scenario.start, checker.space.drive.is_rotation
+    if is_rotation.all() or not is_rotation.any():
+        return []
+    delta = space.difference(start, goals)
+    straight_mm = least_cost_mm(checker, delta) + left_mm
+    chance = np.exp((straight_mm.min() - straight_mm) / NEAR_MM)
+    goal = rng.choice(len(goals), size=count, p=chance / chance.sum())
+    turn = np.zeros((count, is_rotation.size))
+    turn[:, is_rotation] = _detours(rng, (delta * space.weights_mm)[goal][:, is_rotation])
+    inserted = np.where(is_rotation, start + turn / space.weights_mm, goals[goal])
+    inserted = space.wound_into_limits(inserted)
+    amid = np.where(is_rotation, inserted, start + rng.uniform(size=inserted.shape) * (inserted - start))
+    onward = space.difference(inserted, goals[goal])
+    legs = space.difference(start, amid), amid - inserted, onward
+    least_mm = np.sum([least_cost_mm(checker, leg) for leg in legs], axis=0) + left_mm[goal]
+    is_hopeful = space.allowed_rows(amid) & space.allowed_rows(inserted) & (least_mm < most_mm)
+    rows = np.flatnonzero(is_hopeful)[np.argsort(least_mm[is_hopeful])].tolist()
+    begun = [space.corners(start, amid[row], checker.style) for row in rows]  # with the start's own winding
+    ends = (np.cumsum([inserted[row] - amid[row], onward[row]], axis=0) for row in rows)
+    ways = [np.vstack([way, way[-1] + end]) for way, end in zip(begun, ends, strict=True)]
+    free = _free(checker, [checker.stations(way) for way in ways])
+    return [
+        TurnedInsertion(np.stack([amid[row], inserted[row]]), int(goal[row]), stations)
+        for row, stations in zip(rows, free, strict=True)
+        if stations is not None
+    ]
+
+
+def least_cost_mm(checker: MotionChecker, delta: Array) -> Array:
+    """(K,) [mm] what length and stops of L-shaped motions by delta (K, m) cost."""
+    weights, space = checker.scenario.cost, checker.space
+    least_mm: Array = weights.path * space.lengths_mm(delta) + weights.stop * space.legs(delta)
+    return least_mm
+
+
+def states_beside(checker: MotionChecker, q: Array, rng: np.random.Generator) -> Array:
+    """Other configurations with the tips of q (K, m), about NEAR_MM away."""
+    space = checker.space
+    solver = TipSolver(space, checker.mechanics, checker.watch)
+    near = space.wound_into_limits(q + rng.normal(size=q.shape) * NEAR_MM / space.weights_mm)
+    allowed = space.allowed_rows(near)
+    result = solver.solve(TipTarget(solver.tips(q[allowed])[0]), near[allowed], TIP_STEPS, turned=False)
+    checker.meter.add(ROOM_NS * TIP_STEPS * len(near))
+    return result.joints[result.error_m < NEAR_TIP_M]
+
+
+def _detours(rng: np.random.Generator, way: Array) -> Array:
+    """(N, r) random places: to each and on to the end of its way (N, r) is longer than the way by NEAR_MM on average.
+
+    They are uniform in the ellipsoid of all those that are longer by no more.
+    """
+    length = np.linalg.norm(way, axis=1, keepdims=True)
+    whole = length + rng.exponential(NEAR_MM, size=length.shape)
+    axis = way / np.maximum(length, 1e-9)
+    place = rng.normal(size=way.shape)
+    place *= rng.uniform(size=length.shape) ** (1 / way.shape[1]) / np.linalg.norm(place, axis=1, keepdims=True)
+    along = np.sum(place * axis, axis=1, keepdims=True)
+    wide = np.sqrt(whole**2 - length**2)
+    detours: Array = (way + along * axis * whole + (place - along * axis) * wide) / 2
+    return detours
+
+
+def _free(checker: MotionChecker, ways: list[Array]) -> list[Stations | None]:
+    """Shapes at stations (S, m) of each way, None of one with a shape that is too close.
+
+    They are looked at by halves of the ways, each time of those alone that are free so far.
+    """
+    rooms = [np.full(len(way), np.nan) for way in ways]
+    going, parts = list(range(len(ways))), 1
+    while going:
+        parts *= 2
+        todo = [np.unique(np.linspace(0, len(ways[k]) - 1, parts + 1).round().astype(int)) for k in going]
+        todo = [at[np.isnan(rooms[k][at])] for k, at in zip(going, todo, strict=True)]
+        room_m = checker.state_rooms(np.concatenate([ways[k][at] for k, at in zip(going, todo, strict=True)]))
+        for k, at, of_way in zip(going, todo, np.split(room_m, np.cumsum([len(at) for at in todo])[:-1]), strict=True):
+            rooms[k][at] = np.nan_to_num(of_way, nan=-np.inf)  # without a solution
+        going = [k for k in going if not np.nanmin(rooms[k]) < 0 and np.isnan(rooms[k]).any()]
+    return [Stations(way, room, False) if room.min() >= 0 else None for way, room in zip(ways, rooms, strict=True)]

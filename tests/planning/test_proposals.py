@@ -1,0 +1,126 @@
+"""What a roadmap is offered: turned insertions are ways as they say, and shapes looked at by halves are all shapes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from places import SCENARIOS
+
+from ctrplan.base.arrays import MM_PER_M, Array
+from ctrplan.files.scenario_file import load_scenario
+from ctrplan.motion.checker import MotionChecker
+from ctrplan.planning.goal_states import goal_states
+from ctrplan.planning.search import proposals
+from ctrplan.planning.search.proposals import NEAR_MM, TurnedInsertion, direct_roadmap, turned_insertions
+from ctrplan.planning.search.roadmap_search import RoadmapSearch
+
+MOST_MM = 280.0
+
+
+@pytest.fixture(scope="module")
+def checker() -> MotionChecker:
+    return MotionChecker(load_scenario(SCENARIOS / "deploy.toml"))
+
+
+@pytest.fixture(scope="module")
+def search(checker: MotionChecker) -> RoadmapSearch:
+    goals = goal_states(checker, np.random.default_rng(0))
+    return RoadmapSearch(checker, direct_roadmap(checker, goals), goals)
+
+
+def left_mm(search: RoadmapSearch) -> Array:
+    weight = search.checker.scenario.cost.error_goal
+    return weight * MM_PER_M * np.array([search.left_m[goal] for goal in search.goals.tolist()])
+
+
+@pytest.fixture(scope="module")
+def ways(checker: MotionChecker, search: RoadmapSearch) -> list[TurnedInsertion]:
+    goals = search.joints[search.goals]
+    return turned_insertions(checker, goals, left_mm(search), np.random.default_rng(1), 1000, MOST_MM)
+
+
+def test_an_insertion_turns_then_moves_in_then_turns(
+    checker: MotionChecker, search: RoadmapSearch, ways: list[TurnedInsertion]
+) -> None:
+    """Rotations rest while the tubes are inserted, translations are then the goal's, and the way ends at the goal."""
+    assert len(ways) > 10
+    is_rotation, start = checker.space.drive.is_rotation, checker.scenario.start
+    for way in ways:
+        goal, (amid, inserted) = search.joints[search.goals[way.goal]], way.states
+        np.testing.assert_array_equal(amid[is_rotation], inserted[is_rotation])
+        np.testing.assert_array_equal(inserted[~is_rotation], goal[~is_rotation])
+        between = (amid - start)[~is_rotation] / (goal - start)[~is_rotation]
+        assert ((between >= 0) & (between <= 1)).all()
+        stations = way.stations.joints
+        np.testing.assert_allclose(stations[0], start)
+        assert np.abs(np.diff(stations, axis=0)[:, is_rotation]).max() < np.pi  # nor does the winding leap
+        np.testing.assert_allclose(checker.space.difference(stations[-1], goal), 0.0, atol=1e-12)
+        turns = np.any(np.diff(stations, axis=0)[:, is_rotation] != 0, axis=1)
+        slides = np.any(np.diff(stations, axis=0)[:, ~is_rotation] != 0, axis=1)
+        assert not (turns & slides).any()
+        assert np.abs(np.diff(slides.astype(int))).sum() == 2  # slides are in the midst of turns, in one piece
+
+
+def test_insertions_are_free_and_come_cheapest_first(
+    checker: MotionChecker, search: RoadmapSearch, ways: list[TurnedInsertion]
+) -> None:
+    """The shapes of one look at the whole way say so, and the length of its stations."""
+    whole = checker.state_rooms(np.concatenate([way.stations.joints for way in ways]))
+    np.testing.assert_array_equal(whole, np.concatenate([way.stations.room_m for way in ways]))
+    assert whole.min() >= 0
+    left = left_mm(search)
+    length_mm = [checker.space.lengths_mm(np.diff(way.stations.joints, axis=0)).sum() for way in ways]
+    cost = checker.scenario.cost
+    least_mm = np.array(
+        [cost.path * mm + 4 * cost.stop + left[way.goal] for mm, way in zip(length_mm, ways, strict=True)]
+    )
+    assert (np.diff(least_mm) > -1e-6).all()
+    assert least_mm.max() < MOST_MM
+
+
+def test_looks_by_halves_lose_no_way_and_keep_none_that_is_not_free(checker: MotionChecker) -> None:
+    rng = np.random.default_rng(2)
+    ends = checker.space.sample(rng, 60)
+    polylines = [checker.stations(np.stack([checker.scenario.start, end])) for end in ends]
+    least = [checker.state_rooms(way).min() for way in polylines]
+    free = [stations is not None for stations in proposals._free(checker, polylines)]
+    np.testing.assert_array_equal(free, np.array(least) >= 0)
+    assert any(free)
+    assert not all(free)
+
+
+def test_detours_are_longer_than_the_way_by_what_is_said() -> None:
+    """To a place in an ellipsoid and on is uniform by volume: in r dimensions mostly near its surface."""
+    rng = np.random.default_rng(3)
+    for way in (np.array([50.0, 0.0, 0.0]), np.zeros(3), np.array([3.0, -4.0])):
+        given = np.repeat(way[None], 4000, axis=0)
+        place = proposals._detours(rng, given)
+        longer = np.linalg.norm(place, axis=1) + np.linalg.norm(given - place, axis=1) - np.linalg.norm(way)
+        assert longer.min() >= -1e-9
+        assert 0.3 * NEAR_MM < longer.mean() < NEAR_MM
+        np.testing.assert_allclose(place.mean(axis=0), way / 2, atol=3.0)  # mm: neither end is preferred
+
+
+def test_insertions_that_grow_are_motions_to_their_goals_and_none_is_known_to_fail(
+    checker: MotionChecker, search: RoadmapSearch
+) -> None:
+    before = len(search.joints)
+    search._add_insertions(np.random.default_rng(4))
+    added = np.arange(before, len(search.joints))
+    assert len(added) > 0
+    assert len(added) % 2 == 0
+    for amid, inserted in added.reshape(-1, 2).tolist():
+        assert (0, amid) in search.row
+        assert (amid, inserted) in search.row
+        ends = [b for a, b in search.row if a == inserted]
+        assert len(ends) == 1
+        assert ends[0] in search.goals
+        way = np.concatenate([checker.space.corners(search.joints[0], search.joints[amid], checker.style)])
+        stations = checker.stations(np.vstack([way, search.joints[inserted]]))
+        solved = [checker._states[q.tobytes()][0] for q in stations if q.tobytes() in checker._states]
+        assert all(state.valid for state in solved)
+
+
+def test_none_is_offered_where_a_known_path_costs_less_than_all(checker: MotionChecker, search: RoadmapSearch) -> None:
+    goals = search.joints[search.goals]
+    assert not turned_insertions(checker, goals, left_mm(search), np.random.default_rng(1), 100, 100.0)
