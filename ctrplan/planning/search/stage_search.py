@@ -31,10 +31,10 @@ from ctrplan.planning.search.proposals import direct_roadmap, retreat_roadmap
 from ctrplan.planning.search.roadmap_search import RoadmapSearch
 from ctrplan.scenario.tip_solver import GoalState
 
-# Shares of the time by which the cheapest path of the roadmap is sought, and another where it failed its certificate
-ROADMAP_SHARE, RETRY_SHARE = 0.5, 0.85
+# Share of the time by which the roadmap's cheapest path is sought, and that polish has whenever it begins: a first path
+# that took all of it is where polish gains most
+PHASE_SHARE = 0.5
 WORTH_A_CERTIFICATE = 5e-3  # of the cost: less gain than that is not worth a certificate, which takes longer
-POLISH_SHARE = 0.5  # of the time, whenever polish begins: a first path that took all of it is where it gains most
 # Share of a time by the clock that L-shaped motions have where they lead to no path; and that of simultaneous ones,
 # which a counted search has beside its budget
 L_SHAPED_SHARE, FALLBACK_SHARE = 0.9, 0.18
@@ -149,7 +149,7 @@ class StageSearch:
         Whether there is one. Certificates come on top of counted work: all of them are tried until one holds.
         """
         assert self.best is not None
-        before, until = self.best, self.clock.now() + POLISH_SHARE * self.budget
+        before, until = self.best, self.clock.now() + PHASE_SHARE * self.budget
         if self.clock.timed:
             until = min(until, self.budget)
         race = Race(roadmap, self._expanded, self.seed, self.is_compensated, self.moves_goal)
@@ -248,10 +248,9 @@ class StageSearch:
         """Cheap paths on a roadmap that grows further, polished and certified.
 
         Where that fails, friction states between the corners, or the finer mesh, take more room than the search keeps:
-        the cheapest is certified as it is, and another is sought that leaves as much, for as long as a first path
-        would be.
+        the cheapest is certified as it is, and another is sought that leaves as much.
         """
-        until, latest = ROADMAP_SHARE * self.budget, RETRY_SHARE * self.budget
+        until = PHASE_SHARE * self.budget
         with self._ending(until):
             self._prepare(search, until)
             self._grow_cheaper(search, until)
@@ -262,12 +261,12 @@ class StageSearch:
             if cheapest is None or (self.best is not None and cheapest.cost_mm >= self.best.cost_mm):
                 break
             failed = self._tidied(self.checker, self._expanded(cheapest.states), ROADMAP)
-            if not failed or self._is_over(latest):
+            if not failed or self._is_over(self.budget):
                 break
             search.needs_more(cheapest.states, self._short_m)
             search.forbid(cheapest.states, failed)
-            with self._ending(latest):
-                self._grow_cheaper(search, latest)
+            with self._ending(self.budget):
+                self._grow_cheaper(search, self.budget)
 
     def _prepare(self, search: RoadmapSearch, until: float) -> None:
         """Adds chains and goal states of less error to a roadmap."""
