@@ -124,3 +124,10 @@ def test_insertions_that_grow_are_motions_to_their_goals_and_none_is_known_to_fa
 def test_none_is_offered_where_a_known_path_costs_less_than_all(checker: MotionChecker, search: RoadmapSearch) -> None:
     goals = search.joints[search.goals]
     assert not turned_insertions(checker, goals, left_mm(search), np.random.default_rng(1), 100, 100.0)
+
+
+def test_none_is_offered_where_there_is_no_anatomy() -> None:
+    """All would be free, and the roadmap full of ways of which nothing is known."""
+    free = MotionChecker(load_scenario(SCENARIOS / "snap.toml"))
+    goals = np.array([goal.joints for goal in goal_states(free, np.random.default_rng(0))])
+    assert not turned_insertions(free, goals, np.zeros(len(goals)), np.random.default_rng(1), 100, np.inf)

@@ -144,14 +144,14 @@ def _edges(
 def turned_insertions(
     checker: MotionChecker, goals: Array, left_mm: Array, rng: np.random.Generator, count: int, most_mm: float
 ) -> list[TurnedInsertion]:
-    """Of `count` random ways, those whose zero-clearance shapes are free, the cheapest first.
+    """Of `count` random ways, those whose zero-clearance shapes are free of the anatomy, the cheapest first.
 
     To goals (G, m), where what is left costs left_mm (G,); a way whose length and stops cost more with that than
     most_mm is left out.
     """
     space, start, is_rotation = checker.space, checker.scenario.start, checker.space.drive.is_rotation
-    if is_rotation.all() or not is_rotation.any():
-        return []
+    if checker.field is None or is_rotation.all() or not is_rotation.any():
+        return []  # nothing tells which of them are likely free, or there is nothing to turn or to insert
     delta = space.difference(start, goals)
     straight_mm = least_cost_mm(checker, delta) + left_mm
     chance = np.exp((straight_mm.min() - straight_mm) / NEAR_MM)
