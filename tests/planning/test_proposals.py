@@ -105,7 +105,7 @@ def test_insertions_that_grow_are_motions_to_their_goals_and_none_is_known_to_fa
     checker: MotionChecker, search: RoadmapSearch
 ) -> None:
     before = len(search.joints)
-    search._add_insertions(np.random.default_rng(4))
+    search._add_insertions(np.random.default_rng(4), 1200)
     added = np.arange(before, len(search.joints))
     assert len(added) > 0
     assert len(added) % 2 == 0

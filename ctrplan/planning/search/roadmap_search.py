@@ -30,7 +30,6 @@ GUESSES = 3  # paths looked at for a motion to check ahead
 NEIGHBOURS = 8
 AT_MM = 1e-6  # of joint length, within which a place is at a motion's end
 TRIES = 4  # random states looked at for each that is added
-INSERTIONS = 1200  # random ones looked at whenever the roadmap grows; a budget of 0.05 to 0.2 s
 VALID_JUMPS = 0.05  # of motions along which the zero-clearance tip jumps
 LEAST_HOPE = 0.01  # however little is expected: the surrogate may be wrong
 WALK_PER_STATE = 30  # solves of a motion's walk for one of a state: with less doubt than that it is walked at once
@@ -128,11 +127,10 @@ class RoadmapSearch:
             self.clearance.learn(place, self.checker.solved_room_m(self.clearance.joints[place]))
         self._weigh()
 
-    def grow(self, rng: np.random.Generator, count: int) -> None:
-        """Adds up to `count` random states that are likely valid.
+    def grow(self, rng: np.random.Generator, count: int, insertions: int = 0) -> None:
+        """Adds up to `count` random states that are likely valid, and of so many random insertions those that are.
 
-        Half of them have the tip where that of another state is, of those first from or to which no motion was valid.
-        And insertions, where they are likely valid.
+        Half of the states have the tip where that of another is, of those first from or to which no motion was valid.
         """
         space, q, troubled = self.checker.space, self.joints, self._troubled(rng, TRIES * count // 2)
         beside = self._likely_valid(states_beside(self.checker, q[troubled], rng), count // 2)
@@ -144,14 +142,15 @@ class RoadmapSearch:
             others = {*np.argsort(apart)[:NEIGHBOURS].tolist(), int(self.goals[np.argmin(apart[self.goals])])}
             edges |= {(0, i)} | {(i, j) for j in others} | {(j, i) for j in others}
         self.extend(added, np.array(sorted(edges), dtype=int).reshape(-1, 2))
-        self._add_insertions(rng)
+        if insertions:
+            self._add_insertions(rng, insertions)
 
-    def _add_insertions(self, rng: np.random.Generator) -> None:
-        """Adds random insertions that are likely valid, cheaper than the path known."""
+    def _add_insertions(self, rng: np.random.Generator, count: int) -> None:
+        """Adds those of `count` random insertions that are likely valid, cheaper than the path known."""
         goals, known, first = self.goals, self.known_path(), len(self.joints)
         left_mm = self.checker.scenario.cost.error_goal * MM_PER_M * np.array([self.left_m[k] for k in goals.tolist()])
         most_mm = known.cost_mm if known else np.inf
-        ways = turned_insertions(self.checker, self.joints[goals], left_mm, rng, INSERTIONS, most_mm)
+        ways = turned_insertions(self.checker, self.joints[goals], left_mm, rng, count, most_mm)
         if ways := [way for way in ways if self._is_likely_valid(way.stations)]:
             amid = first + 2 * np.arange(len(ways))
             nodes = np.stack([np.zeros_like(amid), amid, amid + 1, goals[[way.goal for way in ways]]], axis=1)

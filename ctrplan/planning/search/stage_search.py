@@ -40,6 +40,7 @@ WORTH_A_CERTIFICATE = 5e-3  # of the cost: less gain than that is not worth a ce
 L_SHAPED_SHARE, FALLBACK_SHARE = 0.9, 0.18
 STRAIGHT_HOPE = 0.5  # of motions from the start to a goal, without which chains are made before any is walked
 FIRST_STATES, FIRST_ROUND_S = 100, 0.4  # random states a roadmap first grows by, and after how long; then twice as many
+FIRST_INSERTIONS, INSERTIONS = 500, 1200  # random ones looked at each time, while there is no path and then; budgets
 MOST_STATES = 3000  # of a roadmap
 DOUBT_KEPT = 0.5  # from round to round, of the doubt about motions that are not checked
 ATTEMPTS = 8  # searches after a path failed its certificate
@@ -230,7 +231,7 @@ class StageSearch:
                 hope = 0.0
             elif path is None:
                 with self._ending(latest):
-                    search.grow(self._rng, states)
+                    search.grow(self._rng, states, FIRST_INSERTIONS)
                 states, until = 2 * states, self.clock.now() + states / FIRST_STATES * FIRST_ROUND_S
                 until = min(until, latest)
             elif failed := self._certified(self.checker, self._expanded(path), ROADMAP):
@@ -279,7 +280,7 @@ class StageSearch:
         """Seeks the cheapest path of a roadmap that grows until time is up."""
         states, doubt = FIRST_STATES, 1.0
         while not self._is_over(until) and len(search.joints) <= MOST_STATES:
-            search.grow(self._rng, states)
+            search.grow(self._rng, states, INSERTIONS)
             if search.cheap_path(lambda: self._is_over(until), doubt) is None and not self._is_over(until):
                 break  # not even a way
             states, doubt = 2 * states, DOUBT_KEPT * doubt
