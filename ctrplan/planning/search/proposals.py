@@ -144,10 +144,10 @@ def _edges(
 def turned_insertions(
     checker: MotionChecker, goals: Array, left_mm: Array, rng: np.random.Generator, count: int, most_mm: float
 ) -> list[TurnedInsertion]:
-    """Of `count` random ways, those whose zero-clearance shapes are free of the anatomy, the cheapest first.
+    """Those of `count` random ways whose zero-clearance shapes are free of the anatomy, the cheapest first.
 
-    To goals (G, m), where what is left costs left_mm (G,); a way whose length and stops cost more with that than
-    most_mm is left out.
+    They end at goals (G, m), where the error left costs left_mm (G,). A way that costs more than most_mm by its length,
+    stops and error left is left out.
     """
     space, start, is_rotation = checker.space, checker.scenario.start, checker.space.drive.is_rotation
     if checker.field is None or is_rotation.all() or not is_rotation.any():
@@ -196,9 +196,9 @@ def states_beside(checker: MotionChecker, q: Array, rng: np.random.Generator) ->
 
 
 def _detours(rng: np.random.Generator, way: Array) -> Array:
-    """(N, r) random places: to each and on to the end of its way (N, r) is longer than the way by NEAR_MM on average.
+    """(N, r) random places beside straight ways (N, r), each uniform in an ellipsoid about its way.
 
-    They are uniform in the ellipsoid of all those that are longer by no more.
+    To a place and on to the way's end is longer than the way by no more than a random length, NEAR_MM on average.
     """
     length = np.linalg.norm(way, axis=1, keepdims=True)
     whole = length + rng.exponential(NEAR_MM, size=length.shape)
