@@ -171,7 +171,7 @@ def test_room_beside_a_walked_path_is_foreseen(beside: MotionChecker) -> None:
 
 
 def test_a_walk_that_ends_on_its_way_has_a_model_as_far_as_it_goes(beside: MotionChecker) -> None:
-    """As one that is a little too close on a leg, and unstable on the next."""
+    """A walk that is a little too close on a leg, and unstable on the next, ends there: its model knows those legs."""
     path = roundabout()
     walked, levels = beside.known_walk(path), levels_of(beside, path, moves_goal=True)
     for last in (0, 2):

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import itertools
+from contextlib import suppress
+
 import numpy as np
 import pytest
 from places import SCENARIOS
 
 from ctrplan.base.arrays import MM_PER_M, Array
+from ctrplan.base.long_work import SearchOver
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.motion.checker import MotionChecker
-from ctrplan.planning.goal_states import goal_states
+from ctrplan.planning.goal_states import descended, goal_states
 from ctrplan.planning.search import proposals
 from ctrplan.planning.search.proposals import NEAR_MM, TurnedInsertion, direct_roadmap, turned_insertions
 from ctrplan.planning.search.roadmap_search import RoadmapSearch
@@ -51,7 +55,7 @@ def test_an_insertion_turns_then_moves_in_then_turns(
         np.testing.assert_array_equal(inserted[~is_rotation], goal[~is_rotation])
         between = (amid - start)[~is_rotation] / (goal - start)[~is_rotation]
         assert ((between >= 0) & (between <= 1)).all()
-        stations = way.stations.joints
+        stations = way.joints
         np.testing.assert_allclose(stations[0], start)
         assert np.abs(np.diff(stations, axis=0)[:, is_rotation]).max() < np.pi  # nor does the winding leap
         np.testing.assert_allclose(checker.space.difference(stations[-1], goal), 0.0, atol=1e-12)
@@ -65,11 +69,11 @@ def test_insertions_are_free_and_come_cheapest_first(
     checker: MotionChecker, search: RoadmapSearch, ways: list[TurnedInsertion]
 ) -> None:
     """The shapes of one look at the whole way say so, and the length of its stations."""
-    whole = checker.state_rooms(np.concatenate([way.stations.joints for way in ways]))
-    np.testing.assert_array_equal(whole, np.concatenate([way.stations.room_m for way in ways]))
+    whole = checker.state_rooms(np.concatenate([way.joints for way in ways]))
+    np.testing.assert_array_equal(whole, np.concatenate([way.room_m for way in ways]))
     assert whole.min() >= 0
     left = left_mm(search)
-    length_mm = [checker.space.lengths_mm(np.diff(way.stations.joints, axis=0)).sum() for way in ways]
+    length_mm = [checker.space.lengths_mm(np.diff(way.joints, axis=0)).sum() for way in ways]
     cost = checker.scenario.cost
     least_mm = np.array(
         [cost.path * mm + 4 * cost.stop + left[way.goal] for mm, way in zip(length_mm, ways, strict=True)]
@@ -83,7 +87,7 @@ def test_looks_by_halves_lose_no_way_and_keep_none_that_is_not_free(checker: Mot
     ends = checker.space.sample(rng, 60)
     polylines = [checker.stations(np.stack([checker.scenario.start, end])) for end in ends]
     least = [checker.state_rooms(way).min() for way in polylines]
-    free = [stations is not None for stations in proposals._free(checker, polylines)]
+    free = [room_m.min() >= 0 for room_m in proposals._rooms(checker, polylines)]
     np.testing.assert_array_equal(free, np.array(least) >= 0)
     assert any(free)
     assert not all(free)
@@ -131,3 +135,23 @@ def test_none_is_offered_where_there_is_no_anatomy() -> None:
     free = MotionChecker(load_scenario(SCENARIOS / "snap.toml"))
     goals = np.array([goal.joints for goal in goal_states(free, np.random.default_rng(0))])
     assert not turned_insertions(free, goals, np.zeros(len(goals)), np.random.default_rng(1), 100, np.inf)
+
+
+def test_a_search_that_ends_in_the_midst_of_growing_has_nothing_half_added(checker: MotionChecker) -> None:
+    """Wherever its time is up: what it knows still fits together, and it can grow and be searched again."""
+    goals = goal_states(checker, np.random.default_rng(0))[:3]
+    search, rng, asked = RoadmapSearch(checker, direct_roadmap(checker, goals), goals), np.random.default_rng(5), 0
+    trails = descended(checker, goals)
+    for last in range(0, 40, 3):
+        count = itertools.count()
+        with suppress(SearchOver), checker.watch.until(lambda count=count, last=last: next(count) >= last):
+            search.grow(rng, 4, 20)
+            search.add_trails(trails)
+        asked += next(count) > last
+        nodes, edges = len(search.joints), len(search.edges)
+        assert len(search.place) == len(search.probed) == nodes
+        assert search.goals.max() < nodes and set(search.left_m) == set(search.goals.tolist())
+        assert all(len(values) == edges for values in (search.cost, search.left, search.hope, search.known))
+        assert search.edges.max() < nodes
+    assert asked > 3  # ended in its midst
+    search.any_path(lambda: False)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.base.long_work import ROOM_NS
-from ctrplan.motion.checker import MotionChecker, Stations
+from ctrplan.motion.checker import MotionChecker
 from ctrplan.planning.room import expected_share
 from ctrplan.scenario.tip_solver import GoalState, TipSolver, TipTarget
 
@@ -47,7 +47,8 @@ class TurnedInsertion:
 
     states: Array  # (2, m) in the midst of the insertion and at its end
     goal: int  # its number
-    stations: Stations
+    joints: Array  # (S, m) on the way
+    room_m: Array  # (S,) [m] that zero-clearance shapes leave there beyond what is required
 
 
 def direct_roadmap(checker: MotionChecker, goals: list[GoalState]) -> Roadmap:
@@ -169,11 +170,11 @@ def turned_insertions(
     begun = [space.corners(start, amid[row], checker.style) for row in rows]  # with the start's own winding
     ends = (np.cumsum([inserted[row] - amid[row], onward[row]], axis=0) for row in rows)
     ways = [np.vstack([way, way[-1] + end]) for way, end in zip(begun, ends, strict=True)]
-    free = _free(checker, [checker.stations(way) for way in ways])
+    places = [checker.stations(way) for way in ways]
     return [
-        TurnedInsertion(np.stack([amid[row], inserted[row]]), int(goal[row]), stations)
-        for row, stations in zip(rows, free, strict=True)
-        if stations is not None
+        TurnedInsertion(np.stack([amid[row], inserted[row]]), int(goal[row]), joints, room_m)
+        for row, joints, room_m in zip(rows, places, _rooms(checker, places), strict=True)
+        if room_m.min() >= 0
     ]
 
 
@@ -211,10 +212,10 @@ def _detours(rng: np.random.Generator, way: Array) -> Array:
     return detours
 
 
-def _free(checker: MotionChecker, ways: list[Array]) -> list[Stations | None]:
-    """Shapes at stations (S, m) of each way, None of one with a shape that is too close.
+def _rooms(checker: MotionChecker, ways: list[Array]) -> list[Array]:
+    """Rooms (S,) [m] of zero-clearance shapes on each way (S, m); -inf without a stable solution.
 
-    They are looked at by halves of the ways, each time of those alone that are free so far.
+    They are looked at by halves of the ways, each time of those alone that are free so far; NaN where none is needed.
     """
     rooms = [np.full(len(way), np.nan) for way in ways]
     going, parts = list(range(len(ways))), 1
@@ -224,6 +225,6 @@ def _free(checker: MotionChecker, ways: list[Array]) -> list[Stations | None]:
         todo = [at[np.isnan(rooms[k][at])] for k, at in zip(going, todo, strict=True)]
         room_m = checker.state_rooms(np.concatenate([ways[k][at] for k, at in zip(going, todo, strict=True)]))
         for k, at, of_way in zip(going, todo, np.split(room_m, np.cumsum([len(at) for at in todo])[:-1]), strict=True):
-            rooms[k][at] = np.nan_to_num(of_way, nan=-np.inf)  # without a solution
+            rooms[k][at] = of_way
         going = [k for k in going if not np.nanmin(rooms[k]) < 0 and np.isnan(rooms[k]).any()]
-    return [Stations(way, room, False) if room.min() >= 0 else None for way, room in zip(ways, rooms, strict=True)]
+    return rooms

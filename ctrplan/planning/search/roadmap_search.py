@@ -18,7 +18,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.base.long_work import EDGE_NS, counted_aside
-from ctrplan.motion.checker import DEFINITE_COLLISION_M, MotionChecker, Stations
+from ctrplan.motion.checker import DEFINITE_COLLISION_M, MotionChecker
 from ctrplan.planning.goal_states import Trail
 from ctrplan.planning.room import ClearanceSurrogate
 from ctrplan.planning.search.proposals import SKIPS, Roadmap, least_cost_mm, states_beside, turned_insertions
@@ -79,9 +79,10 @@ class RoadmapSearch:
     def extend(self, joints: Array, edges: NDArray[np.int_]) -> None:
         """Adds states (N, m), counted on from the last one, and motions (E, 2) that there were not."""
         weights, space = self.checker.scenario.cost, self.checker.space
+        room_m = self.checker.rooms([q[None] for q in joints])  # first: a search that ends here has nothing half added
         self.joints = np.concatenate([self.joints, joints])
         self.probed = np.concatenate([self.probed, np.zeros(len(joints), dtype=bool)])
-        self.place = np.append(self.place, self.clearance.extend(joints, self.checker.rooms([q[None] for q in joints])))
+        self.place = np.append(self.place, self.clearance.extend(joints, room_m))
         a, b = edges.T
         delta = space.difference(self.joints[a], self.joints[b])
         length = space.lengths_mm(delta)
@@ -106,16 +107,16 @@ class RoadmapSearch:
         ends = share[self.place[self.edges]].min(axis=1, initial=1.0)
         self.hope = np.minimum(np.minimum(ends, share[self.narrowest]), np.where(self.jumps, VALID_JUMPS, 1.0))
 
-    def _is_likely_valid(self, way: Stations) -> bool:
-        """Whether a way is likelier valid than not, anywhere: where that is in doubt it is solved."""
-        solved = np.zeros(len(way.room_m), dtype=bool)
+    def _is_likely_valid(self, joints: Array, room_m: Array) -> bool:
+        """Whether all places (S, m) of a way are likelier valid than not: where that is in doubt it is solved."""
+        solved = np.zeros(len(room_m), dtype=bool)
         while True:
-            share = np.where(solved, 1.0, self.clearance.share_valid_at(way.joints, way.room_m))
+            share = np.where(solved, 1.0, self.clearance.share_valid_at(joints, room_m))
             least = int(np.argmin(share))
             if share[least] > 1 / 2:
                 return True
-            is_valid = self.checker.state(way.joints[least]).valid
-            self._learn(self.clearance.extend(way.joints[[least]], way.room_m[[least]]))
+            is_valid = self.checker.state(joints[least]).valid
+            self._learn(self.clearance.extend(joints[[least]], room_m[[least]]))
             if not is_valid:
                 return False
             solved[least] = True
@@ -151,7 +152,7 @@ class RoadmapSearch:
         left_mm = self.checker.scenario.cost.error_goal * MM_PER_M * np.array([self.left_m[k] for k in goals.tolist()])
         most_mm = known.cost_mm if known else np.inf
         ways = turned_insertions(self.checker, self.joints[goals], left_mm, rng, count, most_mm)
-        if ways := [way for way in ways if self._is_likely_valid(way.stations)]:
+        if ways := [way for way in ways if self._is_likely_valid(way.joints, way.room_m)]:
             amid = first + 2 * np.arange(len(ways))
             nodes = np.stack([np.zeros_like(amid), amid, amid + 1, goals[[way.goal for way in ways]]], axis=1)
             edges = np.concatenate([nodes[:, k : k + 2] for k in range(3)])
@@ -182,8 +183,8 @@ class RoadmapSearch:
         if len(same):
             return int(same[0])
         node = len(self.joints)
-        self.goals, self.left_m[node] = np.append(self.goals, node), goal.bound_m
         self.extend(goal.joints[None], np.empty((0, 2), dtype=int))
+        self.goals, self.left_m[node] = np.append(self.goals, node), goal.bound_m
         return node
 
     def _nearest(self, q: Array, count: int) -> list[int]:
