@@ -217,19 +217,20 @@ class ClearanceSurrogate:
         self.variance: Array = np.empty(0)  # [m^2]
         self._at_mm = self._embedded(self.joints)
         self._solved: list[int] = []  # numbers of N places
-        self._deviation_m: Array = np.empty(0)  # (N,) that was expected there
         self._surprise: Array = np.empty(0)  # (N,) of what was solved, in deviations
-        self._rows: Array = np.empty((0, 0))  # (N, M) of solved places, to all [m]
+        self._kept: Array = np.empty((0, 0))  # rows, and room for more, so that they are not copied each time
+        self._factor: Array = np.empty((0, 0))  # the Cholesky factor (N, N) [m], and room for more
 
     def extend(self, joints: Array, room_m: Array) -> NDArray[np.int_]:
         """Adds places (K, m) with their rooms (K,) [m]; returns their numbers (K,)."""
-        rows = self._continued(joints)
+        rows, first = self._continued(joints), len(self.room_m)
         loss_m, variance = self._expected(rows)
         self.joints, self.room_m = np.concatenate([self.joints, joints]), np.concatenate([self.room_m, room_m])
         self._at_mm = np.concatenate([self._at_mm, self._embedded(joints)])
         self.loss_m, self.variance = np.append(self.loss_m, loss_m), np.append(self.variance, variance)
-        self._rows = np.concatenate([self._rows, rows], axis=1)
-        return np.arange(len(self.room_m) - len(joints), len(self.room_m))
+        self._kept = _with_room(self._kept, len(self._solved), len(self.room_m))
+        self._rows[:, first:] = rows
+        return np.arange(first, len(self.room_m))
 
     def learn(self, place: int, clearance_m: float) -> None:
         """Takes in what a solved place leaves; nothing of one where that is not known."""
@@ -239,9 +240,18 @@ class ClearanceSurrogate:
         surprise = (self.room_m[place] - clearance_m - self.loss_m[place]) / deviation_m
         row = (_covariance(self._at_mm[[place]], self._at_mm)[0] - self._rows[:, place] @ self._rows) / deviation_m
         self.loss_m, self.variance = self.loss_m + surprise * row, self.variance - row**2
-        self._rows, self._surprise = np.concatenate([self._rows, row[None]]), np.append(self._surprise, surprise)
-        self._deviation_m = np.append(self._deviation_m, deviation_m)
+        self._surprise = np.append(self._surprise, surprise)
+        self._factor = _with_room(self._factor, len(self._solved) + 1, len(self._solved) + 1)
+        self._factor[len(self._solved), : len(self._solved)] = self._rows[:, place]
+        self._factor[len(self._solved), len(self._solved)] = deviation_m
         self._solved.append(place)
+        self._kept = _with_room(self._kept, len(self._solved), len(self.room_m))
+        self._rows[-1] = row
+
+    @property
+    def _rows(self) -> Array:
+        """(N, M) [m] of solved places, to all."""
+        return self._kept[: len(self._solved), : len(self.room_m)]
 
     def share_valid(self) -> Array:
         """(M,) probability that a place leaves any clearance."""
@@ -255,10 +265,9 @@ class ClearanceSurrogate:
         """(N, K) [m] rows to other places (K, m)."""
         if not self._solved:
             return np.empty((0, len(joints)))
-        factor = self._rows[:, self._solved].T.copy()
-        np.fill_diagonal(factor, self._deviation_m)
+        count = len(self._solved)
         across = _covariance(self._at_mm[self._solved], self._embedded(joints))
-        return np.asarray(solve_triangular(factor, across, lower=True))
+        return np.asarray(solve_triangular(self._factor[:count, :count], across, lower=True, check_finite=False))
 
     def _expected(self, rows: Array) -> tuple[Array, Array]:
         """What places with rows (N, K) lose (K,) [m], and its variance (K,) [m^2]."""
@@ -270,6 +279,16 @@ class ClearanceSurrogate:
         radius_mm = self.space.weights_mm[turns]
         angles = joints[:, turns]
         return np.concatenate([radius_mm * np.cos(angles), radius_mm * np.sin(angles), scaled[:, ~turns]], axis=1)
+
+
+def _with_room(kept: Array, rows: int, columns: int) -> Array:
+    """The array, twice as large where it has not so many rows or columns: zeros are new."""
+    size = kept.shape
+    if rows <= size[0] and columns <= size[1]:
+        return kept
+    larger = np.zeros([max(n, 2 * s) if n > s else s for n, s in zip((rows, columns), size, strict=True)])
+    larger[: size[0], : size[1]] = kept
+    return larger
 
 
 def _covariance(a_mm: Array, b_mm: Array) -> Array:
