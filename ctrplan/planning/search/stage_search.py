@@ -39,7 +39,7 @@ WORTH_A_CERTIFICATE = 5e-3  # of the cost: less gain than that is not worth a ce
 # which a counted search has beside its budget
 L_SHAPED_SHARE, FALLBACK_SHARE = 0.9, 0.18
 STRAIGHT_HOPE = 0.5  # of motions from the start to a goal, without which chains are made before any is walked
-FIRST_STATES, FIRST_ROUND_S = 100, 0.4  # random states a roadmap first grows by, and after how long; then twice as many
+FIRST_STATES, FIRST_ROUND_S = 100, 0.2  # random states a roadmap first grows by, and after how long; then twice as many
 FIRST_INSERTIONS, INSERTIONS = 500, 1200  # random ones looked at each time, while there is no path and then; budgets
 MOST_STATES = 3000  # of a roadmap
 DOUBT_KEPT = 0.5  # from round to round, of the doubt about motions that are not checked
