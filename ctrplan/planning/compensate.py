@@ -163,7 +163,7 @@ def aimed(checker: MotionChecker, corners: Array) -> tuple[MotionChecker, Array]
     goal = scenario.goal
     if goal.tip_m is None or goal.joints is not None or goal.line_m is not None or len(corners) < 2:
         return checker, corners
-    offset, before = _offset_m(scenario, corners), None
+    offset, before = offset_m(scenario, corners), None
     for _ in range(ITERATIONS):
         if not np.isfinite(offset).all():
             break
@@ -173,7 +173,7 @@ def aimed(checker: MotionChecker, corners: Array) -> tuple[MotionChecker, Array]
         moved = brought_to_goal(other, corners)
         if moved is None:
             break
-        change = _offset_m(scenario, moved) - offset
+        change = offset_m(scenario, moved) - offset
         if np.linalg.norm(change) <= TIP_TOLERANCE_M:
             return other, moved
         step = change
@@ -185,10 +185,10 @@ def aimed(checker: MotionChecker, corners: Array) -> tuple[MotionChecker, Array]
     return checker, corners
 
 
-def _offset_m(scenario: Scenario, corners: Array) -> Array:
+def offset_m(scenario: Scenario, corners: Array) -> Array:
     """(3,) from the frictionless tip at the end of a path (K, m) to the middle of where the tip with friction ends."""
     middle = ball_centre(end_tips(scenario.robot, corners, start_states(scenario)))
-    offset: Array = middle - _frictionless(scenario.robot, corners[-1:])[0][0]
+    offset: Array = middle - frictionless_tips(scenario.robot, corners[-1:])[0][0]
     return offset
 
 
@@ -199,7 +199,7 @@ def brought_to_goal(checker: MotionChecker, corners: Array) -> Array | None:
         path = corrected(corners, len(corners) - 1, is_rotation, delta)
         if not checker.space.allowed(path):
             return None
-        tip_m, tangent = _frictionless(robot, path[-1:])
+        tip_m, tangent = frictionless_tips(robot, path[-1:])
         miss = target_in_robot_frame(checker.scenario) - tip_m[0]
         if not np.linalg.norm(miss) > CLOSE_M:
             return path
@@ -207,7 +207,7 @@ def brought_to_goal(checker: MotionChecker, corners: Array) -> Array | None:
     return None
 
 
-def _frictionless(robot: Robot, joints: Array) -> tuple[Array, Array]:
+def frictionless_tips(robot: Robot, joints: Array) -> tuple[Array, Array]:
     """Frictionless tips and tangents (K, 3), (K, 3) at joints (K, m), robot's frame."""
     tips = robot.mechanics.tips_with_friction(*robot.drive.collars(joints), np.zeros((len(joints), robot.n - 1)))
     return tips.position_m, tips.tangent
@@ -372,7 +372,7 @@ def _corrected_line(
 def _line(checker: MotionChecker, corners: Array) -> TargetPose:
     """The goal's line, where a path (K, m) follows it."""
     scenario = checker.scenario
-    return TargetPose.of(scenario, scenario.goal, _frictionless(scenario.robot, corners[-1:])[0][0])
+    return TargetPose.of(scenario, scenario.goal, frictionless_tips(scenario.robot, corners[-1:])[0][0])
 
 
 def _off_between(
@@ -395,7 +395,7 @@ def _on_line(
 ) -> Array:
     """The corners (K, m) of a path along a line, all but the first moved until predicted tips there are on the line."""
     robot, line = checker.scenario.robot, _line(checker, corners)
-    targets = np.array([line.nearest_m(tip_m, is_end=False) for tip_m in _frictionless(robot, corners)[0]])
+    targets = np.array([line.nearest_m(tip_m, is_end=False) for tip_m in frictionless_tips(robot, corners)[0]])
     targets[-1] = _aim(checker.scenario, certificate)
     best, moved = (np.inf, corners), np.array(corners)
     every = np.ones(corners.shape[1], bool)

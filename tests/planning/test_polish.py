@@ -17,7 +17,7 @@ from ctrplan.motion.checker import MotionChecker
 from ctrplan.planning.compensate import CLOSE_M, aimed, brought_to_goal
 from ctrplan.planning.goal_states import goal_state
 from ctrplan.planning.search.path_model import NearPlaces, PathModel, _valleys, levels_of, slope_along
-from ctrplan.planning.search.polish import Polish
+from ctrplan.planning.search.polish import FOLLOWED_M, LEAST_GAIN_MM, Polish
 from ctrplan.scenario.joint_space import bare_scenario
 from ctrplan.scenario.prediction import TIP_TOLERANCE_M, predict_end, start_states
 from ctrplan.scenario.scenario import CostTerm, Goal, Scenario
@@ -128,6 +128,31 @@ def test_near_places_agree_with_differences_of_what_is_left(beside: MotionChecke
         held = np.flatnonzero(levels.spread[contact.leg, joint] * levels.spread[contact.leg + 1, joint])
         row = model.rows[contacts.index(contact)]
         assert len(held) == 0 or row[held[0]] == pytest.approx(-contact.by_joints[joint])
+
+
+def test_a_body_has_a_place_wherever_it_is_too_close(beside: MotionChecker) -> None:
+    """Pushed along its own track it passes what is near all the time: the nearest place alone only moves on."""
+    path = roundabout()
+    walked = beside.known_walk(path)
+    room_m = walked.clearance_m - beside.limits.clearance_m
+    leg = int(walked.segment[np.argmin(room_m)])
+    flat = replace(walked, clearance_m=np.where(walked.segment == leg, -0.3e-3, room_m) + beside.limits.clearance_m)
+    places = {(place.leg, place.fraction) for place in NearPlaces(beside).along(path, flat)}
+    on_leg = walked.fraction[walked.segment == leg]
+    assert len(on_leg) > 2 and places >= {(leg, float(fraction)) for fraction in on_leg}
+
+
+def test_a_moved_place_is_what_the_model_says_of_it(beside: MotionChecker) -> None:
+    """Places of a path before a correction limit the one after it, too: what mends one place undoes no other."""
+    path = roundabout()
+    levels = levels_of(beside, path, moves_goal=True)
+    places = list(NearPlaces(beside).along(path, beside.known_walk(path)))
+    model = PathModel(beside, path, levels, places)
+    step = np.random.default_rng(0).normal(size=model.size)
+    for place in places:
+        row = PathModel(beside, path, levels, [place]).rows[0]
+        moved = place.moved(levels.spread @ step)
+        assert moved.room_mm == pytest.approx(place.room_mm - row @ step) and moved.by_joints is place.by_joints
 
 
 def test_a_step_stays_within_what_the_model_limits_and_leaves_the_tip(beside: MotionChecker) -> None:
@@ -290,6 +315,27 @@ def test_a_path_is_polished_where_compensation_will_bring_it(case: Scenario, che
     assert np.linalg.norm(tip - target) < CLOSE_M
     to_joints = MotionChecker(replace(case, goal=replace(case.goal, tip_m=None, joints=GOAL)))
     assert aimed(to_joints, path) == (to_joints, path)
+
+
+def test_the_goal_follows_friction_at_the_end_of_the_path(case: Scenario, checker: MotionChecker) -> None:
+    """An aimed path is polished to where its tip with friction is at the target, a plain one to where it is not."""
+    robot, target = case.robot, case.goal.tip_m
+    path = roundabout()[:-1]  # ends with a turn, which leaves friction
+    path[-1] = GOAL
+    _, moved = aimed(checker, path)
+    polished = {is_aimed: Polish(checker, moved, 0, is_aimed=is_aimed) for is_aimed in (True, False)}
+    off_mm = {}
+    for is_aimed, polish in polished.items():
+        turns = iter(range(200))
+        polish.run(lambda turns=turns: next(turns, None) is None)  # type: ignore[misc]
+        middle = predict_end(robot, polish.corners, start_states(case))[0].end_middle_m
+        off_mm[is_aimed] = float(np.linalg.norm(middle - target)) * MM_PER_M
+    assert len(polished[True].trail) > 1 and polished[True].cost_mm < 0.9 * Polish(checker, moved, 0).cost_mm
+    assert off_mm[True] <= FOLLOWED_M * MM_PER_M + LEAST_GAIN_MM and off_mm[True] < off_mm[False] / 2
+    miss = Polish(checker, roundabout(), 0, is_aimed=True)
+    beyond_mm = max(0.0, float(np.linalg.norm(miss._miss_m(miss.corners))) - FOLLOWED_M) * MM_PER_M
+    plain_mm = Polish(checker, roundabout(), 0).cost_mm
+    assert miss.cost_mm - plain_mm == pytest.approx((case.cost.error_goal + case.cost.path) * beyond_mm)
 
 
 TURNED = CostTerm("turned", 100.0, lambda q: np.abs(q[:, 1]))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -25,7 +26,7 @@ from ctrplan.planning.room import (
     expected_share,
 )
 from ctrplan.planning.search.ompl_set_up import SearchProblem
-from ctrplan.planning.search.polish import Race
+from ctrplan.planning.search.polish import Race, Result
 from ctrplan.planning.search.proposals import Roadmap, least_cost_mm
 from ctrplan.planning.search.roadmap_search import RoadmapSearch
 from ctrplan.planning.search.stage_search import StageSearch
@@ -346,7 +347,24 @@ def test_only_what_can_be_compensated_is_polished(vessel: MotionChecker, monkeyp
         race = Race(roadmap, search._expanded, 0, is_compensated=True, moves_goal=True)
         race.run(clock.now, clock.now() + 0.2, search._is_over)
         assert bool(race.racers) == can_be_moved
-        assert all(racer.checker is not vessel for racer in race.racers)
+        assert all(racer.is_aimed for racer in race.racers)
+
+
+def test_a_racer_s_last_path_that_can_be_driven_is_its_result(vessel: MotionChecker) -> None:
+    """However many of its trail can't be; the cheapest as driven comes first."""
+    goals = goal_states(vessel, np.random.default_rng(0))
+    clock = SearchClock(vessel.meter, timed=False, budget_s=2.0)
+    search = StageSearch(vessel, goals, 0, time.monotonic(), 2.0, clock, lambda _: None, threading.Event())
+    race = Race(search._first_path(), search._expanded, 0, is_compensated=True, moves_goal=True)
+    race.racers = [SimpleNamespace(cost_mm=cost, trail=list(range(n))) for cost, n in ((1.0, 9), (2.0, 4))]  # type: ignore[misc]
+    for last in range(-1, 9):
+
+        def result(_: MotionChecker, k: int, last: int = last) -> Result | None:
+            return Result(np.zeros(0), np.zeros(0), 10.0 - k) if k <= last else None
+
+        race._result = result  # type: ignore[assignment,method-assign]
+        costs = [driven.cost_mm for driven in race.results()]
+        assert costs == sorted(10.0 - min(last, n - 1) for n in (9, 4) if last >= 0)
 
 
 def test_a_race_s_results_end_at_the_goal_and_cost_what_they_do_as_driven(vessel: MotionChecker) -> None:

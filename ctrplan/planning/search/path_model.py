@@ -8,7 +8,7 @@ best motion within limits is a quadratic programme.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -36,6 +36,11 @@ class NearPlace:
     fraction: float  # of that leg
     room_mm: float  # beyond what is required
     by_joints: Array  # (m,) of room, mm per mm of joint length
+
+    def moved(self, delta: Array) -> NearPlace:
+        """What is expected of it after motions (K, m) [mm] of the path's corners."""
+        along = (1 - self.fraction) * delta[self.leg] + self.fraction * delta[self.leg + 1]
+        return replace(self, room_mm=self.room_mm + float(self.by_joints @ along))
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,12 +121,16 @@ class NearPlaces:
         ]
 
     def _rows(self, samples: PathSamples, room_m: Array) -> list[int]:
-        """Samples of each leg that have less room (S,) than those around, and less than ASTRAY_M."""
-        rows = list[int]()
+        """Samples with hardly any room (S,), and those with less than ASTRAY_M that have less than others of their leg.
+
+        A body that is pushed along its own track is as near to what it passes all the time.
+        """
+        is_near = room_m < ALIKE_M
         for leg in np.unique(samples.segment).tolist():
             on_leg = np.flatnonzero(samples.segment == leg)
-            rows += on_leg[_valleys(room_m[on_leg])].tolist()
-        return [row for row in rows if room_m[row] < ASTRAY_M]
+            valleys = on_leg[_valleys(room_m[on_leg])]
+            is_near[valleys] |= room_m[valleys] < ASTRAY_M
+        return np.flatnonzero(is_near).tolist()
 
     def _at(self, q: Array, phi: Array | None) -> list[tuple[float, Array]]:
         """Rooms [mm] of body points at q (m,) that have less than those beside them, and how joints (m,) change them.
@@ -237,7 +246,7 @@ class PathModel:
     ) -> None:
         """`corners` (K, m); places as they are there, and the slope (X,) of what the error along the way costs."""
         self._checker, self._space, self._cost = checker, checker.space, checker.scenario.cost
-        self.corners, self.levels, self.size = corners, levels, levels.spread.shape[2]
+        self.corners, self.levels, self.size, self.places = corners, levels, levels.spread.shape[2], places
         limits = [self._of_places(places), self._of_nesting(), self._of_joints()]
         self.rows, self.room_mm = (np.concatenate(parts) for parts in zip(*limits, strict=True))
         kept = np.any(self.rows != 0, axis=1)  # no motion puts the others right

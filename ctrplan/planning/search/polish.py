@@ -8,45 +8,56 @@ valid and it costs less. Several paths are polished by turns, as they will be dr
 
 from __future__ import annotations
 
+import heapq
+import itertools
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrplan.base.arrays import Array
+from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.base.long_work import ROOM_NS
 from ctrplan.drive.legs import merge_legs
 from ctrplan.mechanics.walk import PathSamples
 from ctrplan.motion.checker import ASTRAY_M, DEFINITE_COLLISION_M, MotionChecker
-from ctrplan.planning.compensate import aimed, brought_to_goal
+from ctrplan.planning.compensate import aimed, brought_to_goal, frictionless_tips, offset_m
 from ctrplan.planning.goal_states import CORRECTIONS, FIRST_MM, LEAST_MM, LONGER, TIP_STEPS
 from ctrplan.planning.reach import SHORTER
 from ctrplan.planning.search.path_model import NearPlaces, PathModel, levels_of, slope_along
 from ctrplan.planning.search.roadmap_search import RoadmapSearch
-from ctrplan.scenario.scenario import Goal
-from ctrplan.scenario.tip_solver import LEAST_DAMPING, TipSolver, TipTarget, angle_to, tip_target
+from ctrplan.scenario.tip_solver import LEAST_DAMPING, TipSolver, TipTarget, angle_to, target_in_robot_frame, tip_target
 
 LEAST_GAIN_MM = 0.05  # of the cost: a step that gains less is not worth a walk
 DAMPING = 0.05  # 1/mm: of the first step, which for 20 mm adds half of what 20 mm cost
 # Share of the search's reserve of clearance that a path keeps where it is driven; without any, compensation finds no
 # room, and one plan of sinus ended 2.9 mm off its target
 RESERVE_LEFT = 0.5
+FOLLOWED_M = SHORTER * ASTRAY_M  # by which a step moves the goal after friction: as far as corrections can follow
 MOST_AHEAD = 8  # steps of a model before a walk; a budget
 TURNS = 4  # of a race: half of them to begin so many paths, half for the best of them; a budget
 
 
 class Polish:
-    """A path (K, m) that gets cheaper as long as `run` runs; `corners` and `cost_mm` are the best so far."""
+    """A path (K, m) that gets cheaper as long as `run` runs.
 
-    def __init__(self, checker: MotionChecker, corners: Array, seed: int, *, moves_goal: bool = True) -> None:
-        """The cost is infinite where the checker refuses the path: then the first step corrects it."""
-        self.checker, self.space, self.moves_goal = checker, checker.space, moves_goal
+    `corners` and `cost_mm` are the best so far, `trail` all that were, in their order.
+    """
+
+    def __init__(
+        self, checker: MotionChecker, corners: Array, seed: int, *, moves_goal: bool = True, is_aimed: bool = False
+    ) -> None:
+        """The cost is infinite where the checker refuses the path: then the first step corrects it.
+
+        With `is_aimed` the tip with friction is to arrive, not the frictionless one.
+        """
+        self.checker, self.space, self.moves_goal, self.is_aimed = checker, checker.space, moves_goal, is_aimed
         self.solver = TipSolver(checker.space, checker.mechanics, checker.watch)
         self.corners, self.cost_mm = merge_legs(corners), np.inf
         self.cost_mm = self._cost_mm(self.corners)
+        self.trail = [self.corners] if np.isfinite(self.cost_mm) else []
         self._near, self._rng = NearPlaces(checker), np.random.default_rng(seed)
         self._stray_mm = np.zeros(0)  # lengths of random steps of each level, and of all together
         self._work = self._steps()
@@ -185,13 +196,19 @@ class Polish:
         """The model of the best path so far."""
         return self._model_of(self.corners, self.checker.known_walk(self.corners))
 
-    def _model_of(self, corners: Array, samples: PathSamples) -> PathModel:
+    def _model_of(self, corners: Array, samples: PathSamples, before: PathModel | None = None) -> PathModel:
+        """The model of a walked path, beside which places of a model before it are kept where they are expected."""
         levels = levels_of(self.checker, corners, moves_goal=self.moves_goal)
         along = slope_along(self.checker, corners, levels, samples)
-        return PathModel(self.checker, corners, levels, list(self._near.along(corners, samples)), along)
+        places = list(self._near.along(corners, samples))
+        if before is not None:
+            delta = (corners - before.corners) * self.space.weights_mm
+            places += [place.moved(delta) for place in before.places]
+        return PathModel(self.checker, corners, levels, places, along)
 
     def _takes_corrected(self, corners: Array | None) -> bool:
         """Whether a path, corrected where it comes too close, is valid and costs less; then it is the path."""
+        model = None
         for correction in range(1 + CORRECTIONS):
             samples = None if corners is None else self._walked(corners)
             if corners is None or samples is None:
@@ -201,7 +218,7 @@ class Polish:
                 return self._takes(corners)
             if not short_m < ASTRAY_M:
                 return False
-            model = self._model_of(corners, samples)
+            model = self._model_of(corners, samples, model)
             step = model.correction()
             corners = None if step is None else self._moved(model, step)
         return False
@@ -214,6 +231,7 @@ class Polish:
         if not cost_mm < self.cost_mm - LEAST_GAIN_MM:
             return False
         self.corners, self.cost_mm = merge_legs(corners), cost_mm
+        self.trail.append(self.corners)
         return True
 
     def _cost_mm(self, corners: Array) -> float:
@@ -221,7 +239,29 @@ class Polish:
         if samples is None or not self._arrives(samples):
             return np.inf
         motion = self.checker.judged(corners, samples)
-        return self.checker.cost_mm(motion, ends_at_goal=True) if motion.valid else np.inf
+        if not motion.valid:
+            return np.inf
+        cost_mm = self.checker.cost_mm(motion, ends_at_goal=True)
+        return cost_mm + self._miss_cost_mm(corners) if self.is_aimed and cost_mm < self.cost_mm else cost_mm
+
+    def _miss_cost_mm(self, corners: Array) -> float:
+        """What it costs that the tip with friction misses by more than the next step makes up for.
+
+        It is an error at the goal, and motion that makes up for it.
+        """
+        weights = self.checker.scenario.cost
+        miss_m = float(np.linalg.norm(self._miss_m(corners)))
+        left_mm = max(miss_m - FOLLOWED_M, 0.0) * MM_PER_M
+        return (weights.error_goal + weights.path) * left_mm if np.isfinite(miss_m) else np.inf
+
+    def _miss_m(self, corners: Array) -> Array:
+        """(3,) from where the tip with friction ends on a path (K, m), in the middle, to the target."""
+        scenario = self.checker.scenario
+        return target_in_robot_frame(scenario) - self._end_m(corners) - offset_m(scenario, corners)
+
+    def _end_m(self, corners: Array) -> Array:
+        """(3,) the frictionless tip at the end of a path (K, m)."""
+        return frictionless_tips(self.checker.scenario.robot, corners[-1:])[0][0]
 
     def _walked(self, corners: Array) -> PathSamples | None:
         """The walk of a path; None where limits or zero-clearance shapes along new legs refuse it."""
@@ -232,12 +272,15 @@ class Polish:
         return self.checker.known_walk(corners)
 
     def _arrives(self, samples: PathSamples) -> bool:
-        """Whether the frictionless tip at the end of a walk is at the goal, where that is a tip."""
+        """Whether the frictionless tip at the end of a walk is at the goal, where that is a tip.
+
+        What an aimed one misses is a cost.
+        """
         goal = self.checker.scenario.goal
         if goal.joints is not None or not self.moves_goal:
             return True
         target = tip_target(self.checker.scenario)
-        off_m = float(np.linalg.norm(samples.tip_m[-1] - target.tip_m))
+        off_m = 0.0 if self.is_aimed else float(np.linalg.norm(samples.tip_m[-1] - target.tip_m))
         turned_rad = float(angle_to(samples.tip_tangent[-1:], target.direction)[0])
         return off_m <= goal.tolerance_m and turned_rad <= target.direction_tolerance_rad
 
@@ -261,14 +304,21 @@ class Polish:
 
     def _brought_back(self, model: PathModel, q: Array) -> Array | None:
         """Joint values (m,) near q with the tip on the target; None where they stray beyond limits."""
-        end, target = model.corners[-1], tip_target(self.checker.scenario)
-        aim = self.solver.tips(end[None])[0] + target.tip_m - model.slopes.tip_m
+        end = model.corners[-1]
+        aim = self.solver.tips(end[None])[0] + self._aim_m() - model.slopes.tip_m
         if not np.isfinite(aim).all():
             return None
         start = self.space.projected(q[None], fallback=end[None])
         self.checker.meter.add(ROOM_NS * TIP_STEPS)
         back: Array = self.solver.solve(TipTarget(aim), start, TIP_STEPS, turned=False).joints[0]
         return back
+
+    def _aim_m(self) -> Array:
+        """(3,) where the frictionless tip goes next: to the target, or nearer to where friction will take it there."""
+        if not self.is_aimed:
+            return target_in_robot_frame(self.checker.scenario)
+        miss_m = self._miss_m(self.corners)
+        return self._end_m(self.corners) + miss_m * min(1.0, FOLLOWED_M / max(float(np.linalg.norm(miss_m)), 1e-12))
 
 
 class Result(NamedTuple):
@@ -289,7 +339,6 @@ class Race:
     is_compensated: bool  # whether paths are moved in the end, so that the tip with friction arrives
     moves_goal: bool  # whether others than the roadmap's goal states will do
     racers: list[Polish] = field(default_factory=list)
-    begun: list[tuple[float, Array]] = field(default_factory=list)  # costs and paths when they moved on
 
     def run(self, now: Callable[[], float], until: float, is_over: Callable[[float], bool]) -> None:
         """Polishes until then: paths to the most promising goals for a turn each, then the cheapest to its end.
@@ -307,34 +356,7 @@ class Race:
                 racer.run(partial(is_over, now() + turn))
         for racer in sorted(self.racers, key=lambda racer: racer.cost_mm):
             if not is_over(until) and np.isfinite(racer.cost_mm):
-                moved = self._moved_on(racer)
-                self.begun.append((moved.cost_mm, moved.corners))
-                moved.run(partial(is_over, until))
-                self.racers += [moved] if moved is not racer else []
-
-    def _moved_on(self, racer: Polish) -> Polish:
-        """A racer that goes on where compensation leads from its path, reached by small shifts; itself where none does.
-
-        A path that was polished is at its limits, and friction at its end may have turned round.
-        """
-        driven = self._driven(self.roadmap.checker, racer.corners)
-        if driven is None:
-            return racer
-        there, moved = driven[0].scenario.goal, racer
-        here_m, goal_m = racer.checker.scenario.goal.tip_m, there.tip_m
-        if here_m is None or goal_m is None:
-            return racer
-        count = int(np.ceil(np.linalg.norm(goal_m - here_m) / (SHORTER * ASTRAY_M)))
-        for k in range(1, count + 1):
-            goal = replace(there, tip_m=here_m + k / count * (goal_m - here_m))
-            checker = self._checker(self.roadmap.checker.reserve_m, goal)
-            path = brought_to_goal(checker, moved.corners)
-            if path is None:
-                return racer
-            moved = Polish(checker, path, self.seed, moves_goal=self.moves_goal)
-            if not moved.put_right():
-                return racer
-        return moved
+                racer.run(partial(is_over, until))
 
     def cost_mm(self, corners: Array) -> float:
         """What a path (K, m) costs as it is driven; infinite where it can't be."""
@@ -342,44 +364,69 @@ class Race:
         return np.inf if driven is None else self._price_mm(*driven)
 
     def results(self) -> Iterator[Result]:
-        """Polished paths, the cheapest first, those that can be driven."""
-        ends = [(racer.cost_mm, racer.corners) for racer in self.racers]
-        least = self._checker(RESERVE_LEFT * self.roadmap.checker.reserve_m)
-        for cost_mm, corners in sorted([*ends, *self.begun], key=lambda end: end[0]):
-            driven = self._driven(least, corners) if np.isfinite(cost_mm) else None
-            if driven is None or not np.isfinite(price_mm := self._price_mm(*driven)):
-                continue
-            is_moved = driven[1] is not corners
-            to_goal = brought_to_goal(self.roadmap.checker, driven[1]) if is_moved else corners
-            if to_goal is not None:
-                yield Result(to_goal, driven[1], price_mm)
+        """Polished paths, of each racer the last that can be driven, the cheapest first.
+
+        Where friction at the end of a path turns round on the way, the last of them may have no room as it is driven.
+        """
+        checker = self.roadmap.checker
+        least = MotionChecker(
+            checker.scenario, checker.style, checker.meter, RESERVE_LEFT * self.roadmap.checker.reserve_m
+        )
+        least.watch = checker.watch
+        order = itertools.count()  # of what costs the same
+        waiting: list[tuple[float, int, Polish | Result]] = []
+        waiting += [(racer.cost_mm, next(order), racer) for racer in self.racers if racer.trail]
+        heapq.heapify(waiting)
+        while waiting:
+            _, _, first = heapq.heappop(waiting)
+            if isinstance(first, Result):
+                yield first
+            elif (result := self._last_driven(least, first.trail)) is not None:
+                heapq.heappush(waiting, (result.cost_mm, next(order), result))
+
+    def _last_driven(self, least: MotionChecker, trail: list[Array]) -> Result | None:
+        """The last path of a trail that can be driven, by halves: what cannot is taken to be so to the trail's end."""
+        result, first, end = self._result(least, trail[-1]), 0, len(trail) - 1
+        if result is not None:
+            return result
+        while first < end:
+            middle = (first + end) // 2
+            if (earlier := self._result(least, trail[middle])) is None:
+                end = middle
+            else:
+                result, first = earlier, middle + 1
+        return result
+
+    def _result(self, least: MotionChecker, corners: Array) -> Result | None:
+        """A path (K, m) as it is driven, with the reserve of `least`; None where it cannot be."""
+        driven = self._driven(least, corners)
+        if driven is None or not np.isfinite(price_mm := self._price_mm(*driven)):
+            return None
+        is_moved = driven[1] is not corners
+        to_goal = brought_to_goal(self.roadmap.checker, driven[1]) if is_moved else corners
+        return None if to_goal is None else Result(to_goal, driven[1], price_mm)
 
     def _price_mm(self, checker: MotionChecker, corners: Array) -> float:
         motion = checker.along(corners)
         return checker.cost_mm(motion, ends_at_goal=True) if motion.valid else np.inf
 
-    def _checker(self, reserve_m: float, goal: Goal | None = None) -> MotionChecker:
-        """The roadmap's checker with another reserve or another goal."""
-        checker = self.roadmap.checker
-        if reserve_m == checker.reserve_m and goal is None:
-            return checker
-        scenario = replace(checker.scenario, goal=goal or checker.scenario.goal)
-        other = MotionChecker(scenario, checker.style, checker.meter, reserve_m)
-        other.watch = checker.watch
-        return other
+    @property
+    def _is_aimed(self) -> bool:
+        goal = self.roadmap.checker.scenario.goal
+        return self.is_compensated and goal.tip_m is not None and goal.joints is None and goal.line_m is None
 
     def _begun(self, corners: Array) -> Polish | None:
         """A racer that has yet to run, from a path (K, m) to the goal."""
-        driven = self._driven(self.roadmap.checker, corners)
+        checker = self.roadmap.checker
+        driven = self._driven(checker, corners)
         if driven is None:
             return None
-        self.racers.append(Polish(*driven, self.seed, moves_goal=self.moves_goal))
+        self.racers.append(Polish(checker, driven[1], self.seed, moves_goal=self.moves_goal, is_aimed=self._is_aimed))
         return self.racers[-1]
 
     def _driven(self, checker: MotionChecker, corners: Array) -> tuple[MotionChecker, Array] | None:
         """A path (K, m) as it is compensated, and a checker with its goal there; None where it can't be."""
-        goal = checker.scenario.goal
-        if not self.is_compensated or goal.tip_m is None or goal.joints is not None or goal.line_m is not None:
+        if not self._is_aimed:
             return checker, corners
         there, moved = aimed(checker, corners)
         return None if there is checker else (there, moved)
