@@ -30,6 +30,7 @@ from ctrplan.base.package import shown
 from ctrplan.errors import InputError
 from ctrplan.mechanics.core_arrays import joint_row
 from ctrplan.mechanics.friction import corner_signs
+from ctrplan.mechanics.guide import Led, led_back
 from ctrplan.mechanics.shapes import Status
 from ctrplan.mechanics.tube import Loads, stretches
 
@@ -64,8 +65,7 @@ STEP_M = 4e-3  # of the integration from the tips, of fourth order: angles are w
 GRID = {1: 12, 2: 12, 3: 6, 4: 6}  # angles along each pair: none of 120 random configurations had one between them
 NEAR_CELLS, DENSER = 1.5, 4  # of the grid, within which the first step has to lead; else so many times as dense
 SAME_RAD = 1e-4  # between angles of one equilibrium
-BEYOND = (0.8, 1.0, 1.25, 2.0, 4.0)  # of what friction turns the tips by: on another branch it may hold less or more
-LEFT = (0.75, 0.5, 0.25, 0.0)  # of the way from collars that stand elsewhere, without friction
+BEYOND = (4.0, 2.0, 1.0)  # times as far as friction turns the tips: it may hold more on a branch that is not known yet
 NEAR_RAD = 0.2  # of angles at the tips, within which a root without clearance leads to a solution that is known
 SAME_SHAPE_M = 0.5e-3  # between solutions of one shape: walked to or found afresh, with clearance or without
 
@@ -361,42 +361,44 @@ class _Looked:
                 self._add([state], self._solve(np.array([state]), angles[None]), near.energy_J)
 
     def begin_beside(self) -> None:
-        """States from equilibria without clearance at collars that would turn the tips as far as friction does, and so
-        many times as far as BEYOND says. Friction the other way turns them back, where no more is known of a state.
+        """States from equilibria without clearance at collars that would turn the tips BEYOND times as far as friction
+        does. Friction the other way turns them back, where no more is known of a state.
         """
-        tips = [(state, angles[state]) for angles in self.angles for state in range(len(self.phi))]
-        if not (known := [(state, np.diff(angles[:, -1])) for state, angles in tips if np.isfinite(angles[0, 0])]):
+        if not (known := self._known_tips()):
             return
         turned = self.torus.shapes(np.array([psi for _, psi in known]), [0.0] * len(known))[1][:, :, 0]
         alpha, has = np.diff(self.theta), {state for state, _ in known}
         off = list(zip([state for state, _ in known], _principal(np.diff(turned, axis=1) - alpha), strict=True))
         off += [(len(self.phi) - state, -by) for state, by in off if state and len(self.phi) - state not in has]
-        beside = [(state, factor * by) for factor in BEYOND for state, by in off]
-        every = self.torus.all_roots(alpha + np.array([by for _, by in beside]), [float(self.theta[0])] * len(beside))
-        guesses: list[tuple[int, Array, Array, float]] = []
-        for (state, by), (roots, _) in zip(beside, every, strict=True):
-            for root in roots if len(roots) > 1 else ():
-                away = [_apart(psi, root.tip_angles_rad) for k, psi in known if k == state]
-                if root.is_stable and min(away, default=np.inf) > NEAR_RAD:
-                    known.append((state, root.tip_angles_rad))
-                    guesses.append((state, self._shape(root, by), by, root.energy_J))
-        if not guesses:
-            return
-        states, energy = np.array([state for state, *_ in guesses]), [energy_J for *_, energy_J in guesses]
-        angles, back = np.array([shape for _, shape, *_ in guesses]), np.array([by for *_, by, _ in guesses])
-        # At once; where that fails, while friction grows and the collars turn back, from one solution to the next.
-        at = np.arange(len(states))
-        for way in ((0.0,), LEFT):
-            for left in way:
-                if not len(at):
-                    return
-                rows = self._solve(states[at], angles[at], back[at], left)
-                solved = rows.status == Status.CONVERGED
-                at, failed = at[solved], at[~solved]
-                angles[at] = rows.angles_rad[solved]
-            for k, row in zip(at, np.flatnonzero(solved), strict=True):
-                self._add([int(states[k])], rows, energy[k], int(row))
-            at = failed
+        for factor in BEYOND:
+            self._begin_beside([(state, factor * by) for state, by in off])
+
+    def _begin_beside(self, beside: list[tuple[int, Array]]) -> None:
+        """States from equilibria at collars beside (n - 1,), but for angles at the tips that lead to known ones."""
+        known, alpha = self._known_tips(), np.diff(self.theta) + np.array([by for _, by in beside])
+        every = self.torus.all_roots(alpha, [float(self.theta[0])] * len(beside))
+        guesses = [
+            (state, root, by)
+            for (state, by), (roots, _) in zip(beside, every, strict=True)
+            for root in (roots if len(roots) > 1 else ())
+            if root.is_stable
+            and min((_apart(psi, root.tip_angles_rad) for k, psi in known if k == state), default=np.inf) > NEAR_RAD
+        ]
+        led = [Led(k, state, self._shape(root, by)) for k, (state, root, by) in enumerate(guesses)]
+        off = np.array([np.append(0.0, np.cumsum(by)) for *_, by in guesses])
+
+        def solve(each: list[Led], left: list[float]) -> Branched:
+            states, shapes = np.array([one.state for one in each]), np.array([one.angles for one in each])
+            share = np.array(left)[:, None]
+            return self._solve(states, shapes, share * off[[one.guess for one in each]], share)
+
+        for one, rows, row in led_back(led, len(self.phi), solve):
+            self._add([one.state], rows, guesses[one.guess][1].energy_J, row)
+
+    def _known_tips(self) -> list[tuple[int, Array]]:
+        """States with angles at the tips (n - 1,) [rad] that were solved."""
+        tips = [(state, np.diff(angles[state, :, -1])) for angles in self.angles for state in range(len(self.phi))]
+        return [(state, psi) for state, psi in tips if np.isfinite(psi[0])]
 
     def branches(self) -> Iterator[Branch]:
         """All of them."""
@@ -411,11 +413,9 @@ class _Looked:
         whole = np.round((collar - angles[0, :, 0]) / (2 * np.pi))
         return np.asarray(angles[0] + 2 * np.pi * whole[:, None])
 
-    def _solve(self, states: NDArray[np.intp], angles: Array, off: Array | None = None, left: float = 0.0) -> Branched:
-        """Friction states from angles; a share `left` of friction is missing, and collars stand as much of `off` on."""
-        theta = np.broadcast_to(self.theta, (len(states), len(self.theta)))
-        if off is not None:
-            theta = theta + left * np.cumsum(np.insert(off, 0, 0.0, axis=1), axis=1)
+    def _solve(self, states: NDArray[np.intp], angles: Array, on: Any = 0.0, left: Any = 0.0) -> Branched:
+        """States from angles; collars stand (S, n) farther on, and shares `left` (S, 1) of friction are missing."""
+        theta = np.tile(self.theta, (len(states), 1)) + on
         phi = (1 - left) * self.phi[states]
         return self.mechanics.core_solve_from(theta, self.l, phi, self.s_m, angles, self.accuracy)
 

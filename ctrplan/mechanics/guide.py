@@ -5,10 +5,13 @@ precurvature leads to. A robot that stands on another branch is followed: each s
 steps so short that no other is reached, by the rule that the core has too (`Guide` in `model/`). Whatever is solved
 beside the way begins from the nearest one.
 Branches end at folds, and so do guides.
+
+States of friction are led in the same way from shapes without it, at collars that stand beside, while it grows.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol
 
@@ -25,6 +28,7 @@ if TYPE_CHECKING:
 
 STEP_RAD, STEP_M, CORRECTION_RAD, SHORTEST = _model.GUIDE_STEPS
 PLACES = 200  # along the robot at which angles are kept, straight in between: a shape to begin from, no solution
+LEAST = 1 / 16  # of the way from collars beside, the shortest step while friction grows
 
 
 class ShapeSolver(Protocol):
@@ -111,6 +115,50 @@ class Guide:
         if rows.status[0] != Status.CONVERGED or np.abs(rows.angles_rad - turned).max() > most_rad:
             return None
         return replace(self, theta_b=theta_b[None], l_b=l_b[None], angles_rad=rows.angles_rad, tip_m=rows.tip_m)
+
+
+@dataclass(frozen=True, eq=False)
+class Led:
+    """A friction state on its way to the collars from others, where it was solved without friction."""
+
+    guess: int  # that it began from
+    state: int
+    angles: Array  # (n, K) where it was solved last, a guess at first
+    left: float = 1.0  # of the way
+    step: float = 1.0  # of it, halved where it fails
+
+
+def led_back(
+    led: list[Led], count: int, solve: Callable[[list[Led], list[float]], Branched]
+) -> Iterator[tuple[Led, Branched, int]]:
+    """Those of `led` that arrive at the collars, with rows that were solved there and which of them.
+
+    At once, or while friction grows on the way. Where one of `count` states ends at a fold, all others are begun from
+    its last shape: another may hold what it did not. `solve` takes what is led, and shares of the way that are left.
+    """
+    tried = {(each.guess, each.state) for each in led}
+    while led:
+        to = [max(each.left - each.step, 0.0) for each in led]
+        rows, going, begun, ended = solve(led, to), list[Led](), list[Led](), dict[int, Led]()
+        for row, (each, left) in enumerate(zip(led, to, strict=True)):
+            if rows.status[row] == Status.CONVERGED and left == 0:
+                yield each, rows, row
+            elif rows.status[row] == Status.CONVERGED:
+                going.append(replace(each, angles=rows.angles_rad[row], left=left, step=2 * each.step))
+            elif each.left == 1 and each.step == 1:
+                begun.append(replace(each, step=0.5))
+            elif each.step > LEAST:
+                going.append(replace(each, step=each.step / 2))
+            elif each.left < 1:
+                ended[each.guess] = each
+        every = [replace(each, state=state, step=each.left) for each in ended.values() for state in range(count)]
+        begun += [each for each in every if (each.guess, each.state) not in tried]
+        tried |= {(each.guess, each.state) for each in begun}
+        if begun:
+            rows = solve(begun, [each.left for each in begun])
+            solved = np.flatnonzero(rows.status == Status.CONVERGED)
+            going += [replace(begun[row], angles=rows.angles_rad[row]) for row in solved]
+        led = going
 
 
 def _joined(parts: list[Guide]) -> Guide:

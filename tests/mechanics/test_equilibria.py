@@ -254,6 +254,19 @@ def test_a_friction_state_that_a_fold_parts_from_every_frictionless_shape_is_on_
     assert np.linalg.norm(alone_m[2] - alone_m[0]) == pytest.approx(robot.bound(theta, l).position_m, rel=1e-6)
 
 
+@pytest.mark.parametrize(("drawn", "turns"), [(60, (0, 1)), (263, (1, -1))])
+def test_a_state_that_holds_a_shape_past_the_fold_of_every_other_is_known(drawn: int, turns: tuple[int, int]) -> None:
+    """Histories of RViM's robot end there; on the way from collars beside other states meet a fold."""
+    robot = rvim()
+    theta, l = robot.drive.collars(JointSpace.of_robot(robot).sample(np.random.default_rng(12), 1000)[drawn])  # noqa: E741
+    before, history = 2 * np.pi * np.append(0, np.cumsum(turns)), robot.history()
+    history.follow(np.array([theta - before, theta]), np.array([l, l]))
+    tips = np.array([history.tip_beside(phi) for phi in np.vstack([np.zeros(2), corner_signs(2)])])
+    goes_on, known = np.flatnonzero(np.isfinite(tips[:, 0])), robot.equilibria(theta, l).branches
+    apart = np.array([np.linalg.norm(branch.tip_m - tips, axis=1) for branch in known])[:, goes_on]
+    assert len(goes_on) and np.all(np.nanmin(apart, axis=0) < SAME_SHAPE_M)
+
+
 @pytest.mark.parametrize("name", ["bent", "bent without friction", "rvim", "three_tube"])
 def test_where_a_history_ends_is_solved_again_from_its_shape(name: str) -> None:
     """From whole turns of every pair; where all contacts of a pair are at one end of what friction holds, or free."""
