@@ -388,12 +388,12 @@ class _Looked:
         off = np.array([np.append(0.0, np.cumsum(by)) for *_, by in guesses])
 
         def solve(each: list[Led], left: list[float]) -> Branched:
-            states, shapes = np.array([one.state for one in each]), np.array([one.angles for one in each])
+            states, shapes = np.array([way.state for way in each]), np.array([way.angles for way in each])
             share = np.array(left)[:, None]
-            return self._solve(states, shapes, share * off[[one.guess for one in each]], share)
+            return self._solve(states, shapes, share * off[[way.guess for way in each]], share)
 
-        for one, rows, row in led_back(led, len(self.phi), solve):
-            self._add([one.state], rows, guesses[one.guess][1].energy_J, row)
+        for way, rows, row in led_back(led, len(self.phi), solve):
+            self._add([way.state], rows, guesses[way.guess][1].energy_J, row)
 
     def _known_tips(self) -> list[tuple[int, Array]]:
         """States with angles at the tips (n - 1,) [rad] that were solved."""
