@@ -8,7 +8,7 @@ for one.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,7 +23,7 @@ from ctrplan.diagnosis.posterior import MOST_EFFECTS
 from ctrplan.diagnosis.remainder import Remainder
 from ctrplan.diagnosis.term_pieces import TermPiece, WideLinearisation, is_built, pieces, wide_linearisation, with_piece
 from ctrplan.diagnosis.unknown_errors import Peak, UnknownErrors
-from ctrplan.diagnosis.workbench import Scored, SelectionStep, linear
+from ctrplan.diagnosis.workbench import Scored, SelectionStep, Teller, linear
 from ctrplan.effects.learned.learned import Learned
 from ctrplan.pipeline.term import Term
 
@@ -84,7 +84,7 @@ class Built:
         }
 
 
-def build(partial: PartialDiagnosis, tell: Callable[[str], None]) -> Built | None:
+def build(partial: PartialDiagnosis, tell: Teller) -> Built | None:
     """A term of what remains, with the effects that hold beside it; None where none makes the poses more probable."""
     built = _searched(partial, tell)
     if built is not None:
@@ -92,7 +92,7 @@ def build(partial: PartialDiagnosis, tell: Callable[[str], None]) -> Built | Non
     return built
 
 
-def _searched(partial: PartialDiagnosis, tell: Callable[[str], None]) -> Built | None:
+def _searched(partial: PartialDiagnosis, tell: Teller) -> Built | None:
     if partial.is_noise:
         return None
     bench, here, rounds = _grown(partial.bench, partial.chosen, partial.known.terms, tell)
@@ -109,7 +109,7 @@ def _searched(partial: PartialDiagnosis, tell: Callable[[str], None]) -> Built |
 
 
 def _grown(
-    bench: CorrelatedBench, chosen: Scored, named: Sequence[Term], tell: Callable[[str], None]
+    bench: CorrelatedBench, chosen: Scored, named: Sequence[Term], tell: Teller
 ) -> tuple[CorrelatedBench, Scored, list[Round]]:
     """The set with pieces beside it, its bench, and the rounds that were asked.
 

@@ -20,19 +20,18 @@ from ctrplan.calibration.fit_warnings import excused, outlier_sentences, symptom
 from ctrplan.calibration.residuals import Residuals
 from ctrplan.calibration.robot_content import within_file
 from ctrplan.diagnosis.adequacy import Adequacy, ignored, left_out_probability, noise_floor, remains
-from ctrplan.diagnosis.conclusion import HELD_OUT_SHARE, Conclusion, Teller, conclude
+from ctrplan.diagnosis.conclusion import Conclusion, conclude
 from ctrplan.diagnosis.gap import Gap, contradiction, open_test_set, rms_there_m
 from ctrplan.diagnosis.next_experiment import decision, next_experiment
 from ctrplan.diagnosis.partial_diagnosis import PartialDiagnosis, left_by_names
-from ctrplan.diagnosis.posterior import compared
 from ctrplan.diagnosis.reading import MisreadError, read_again
 from ctrplan.diagnosis.remainder import Place, localise
 from ctrplan.diagnosis.result import Diagnosis
 from ctrplan.diagnosis.slips import Slip, after_slip, found_slip
 from ctrplan.diagnosis.term_pieces import is_built
 from ctrplan.diagnosis.usable_poses import checked_split, usable_poses
-from ctrplan.diagnosis.verdict import Judgement, Posterior, Verdict, names_of
-from ctrplan.diagnosis.workbench import Candidates, Scored, candidates, reduced
+from ctrplan.diagnosis.verdict import Judgement, Verdict, names_of
+from ctrplan.diagnosis.workbench import HELD_OUT_SHARE, Candidates, Scored, Teller, candidates, reduced
 from ctrplan.effects.drive.homing_shift import HomingShift
 from ctrplan.effects.effect import CATALOGUE, Effect
 from ctrplan.errors import InputError
@@ -104,8 +103,8 @@ def _without(answer: Conclusion, harmful: Sequence[Term]) -> Conclusion:
 def _framed(answer: Conclusion, data: Measurements) -> Gap:
     """What frames alone do for the poses kept aside."""
     assert answer.partial is not None
-    bench, kept = answer.partial.bench, answer.split.held_out_set
-    frames = bench.handed_over(bench.scored([]))
+    kept = answer.split.held_out_set
+    frames = answer.partial.bench.handed_over(answer.partial.compared.base)
     return open_test_set(answer.base.fit, frames.fit, data.subset(kept), answer.group[kept], answer.noise)
 
 
@@ -265,9 +264,9 @@ def diagnose(
         return Concluded(data, None, candidates(robot, data, allowed), concluded.result) if needs_none else None
 
     concluded = after(found_slip(robot, data, noise)) or conclude_from(data)
-    sets = concluded.result.compared.sets if concluded.result.compared else ()
-    if concluded.slip is None and concluded.result.judgement.verdict in ("partial", "unexplained") and sets:
-        concluded = after(found_slip(robot, data, noise, sets[0].terms)) or concluded
+    found = concluded.result
+    if concluded.slip is None and found.judgement.verdict in ("partial", "unexplained") and found.compared:
+        concluded = after(found_slip(robot, data, noise, found.compared.sets[0].terms)) or concluded
     data, slip, known, result = concluded.data, concluded.slip, concluded.known, concluded.result
 
     def tell(step: str) -> None:
@@ -278,6 +277,7 @@ def diagnose(
     outcome = opened(result, data)
     result = outcome.answer
     written, judgement = outcome.written, outcome.judgement
+    sets = result.partial.compared if result.partial else result.compared
     poses = _marked(result, outcome, data)
     stated = replace(result.noise, discrepancy=None)
     sentence, proposed = next_experiment(result.chosen, judgement, result.bench.data, stated, list(known.not_testable))
@@ -318,15 +318,9 @@ def diagnose(
         named_gap=outcome.named_gap,
         framed_gap=outcome.framed_gap,
         reading=reading,
-        posterior=None if result.interrupted else _posterior(result, known),
+        posterior=None if result.interrupted or sets is None else sets.posterior,
         slip=slip,
     )
-
-
-def _posterior(answer: Conclusion, known: Candidates) -> Posterior:
-    """How probable it is that each effect acts."""
-    sets = answer.partial.compared if answer.partial else answer.compared
-    return (sets or compared(answer.bench, answer.chosen, known)).posterior
 
 
 def decide(

@@ -25,7 +25,7 @@ from ctrplan.diagnosis.partial_diagnosis import Closing, PartialDiagnosis, diagn
 from ctrplan.diagnosis.sentences import effect_lines
 from ctrplan.diagnosis.usable_poses import usable_poses
 from ctrplan.diagnosis.verdict import Alternative, Finding
-from ctrplan.diagnosis.workbench import candidates
+from ctrplan.diagnosis.workbench import Teller, candidates
 from ctrplan.diagnosis.workflow import opened
 from ctrplan.errors import InputError
 from ctrplan.files.robot_file import robot_from_dict
@@ -107,9 +107,7 @@ def test_what_follows_any_smooth_error_is_not_named_beside_one() -> None:
     """On a pair the place of the tip gives the joints away: a distortion by place is any smooth error of the joints."""
     data = beside_a_rest({}, waypoints(ROBOT, 32, seed=3))
     known = candidates(ROBOT, data, {name: CATALOGUE[name] for name in ("sensor_distortion", "sensor_offset")})
-    found = diagnose_partially(
-        ROBOT, data, usable_poses(ROBOT, data), noise_floor(ROBOT, data)[0], known, lambda _: None
-    )
+    found = diagnose_partially(ROBOT, data, usable_poses(ROBOT, data), noise_floor(ROBOT, data)[0], known, Teller())
     assert not found.judgement.findings
 
 

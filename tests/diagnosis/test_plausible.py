@@ -17,7 +17,7 @@ from ctrplan.diagnosis.gap import LARGEST_REST, contradiction, largest_remainder
 from ctrplan.diagnosis.posterior import settled
 from ctrplan.diagnosis.sentences import verdict_sentence
 from ctrplan.diagnosis.verdict import judge
-from ctrplan.diagnosis.workbench import Workbench, candidates
+from ctrplan.diagnosis.workbench import Teller, Workbench, candidates
 from ctrplan.pipeline.term import Term, term
 
 ROBOT = pair_robot()
@@ -86,7 +86,7 @@ def test_beside_enlarged_noise_no_effect_is_larger_than_is_plausible(play_deg: f
     }
     for robot, told in ((ROBOT, "named"), (pair_robot(measurement=half), verdict)):
         bench = Workbench(robot, data, noise, data.configuration)
-        _, found, chosen, _ = settled(bench, bench.scored([]), few)
+        _, found, chosen, _ = settled(bench, bench.scored([]), few, Teller())
         assert judge(bench, chosen, few, found.posterior, found.sets).verdict == told
 
 
