@@ -17,7 +17,7 @@ from ctrplan.calibration.robot_content import calibrated_content, model_error_m
 from ctrplan.diagnosis.adequacy import ChiSquare
 from ctrplan.diagnosis.built_term import Built
 from ctrplan.diagnosis.correlated_bench import FRAMES
-from ctrplan.diagnosis.gap import Gap
+from ctrplan.diagnosis.held_out import Gap
 from ctrplan.diagnosis.next_experiment import Decision, Proposal
 from ctrplan.diagnosis.partial_diagnosis import PartialDiagnosis
 from ctrplan.diagnosis.reading import MisreadError, Reading

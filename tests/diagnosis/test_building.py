@@ -17,11 +17,11 @@ from measured_data import SIGMA_M, measured, pair_robot, waypoints
 from ctrplan.__main__ import main
 from ctrplan.calibration.least_squares import Fit
 from ctrplan.calibration.residuals import Noise
-from ctrplan.diagnosis import CATALOGUE, Diagnosis, diagnose, workflow
+from ctrplan.diagnosis import CATALOGUE, Diagnosis, diagnose, held_out
 from ctrplan.diagnosis import built_term as term_building
 from ctrplan.diagnosis.adequacy import noise_floor
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
-from ctrplan.diagnosis.gap import Gap
+from ctrplan.diagnosis.held_out import Gap
 from ctrplan.diagnosis.partial_diagnosis import diagnose_partially
 from ctrplan.diagnosis.sentences import effect_lines, verdict_sentence
 from ctrplan.diagnosis.term_pieces import TermPiece, built_term, pieces, wide_linearisation, with_piece
@@ -105,14 +105,14 @@ def test_what_the_catalogue_has_is_named_beside_a_built_term_that_had_hidden_it(
 
 @thorough("test_what_the_catalogue_has_is_named_beside_a_built_term_that_had_hidden_it")
 def test_names_stay_where_the_poses_kept_aside_take_the_term_back(monkeypatch: pytest.MonkeyPatch) -> None:
-    opened = workflow.open_test_set
+    opened = held_out.open_test_set
 
     def further(before: Fit, after: Fit, *more: Any) -> Gap:
         gap = opened(before, after, *more)
         is_built = any(t.name.startswith("learned_") for t in after.chain.terms)
         return replace(gap, after=replace(gap.after, rms_m=1.0)) if is_built else gap
 
-    monkeypatch.setattr(workflow, "open_test_set", further)
+    monkeypatch.setattr(held_out, "open_test_set", further)
     after = diagnose(ROBOT, rippled(FURTHER), catalogue={"sensor_offset": CATALOGUE["sensor_offset"]})
     assert after.verdict == "partial" and [t.name for t in after.listed] == ["sensor_offset"]
     assert after.built is None and any("taken back" in note for note in after.notes)

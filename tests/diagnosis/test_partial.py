@@ -20,13 +20,13 @@ from ctrplan.diagnosis.adequacy import noise_floor, remains
 from ctrplan.diagnosis.conclusion import Conclusion
 from ctrplan.diagnosis.confirmation import confirm
 from ctrplan.diagnosis.correlated_bench import frames
+from ctrplan.diagnosis.held_out import opened
 from ctrplan.diagnosis.next_experiment import next_experiment
 from ctrplan.diagnosis.partial_diagnosis import Closing, PartialDiagnosis, diagnose_partially
 from ctrplan.diagnosis.sentences import effect_lines
 from ctrplan.diagnosis.usable_poses import usable_poses
 from ctrplan.diagnosis.verdict import Alternative, Finding
 from ctrplan.diagnosis.workbench import Teller, candidates
-from ctrplan.diagnosis.workflow import opened
 from ctrplan.errors import InputError
 from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.measurement.measurements import Measurements
