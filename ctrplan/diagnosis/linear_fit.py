@@ -47,6 +47,12 @@ class Linear:
         """Loss of the poses and of the priors, with weights as they are."""
         return float(self.weight @ (self.r**2).sum(axis=1) + self.precision @ self.offset**2)
 
+    @property
+    def evidence(self) -> float:
+        """Logarithm of the evidence with weights as they are, up to what is the same for all fits of the poses."""
+        volume = float(np.linalg.slogdet(self.information)[1]) - float(np.log(self.precision).sum())
+        return -(self.loss + volume) / 2
+
     def refitted(self) -> Linear:
         """After one Gauss-Newton step."""
         step = solved(self.information, self.gradient - self.precision * self.offset)

@@ -315,18 +315,17 @@ class _Comparison:
     def _replaced(self, here: Scored, gone: Term) -> Iterator[Promise]:
         """Sets without an effect of a set, with each that may be added or none, to first order.
 
-        Those that leave the poses too far off, however little their parameters cost, are not weighed.
+        Those that leave the poses too far off, for as much as fewer parameters cost less, are not weighed.
         """
         rest = [t for t in here.terms if t is not gone]
         own = linear(here.fit)
-        most = own.loss - 2 * VAIN
         near = [(added, screened.linear, screened.owners) for added, _, screened in self._neighbours(here)]
         for added, whole, owners in [*near, ([], own, here.fit.chain.owners)]:
             if any(t.effect.needs == gone.name for t in (*rest, *added)):
                 continue
             kept = np.array(owners) != gone.name
             left = whole.without(~kept).refitted()
-            if left.loss < most:
+            if max(left.evidence - own.evidence, (own.loss - left.loss) / 2) > VAIN:
                 lacking = self._lacking(here, gone, added, left, np.array(owners)[kept].tolist())
                 yield lacking.weight, [*rest, *added]
 

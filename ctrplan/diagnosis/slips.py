@@ -4,8 +4,8 @@ Such a slip is a homing that the file does not tell of: the instant found, the r
 (`homing_shift`). It is looked for beside an ordinary calibration, and beside the most probable effects where these
 leave something, linearised: of every joint that moves and every pose, what a constant change of its zero from there on
 would explain. It is asked after where it leaves less than half of the error beyond the noise, as another reading of the
-file does (`reading.py`), and less than anything smooth in time that the same joint could do. Whether it is believed,
-the posterior says, as of any other effect, for which every instant is a variant.
+file does (`calibration/reading.py`), and less than anything smooth in time that the same joint could do. Whether it is
+believed, the posterior says, as of any other effect, for which every instant is a variant.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ctrplan.base.arrays import Array
+from ctrplan.calibration.reading import BETTER
 from ctrplan.calibration.residuals import Noise
 from ctrplan.diagnosis.linear_fit import Linear, solved
-from ctrplan.diagnosis.reading import BETTER
 from ctrplan.diagnosis.workbench import Workbench
 from ctrplan.effects.drive.homing_shift import HomingShift
 from ctrplan.measurement.measurements import Measurements

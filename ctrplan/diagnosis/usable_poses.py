@@ -91,7 +91,6 @@ def _joined(number: NDArray[np.int_], pairs: NDArray[np.int_], share: float) -> 
 
 
 APART_M = 5e-3  # of a simulated history and a solution found afresh, in the same friction state
-MOST = 0.1  # of the poses: where there are more, the model is not this robot
 
 
 def on_one_branch(bench: CorrelatedBench, chosen: Scored) -> NDArray[np.bool_]:
@@ -101,7 +100,7 @@ def on_one_branch(bench: CorrelatedBench, chosen: Scored) -> NDArray[np.bool_]:
     apart = _apart_m(*bench.rubbing(chosen)) > APART_M
     if not chosen.fit.chain.robot_at(chosen.fit.p).friction.any():
         apart |= _apart_m(chosen.fit.chain, chosen.fit.p) > APART_M
-    return ~apart if apart.mean() <= MOST else np.ones(bench.data.count, bool)
+    return np.ones(len(apart), bool) if too_many(apart, np.ones(len(apart), bool)) else ~apart
 
 
 def _apart_m(chain: ParametricChain, p: Array) -> Array:

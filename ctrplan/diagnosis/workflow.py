@@ -16,11 +16,12 @@ from numpy.typing import NDArray
 from ctrplan.base.arguments import EVENT, PROGRESS, Flag, Made, Texts, checked
 from ctrplan.base.long_work import StageProgress
 from ctrplan.calibration.fit_warnings import excused, outlier_sentences, unsolved_sentence
-from ctrplan.diagnosis.adequacy import ignored, noise_floor
+from ctrplan.calibration.observed_noise import noise_floor
+from ctrplan.calibration.reading import MisreadError, read_again
+from ctrplan.diagnosis.adequacy import ignored
 from ctrplan.diagnosis.conclusion import Conclusion, conclude
 from ctrplan.diagnosis.held_out import Opened, opened
 from ctrplan.diagnosis.next_experiment import decision, next_experiment
-from ctrplan.diagnosis.reading import MisreadError, read_again
 from ctrplan.diagnosis.result import Diagnosis
 from ctrplan.diagnosis.slips import Slip, after_slip, found_slip
 from ctrplan.diagnosis.usable_poses import checked_split, usable_poses

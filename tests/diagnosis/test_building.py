@@ -16,14 +16,13 @@ from measured_data import SIGMA_M, measured, pair_robot, waypoints
 
 from ctrplan.__main__ import main
 from ctrplan.calibration.least_squares import Fit
+from ctrplan.calibration.observed_noise import noise_floor
 from ctrplan.calibration.residuals import Noise
 from ctrplan.diagnosis import CATALOGUE, Diagnosis, diagnose, held_out
 from ctrplan.diagnosis import built_term as term_building
-from ctrplan.diagnosis.adequacy import noise_floor
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
 from ctrplan.diagnosis.held_out import Gap
 from ctrplan.diagnosis.partial_diagnosis import diagnose_partially
-from ctrplan.diagnosis.sentences import effect_lines, verdict_sentence
 from ctrplan.diagnosis.term_pieces import TermPiece, built_term, pieces, wide_linearisation, with_piece
 from ctrplan.diagnosis.usable_poses import usable_poses
 from ctrplan.diagnosis.workbench import Scored, Teller, candidates
@@ -34,6 +33,7 @@ from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.reports.diagnosis_figures import selection_errors
 from ctrplan.reports.diagnosis_page import diagnosis_report_html
+from ctrplan.reports.diagnosis_words import effect_lines, verdict_sentence
 
 ROBOT = pair_robot()
 PLAN = waypoints(ROBOT, 18)

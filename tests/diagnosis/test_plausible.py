@@ -10,15 +10,15 @@ import pytest
 from measured_data import measured, pair_robot, waypoints
 
 from ctrplan.calibration.fit_warnings import is_strained, strained, symptoms
+from ctrplan.calibration.observed_noise import noise_floor
 from ctrplan.calibration.residuals import robust_square
 from ctrplan.diagnosis import CATALOGUE, diagnose, held_out
-from ctrplan.diagnosis.adequacy import noise_floor
 from ctrplan.diagnosis.held_out import LARGEST_REST, contradiction, largest_remainder
 from ctrplan.diagnosis.posterior import settled
-from ctrplan.diagnosis.sentences import verdict_sentence
 from ctrplan.diagnosis.verdict import judge
 from ctrplan.diagnosis.workbench import Teller, Workbench, candidates
 from ctrplan.pipeline.term import Term, term
+from ctrplan.reports.diagnosis_words import verdict_sentence
 
 ROBOT = pair_robot()
 PLAN = waypoints(ROBOT, 18)

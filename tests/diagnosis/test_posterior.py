@@ -154,6 +154,20 @@ def test_sets_that_are_hopeless_are_as_hopeless_beside_everything_unknown(monkey
     assert told[0].of_unknown == pytest.approx(told[1].of_unknown, abs=1e-3)
 
 
+def test_fewer_parameters_in_the_place_of_many_are_promised_what_these_cost() -> None:
+    """Where noise is taken for smaller, a field of 60 coefficients fits more of it than an effect in vain may lose."""
+    bench, data = bench_of("")
+    bench = replace(bench, noise=bench.noise.scaled(0.2))
+    known = candidates(ROBOT, data, {name: CATALOGUE[name] for name in ("sensor_offset", "sensor_distortion")})
+    field = next(t for t in known.terms if t.name == "sensor_distortion" and len(t.parameters) == 60)
+    many, base = bench.scored([field]), bench.scored([])
+    comparison = posterior._Comparison(bench, known, base, many, [base], [])
+    promised = {terms[0].name: weight for weight, terms in comparison._replaced(many, field) if len(terms) == 1}
+    few = bench.scored([t for t in known.terms if t.name == "sensor_offset"][:1])
+    assert few.fit.residuals.loss > many.fit.residuals.loss - 2 * posterior.VAIN
+    assert promised["sensor_offset"] > comparison.known_sets[many].weight
+
+
 def test_search_in_a_null_ends_with_nothing() -> None:
     bench, data = bench_of("", 7)
     told = compared(bench, bench.scored([]), candidates(ROBOT, data, QUICK))

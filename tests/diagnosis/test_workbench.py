@@ -10,9 +10,9 @@ from measured_data import measured, pair_robot, waypoints
 
 from ctrplan.calibration import least_squares
 from ctrplan.calibration.estimates import distances
+from ctrplan.calibration.observed_noise import noise_floor
 from ctrplan.calibration.residuals import robust_square
 from ctrplan.diagnosis import CATALOGUE
-from ctrplan.diagnosis.adequacy import noise_floor
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
 from ctrplan.diagnosis.posterior import compared
 from ctrplan.diagnosis.workbench import Workbench, candidates

@@ -39,7 +39,7 @@ from hidden_effects.noise import add_noise
 from hidden_effects.score import wilson
 
 from ctrplan.calibration.estimates import distances
-from ctrplan.diagnosis.adequacy import noise_floor
+from ctrplan.calibration.observed_noise import noise_floor
 from ctrplan.diagnosis.built_term import build
 from ctrplan.diagnosis.partial_diagnosis import PartialDiagnosis, diagnose_partially
 from ctrplan.diagnosis.usable_poses import usable_poses
