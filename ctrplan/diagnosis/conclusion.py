@@ -54,15 +54,14 @@ def conclude(
 ) -> Conclusion:
     """Searches what the catalogue has; `usable` (K,) are the poses to go by. Raises InputError where they are few."""
     wrong, parts, bench = without_outliers(robot, data, usable, noise)
-    is_long = (
-        data.is_stream and int((usable & ~wrong).sum()) > 2 * MOST_POSES
-    )  # of which every other is compared at most
+    is_long = data.is_stream and int((usable & ~wrong).sum()) > 2 * MOST_POSES  # every other is compared at most
     if is_long:
-        few = thinned(parts, data)
-        begun = _calibrated(data, few, bench_of(robot, data, few, noise), wrong)
+        begun = _calibrated(data, thinned(parts, data), bench, wrong)
         first = _beside_a_remainder(begun, data, usable, noise, known, teller)
         if first.interrupted or (first.partial and not first.partial.is_noise):
             return _with_built(first, first, teller)
+    if bench.data.count < len(parts.selection):
+        bench = bench_of(robot, data, parts, noise)
     result = _ordinary(data, usable, wrong, bench, parts, known, teller)
     is_explained = result.compared is None or result.compared.posterior.of_unknown < 1 / 2
     if is_explained or is_long:

@@ -230,7 +230,8 @@ def _harmful(outcome: Opened, data: Measurements) -> list[Term]:
     kept, results, chosen = outcome.answer.split.held_out_set, list[Term](), outcome.answer.chosen
     aside, group, noise = data.subset(kept), outcome.answer.group[kept], outcome.answer.noise
     for t in (t for t in chosen.terms if t.key in listed):
-        rest = part.bench.scored([other for other in chosen.terms if other.key != t.key], chosen.fit, None)
+        others = [other for other in chosen.terms if other.key != t.key]
+        rest = part.bench.scored(others, *(part.compared.places(others) or [chosen.fit]))
         rms_m = rms_there_m(_beside_a_remainder(part, rest).fit, aside, group, noise, outcome.gap)
         if MOST_WORSE * rms_m < outcome.gap.after.rms_m:
             results.append(t)

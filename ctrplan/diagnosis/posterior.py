@@ -63,6 +63,10 @@ class Compared:
     sets: tuple[Scored, ...]
     base: Scored  # without effects
 
+    def places(self, terms: Sequence[Term]) -> list[Fit]:
+        """Where a set was when it was last fitted, if it was."""
+        return _places(self.sets[::-1], terms)
+
 
 def compared(bench: Workbench, begun: Scored, known: Candidates) -> Compared:
     """The most probable sets from one on, and what stands near them, beside the friction states of the bench.
@@ -159,9 +163,8 @@ class _Comparison:
         self._expanded: set[Scored] = set()
         self._near: dict[Scored, list[tuple[list[Term], _Set, Screened]]] = {}
         self._peaks: dict[Scored, float] = {}
-        self._best_near: dict[Scored, tuple[_Set, _Set]] = {}  # of sets near one: to first order, and as weighed
         for scored in (chosen, *fitted):
-            self.add(scored, chosen)
+            self.add(scored)
 
     @property
     def likely(self) -> list[Scored]:
@@ -191,39 +194,17 @@ class _Comparison:
         """Logarithm of prior times likelihood of a set, whichever of the frames that are free in it act."""
         return self._weights[scored]
 
-    def add(self, scored: Scored, near: Scored | None = None) -> None:
-        """A set as it is fitted, beside everything unknown; beside the error of a set `near` it where that is hopeless.
+    def add(self, scored: Scored) -> None:
+        """A set as it is fitted, beside everything unknown; to first order without any of the frames that are free.
 
-        It is where that error makes it less probable than the set near it, or than the best one of others there.
+        Beside the same error where that is hopeless.
         """
         if scored in self.known_sets:
             return
         self._fits[_key(scored.terms)] = scored
-        terms, (widths, owners) = self._named(scored), self._of_fit(scored)
-        built = sum(map(is_built, scored.terms))
+        widths, owners = self._of_fit(scored)
         whole = linear(scored.fit).widened(owners, widths).centred(scored.fit.noise, self.root)
-        if near is None or near not in self.known_sets:
-            self._weigh(scored, widths, whole)
-            return
-        names = frozenset(t.name for t in terms)
-        rough = self._first_order(near, names, self._cost(names, widths, built), built, whole)
-        mine = self.known_sets[near]
-        best, as_weighed = self._best_near.get(near, (mine, mine))
-        if rough.weight < best.weight - WINDOW:
-            result = replace(rough, beside=rough.beside + as_weighed.beside - best.beside)
-            self.known_sets[scored], self._weights[scored] = result, result.weight
-            _note(self._promised, terms, result)
-            return
-        self._weigh(scored, widths, whole)
-        if rough.weight > best.weight:
-            self._best_near[near] = rough, self.known_sets[scored]
-
-    def _weigh(self, scored: Scored, widths: Mapping[str, Width], whole: Linearised) -> None:
-        """A set beside everything unknown; to first order without any of the frames, which are free in all fits.
-
-        Beside the same error where that is hopeless.
-        """
-        terms, owners, weights = self._named(scored), scored.fit.chain.owners, list[float]()
+        terms, weights = self._named(scored), list[float]()
         built = sum(map(is_built, scored.terms))
         spectra, complete = self.errors.spectra(whole), list[_Set]()
         for gone in self._frames(scored):
@@ -300,7 +281,7 @@ class _Comparison:
         """A set near another one, as it is fitted then: from where it was, from there, or from where fits start."""
         known, places = self._fits.get(_key(terms)), (*_places(self.earlier, terms), here.fit, None)
         scored = self.bench.improved(known, here.fit) if known else self.bench.scored(terms, *places)
-        self.add(scored, here)
+        self.add(scored)
         return scored
 
     def _worth_a_fit(self, here: Scored, promises: Iterable[Promise]) -> list[list[Promise]]:

@@ -150,15 +150,17 @@ def bench_of(robot: Robot, data: Measurements, parts: Split, noise: Noise) -> Wo
 def without_outliers(
     robot: Robot, data: Measurements, usable: NDArray[np.bool_], noise: Noise
 ) -> tuple[NDArray[np.bool_], Split, Workbench]:
-    """Poses (K,) that went wrong, and split and bench without them. Found by the calibrated model without effects."""
+    """Poses (K,) that went wrong, and split and bench without them, of a continuous motion with poses that stand apart.
+
+    Found by the calibrated model without effects.
+    """
     wrong = np.zeros(data.count, bool)
     while True:
         parts = checked_split(data, usable & ~wrong)
-        some = thinned(parts, data)
-        bench = bench_of(robot, data, some, noise)
+        bench = bench_of(robot, data, thinned(parts, data), noise)
         more = gross_outliers(bench.scored([]).fit, data, usable & ~wrong)
         if not more.any() or too_many(wrong | more, usable):
-            return wrong, parts, bench if some is parts else bench_of(robot, data, parts, noise)
+            return wrong, parts, bench
         wrong |= more
 
 

@@ -316,6 +316,12 @@ class Workbench:
 
         `completed` adds what a variant needs to the terms that it stands beside.
         """
+        question = "screened", here, tuple(others), completed
+        return self._once(question, lambda: self._screened(here, others, completed))
+
+    def _screened(
+        self, here: Scored, others: Sequence[Term], completed: Callable[[Sequence[Term], Term], Sequence[Term]]
+    ) -> list[Screened]:
         panel, screened = self.panel(here, others), list[Screened]()
         for other in others:
             if not self._is_as_in_panel(other):
