@@ -27,7 +27,7 @@ from ctrplan.diagnosis.verdict import NAMED, log_odds, shown
 from ctrplan.diagnosis.workbench import Scored, valued
 from ctrplan.errors import InputError
 from ctrplan.measurement.measurements import Measurements, groups
-from ctrplan.pipeline.followed_runs import friction_correction
+from ctrplan.pipeline.followed_runs import simulated
 from ctrplan.pipeline.parametric_chain import ParametricChain
 from ctrplan.pipeline.term import Term
 
@@ -213,8 +213,8 @@ class NewPoses:
         terms = [t if t.name in FRAMES else fixed(t, result.p[places[t.key]]) for t in terms]
         chain = ParametricChain(result.chain.robot, self.data, terms)
         p = valued(chain, result, chain.neutral, but=FRAMES)
-        chain.correction = friction_correction(chain, p)
-        return fit(chain, self.bench.noise_alike, self.bench.whitening_group, p)
+        there = simulated(chain.robot, self.data, terms, p)
+        return fit(there, self.bench.noise_alike, self.bench.whitening_group, p)
 
 
 def _of_frames(result: Fit) -> NDArray[np.bool_]:

@@ -38,7 +38,7 @@ from ctrplan.diagnosis.term_pieces import is_built
 from ctrplan.diagnosis.verdict import Judgement, Verdict
 from ctrplan.diagnosis.workbench import Scored
 from ctrplan.measurement.measurements import Measurements
-from ctrplan.pipeline.followed_runs import friction_correction
+from ctrplan.pipeline.followed_runs import simulated
 from ctrplan.pipeline.parametric_chain import ParametricChain
 from ctrplan.pipeline.term import SensorPrediction, Term
 
@@ -69,13 +69,11 @@ def open_test_set(before: Fit, after: Fit, held_out_set: Measurements, group: ND
 
     Few poses too far off for noise are in no figure: what chi-squares leave out, errors leave out as well.
     """
-    chains = [ParametricChain(f.chain.robot, held_out_set, f.chain.terms) for f in (before, before, after)]
-    values = (before.chain.neutral, before.p, after.p)
-    for chain, p in zip(chains[1:], values[1:], strict=True):
-        chain.correction = friction_correction(chain, p)
-    correction, effective_there = chains[2].correction, chains[2].predict(after.p)
-    predictions = [chain.predict(p, derivatives=False) for chain, p in zip(chains[:2], values[:2], strict=True)]
-    predictions.append(effective_there)
+    nominal = ParametricChain(before.chain.robot, held_out_set, before.chain.terms)
+    chains = [simulated(f.chain.robot, held_out_set, f.chain.terms, f.p) for f in (before, after)]
+    correction, effective_there = chains[1].correction, chains[1].predict(after.p)
+    asked = (nominal, before.chain.neutral), (chains[0], before.p)
+    predictions = [*(chain.predict(p, derivatives=False) for chain, p in asked), effective_there]
     failed = predictions[1].failed | predictions[2].failed
     kept = ~excused(failed)
     result = _residuals(effective_there.subset(kept), held_out_set.subset(kept), group[kept], noise)
@@ -88,11 +86,11 @@ def open_test_set(before: Fit, after: Fit, held_out_set: Measurements, group: ND
         name: (summary(errors[1][inside], group[inside]), summary(errors[2][inside], group[inside]))
         for name, inside in _regions(held_out_set).items()
     }
-    nominal, calibrated, effective = (summary(e, group) for e in errors)
+    nominal_errors, calibrated, effective = (summary(e, group) for e in errors)
     given = result.given[near]
     chi_square = ChiSquare(predicted(result.r[near][given], result.J[near][given], after.information)[0], given.sum())
     return Gap(
-        nominal,
+        nominal_errors,
         calibrated,
         effective,
         noise.floor_m,
