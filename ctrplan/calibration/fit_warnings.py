@@ -20,7 +20,7 @@ from ctrplan.calibration.observed_noise import SURE
 from ctrplan.calibration.parameters import BaseParameters
 from ctrplan.calibration.residuals import residuals
 from ctrplan.measurement.measurements import Measurements
-from ctrplan.pipeline.followed_runs import friction_correction
+from ctrplan.pipeline.followed_runs import simulated
 from ctrplan.pipeline.parametric_chain import ParametricChain
 from ctrplan.pipeline.term import term
 from ctrplan.robot.named_numbers import MOST_RATIO
@@ -122,9 +122,7 @@ REACH = 2  # poses before and after, companions where a configuration has too fe
 def gross_outliers(fit: Fit, data: Measurements, selected: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """(K,) poses of all data that went wrong, by a fit to some of them; `selected` (K,) are those to be judged."""
     judged = data.subset(selected)
-    chain = ParametricChain(fit.chain.robot, judged, fit.chain.terms)
-    chain.correction = friction_correction(chain, fit.p)
-    prediction = chain.predict(fit.p, derivatives=False)
+    prediction = simulated(fit.chain.robot, judged, fit.chain.terms, fit.p).predict(fit.p, derivatives=False)
     norm = residuals(judged, prediction, fit.noise, np.arange(judged.count)).raw_norm
     solved = ~excused(prediction.failed)
     wrong = np.zeros(data.count, bool)

@@ -4,11 +4,15 @@ Repeats are poses of one configuration that were approached alike: a model says 
 Standstills are poses of a log between which no joint moved. Third differences are those of four poses of a log at even
 times: a smooth motion leaves little of them, white noise of sigma leaves sqrt(20) sigma. Fourth differences leave less
 of a motion and sqrt(70) sigma of noise: the smaller of the two counts.
+
+That misses what a tracker's filter takes away and what changes slowly; what a robot file states may be a data sheet's.
+Each is a lower bound, and the largest counts.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from math import comb
 
@@ -16,10 +20,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arrays import ROUNDING_M, Array
-from ctrplan.calibration.residuals import PAPER, Noise
+from ctrplan.calibration.residuals import NO_TANGENT_SIGMA, PAPER, Noise
+from ctrplan.errors import InputError
 from ctrplan.measurement.approach import friction_state, last_directions, rest_began
 from ctrplan.measurement.measurements import LONGEST_LAG_S, Measurements
 from ctrplan.robot.observer_histories import SAME_PHI
+from ctrplan.robot.robot import Robot
 
 LEAST_SPARE = 20  # repeats beyond the first of their kind: the noise is then known to about 10 %
 LEAST_WINDOWS = 100  # of differences, which overlap
@@ -157,3 +163,62 @@ def _noise(position_m: float, tangent_rad: float, data: Measurements) -> Noise |
     if position_m < ROUNDING_M:
         return None
     return Noise(position_m, max(tangent_rad, LEAST_RAD) if data.has_tangents else PAPER.tangent_rad)
+
+
+def noise_floor(robot: Robot, data: Measurements) -> tuple[Noise, str]:
+    """Noise, and a sentence about it where it is not as stated. Raises InputError where neither file nor data have it.
+
+    Of data without tangents the noise of tangents is of no matter.
+    """
+    stated, shown = robot.measurement, list(observed_noises(data))
+    if stated is None and not shown:
+        rule = (
+            "is missing: state position_sigma_mm and tangent_sigma_deg, or measure at least "
+            f"{LEAST_SPARE} poses again, approached the same way ({_too_little(data)})"
+        )
+        raise InputError(rule, file=robot.path, key="measurement")
+    if stated is None:
+        return _of_data(shown, data.has_tangents)
+    tangent_rad = stated.tangent_sigma_rad
+    if tangent_rad is None and data.has_tangents:
+        if not shown:
+            raise InputError(NO_TANGENT_SIGMA, file=robot.path, key="measurement.tangent_sigma_deg")
+        tangent_rad = max(observed.noise.tangent_rad for observed in shown)
+    floor = Noise(stated.position_sigma_m, PAPER.tangent_rad if tangent_rad is None else tangent_rad)
+    return _enlarged(floor, shown, data.has_tangents)
+
+
+def _too_little(data: Measurements) -> str:
+    if data.is_stream:
+        return "a continuous motion has none, and this one is too short or too uneven in time to show its noise"
+    kind = repeats(data)
+    return f"these data have {len(kind) - len(np.unique(kind))}"
+
+
+def _of_data(shown: Sequence[ObservedNoise], has_tangents: bool) -> tuple[Noise, str]:
+    """The largest that the data show."""
+    noise = Noise(
+        max(observed.noise.position_m for observed in shown), max(observed.noise.tangent_rad for observed in shown)
+    )
+    by = " and ".join(observed.by for observed in shown)
+    return noise, f"The robot file states no noise; {by} say {_words(noise, has_tangents)}."
+
+
+def _enlarged(stated: Noise, shown: Sequence[ObservedNoise], has_tangents: bool) -> tuple[Noise, str]:
+    """The stated noise, or what data show where it is clearly more."""
+    noise, by = stated, list[str]()
+    for observed in shown:
+        factors = observed.noise.position_m / stated.position_m, observed.noise.tangent_rad / stated.tangent_rad
+        if max(factors[: 1 + has_tangents]) > 1 + observed.doubt:
+            tangent_rad = max(noise.tangent_rad, observed.noise.tangent_rad) if has_tangents else noise.tangent_rad
+            noise = Noise(max(noise.position_m, observed.noise.position_m), tangent_rad)
+            by.append(observed.by)
+    if not by:
+        return stated, ""
+    more = f"{' and '.join(by)} say {_words(noise, has_tangents)}, the file states {_words(stated, has_tangents)}"
+    return noise, f"The noise is larger than stated: {more}."
+
+
+def _words(noise: Noise, has_tangents: bool) -> str:
+    tangent = f" and {math.degrees(noise.tangent_rad):.3g} deg" if has_tangents else ""
+    return f"{noise.position_m * 1e3:.3g} mm{tangent}"

@@ -53,7 +53,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Runs the command; returns its exit code. Raises CtrplanError when there is nothing to write."""
     from ctrplan.calibration.calibrate import calibrate
-    from ctrplan.diagnosis.reading import refuse_misread
+    from ctrplan.calibration.reading import refuse_misread
     from ctrplan.files.measurement_file import load_measurements
     from ctrplan.files.robot_file import load_robot, write_robot
     from ctrplan.reports.calibration_page import calibration_report_html

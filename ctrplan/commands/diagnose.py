@@ -14,8 +14,8 @@ from ctrplan.commands.terminal import ProgressBar, tell_next, warn
 from ctrplan.storage.output_folder import output_folder, written_together
 
 if TYPE_CHECKING:
+    from ctrplan.calibration.reading import MisreadError
     from ctrplan.diagnosis import Diagnosis
-    from ctrplan.diagnosis.reading import MisreadError
     from ctrplan.robot.robot import Robot
 
 OUTPUTS = ("diagnosis.json", "robot.toml", "report.html")
@@ -71,9 +71,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Runs the command; returns its exit code. Raises CtrplanError when there is nothing to write."""
     with interrupt_event() as interrupted:
+        from ctrplan.calibration.reading import MisreadError
         from ctrplan.diagnosis import CATALOGUE, diagnose
         from ctrplan.diagnosis.confirmation import confirm
-        from ctrplan.diagnosis.reading import MisreadError
         from ctrplan.diagnosis.workbench import reduced
         from ctrplan.diagnosis.workflow import decide
         from ctrplan.files.measurement_file import load_measurements
@@ -155,7 +155,7 @@ def _write_misread(folder: Path, error: MisreadError, robot: Robot) -> None:
 
 def summary(folder: Path, diagnosis: Diagnosis) -> str:
     """What a person wants to know first."""
-    from ctrplan.diagnosis.sentences import effect_lines, verdict_sentence
+    from ctrplan.reports.diagnosis_words import effect_lines, verdict_sentence
 
     gap = diagnosis.gap
     read = [reading.sentence for reading in diagnosis.reading]

@@ -1,14 +1,10 @@
 """How large what remains after a fit is over the noise: chi-square of all, of configurations, of contrasts; noise of
 another size.
-
-What data show of the noise, `observed_noise.py`, misses what a tracker's filter takes away and what changes slowly;
-what a file states may be a data sheet's. Each is a lower bound, and the largest counts.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,13 +13,9 @@ from scipy.special import chdtr, chdtrc, fdtrc  # scipy.stats takes 0.4 s to imp
 
 from ctrplan.base.arrays import Array
 from ctrplan.calibration.fit_warnings import OUTLIER, excused
-from ctrplan.calibration.observed_noise import LEAST_SPARE, ObservedNoise, observed_noises, repeats
-from ctrplan.calibration.residuals import NO_TANGENT_SIGMA, PAPER, PER_POSE, Noise, Residuals, information_inverse
+from ctrplan.calibration.residuals import PER_POSE, Noise, Residuals, information_inverse
 from ctrplan.diagnosis.linear_fit import Linear
 from ctrplan.diagnosis.workbench import Scored, Workbench, linear
-from ctrplan.errors import InputError
-from ctrplan.measurement.measurements import Measurements
-from ctrplan.robot.robot import Robot
 
 REJECTED = 1e-3  # probability below which a chi-square is no chance
 MOST_OUTLIERS = 0.03  # of the poses, and one in any case; more are no outliers but a misfit
@@ -116,7 +108,6 @@ def _group_sums(values: Array | NDArray[np.bool_], group: NDArray[np.int_]) -> A
 UNEVEN = 0.01  # probability of a ratio of between to within below which the excess has structure
 LARGEST_FACTOR = 3.0
 HEAVY = 2.0  # tail weight that 60 poses of Gaussian noise have once in a thousand
-LEAST_CHANGE = 1.05  # factors nearer to 1 change nothing
 
 
 def rescaled_noise(left: Adequacy, noise: Noise, norm: Array, given: Array) -> tuple[Noise | None, str]:
@@ -133,11 +124,7 @@ def rescaled_noise(left: Adequacy, noise: Noise, norm: Array, given: Array) -> t
     if small and tail_weight(norm, given) > HEAVY:
         return None, "The noise has heavier tails than a Gaussian; its size is taken as stated."
     factors = [math.sqrt(part.ratio) if part.dof > 1 else 1.0 for part in (left.position, left.tangent)]
-    if (
-        max(factors) > LARGEST_FACTOR
-        or min(factors) < 1 / LARGEST_FACTOR
-        or all(abs(x - 1) < LEAST_CHANGE - 1 for x in factors)
-    ):
+    if max(factors) > LARGEST_FACTOR or min(factors) < 1 / LARGEST_FACTOR:
         return None, ""
     result = Noise(noise.position_m * factors[0], noise.tangent_rad * factors[1])
     sentence = (
@@ -183,62 +170,3 @@ def _is_even(left: Adequacy) -> bool:
 
 def _too_small(chi_square: ChiSquare) -> float:
     return float(chdtr(chi_square.dof, chi_square.value))
-
-
-def noise_floor(robot: Robot, data: Measurements) -> tuple[Noise, str]:
-    """Noise, and a sentence about it where it is not as stated. Raises InputError where neither file nor data have it.
-
-    Of data without tangents the noise of tangents is of no matter.
-    """
-    stated, shown = robot.measurement, list(observed_noises(data))
-    if stated is None and not shown:
-        rule = (
-            "is missing: state position_sigma_mm and tangent_sigma_deg, or measure at least "
-            f"{LEAST_SPARE} poses again, approached the same way ({_too_little(data)})"
-        )
-        raise InputError(rule, file=robot.path, key="measurement")
-    if stated is None:
-        return _of_data(shown, data.has_tangents)
-    tangent_rad = stated.tangent_sigma_rad
-    if tangent_rad is None and data.has_tangents:
-        if not shown:
-            raise InputError(NO_TANGENT_SIGMA, file=robot.path, key="measurement.tangent_sigma_deg")
-        tangent_rad = max(observed.noise.tangent_rad for observed in shown)
-    floor = Noise(stated.position_sigma_m, PAPER.tangent_rad if tangent_rad is None else tangent_rad)
-    return _enlarged(floor, shown, data.has_tangents)
-
-
-def _too_little(data: Measurements) -> str:
-    if data.is_stream:
-        return "a continuous motion has none, and this one is too short or too uneven in time to show its noise"
-    kind = repeats(data)
-    return f"these data have {len(kind) - len(np.unique(kind))}"
-
-
-def _of_data(shown: Sequence[ObservedNoise], has_tangents: bool) -> tuple[Noise, str]:
-    """The largest that the data show."""
-    noise = Noise(
-        max(observed.noise.position_m for observed in shown), max(observed.noise.tangent_rad for observed in shown)
-    )
-    by = " and ".join(observed.by for observed in shown)
-    return noise, f"The robot file states no noise; {by} say {_words(noise, has_tangents)}."
-
-
-def _enlarged(stated: Noise, shown: Sequence[ObservedNoise], has_tangents: bool) -> tuple[Noise, str]:
-    """The stated noise, or what data show where it is clearly more."""
-    noise, by = stated, list[str]()
-    for observed in shown:
-        factors = observed.noise.position_m / stated.position_m, observed.noise.tangent_rad / stated.tangent_rad
-        if max(factors[: 1 + has_tangents]) > 1 + observed.doubt:
-            tangent_rad = max(noise.tangent_rad, observed.noise.tangent_rad) if has_tangents else noise.tangent_rad
-            noise = Noise(max(noise.position_m, observed.noise.position_m), tangent_rad)
-            by.append(observed.by)
-    if not by:
-        return stated, ""
-    more = f"{' and '.join(by)} say {_words(noise, has_tangents)}, the file states {_words(stated, has_tangents)}"
-    return noise, f"The noise is larger than stated: {more}."
-
-
-def _words(noise: Noise, has_tangents: bool) -> str:
-    tangent = f" and {math.degrees(noise.tangent_rad):.3g} deg" if has_tangents else ""
-    return f"{noise.position_m * 1e3:.3g} mm{tangent}"

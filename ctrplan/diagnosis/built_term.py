@@ -8,8 +8,8 @@ for one.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -23,7 +23,7 @@ from ctrplan.diagnosis.posterior import MOST_EFFECTS
 from ctrplan.diagnosis.remainder import Remainder
 from ctrplan.diagnosis.term_pieces import TermPiece, WideLinearisation, is_built, pieces, wide_linearisation, with_piece
 from ctrplan.diagnosis.unknown_errors import Peak, UnknownErrors
-from ctrplan.diagnosis.workbench import Scored, SelectionStep, linear
+from ctrplan.diagnosis.workbench import Scored, SelectionStep, Teller, linear
 from ctrplan.effects.learned.learned import Learned
 from ctrplan.pipeline.term import Term
 
@@ -84,15 +84,8 @@ class Built:
         }
 
 
-def build(partial: PartialDiagnosis, tell: Callable[[str], None]) -> Built | None:
+def build(partial: PartialDiagnosis, tell: Teller) -> Built | None:
     """A term of what remains, with the effects that hold beside it; None where none makes the poses more probable."""
-    built = _searched(partial, tell)
-    if built is not None:
-        _note_sizes(built)
-    return built
-
-
-def _searched(partial: PartialDiagnosis, tell: Callable[[str], None]) -> Built | None:
     if partial.is_noise:
         return None
     bench, here, rounds = _grown(partial.bench, partial.chosen, partial.known.terms, tell)
@@ -105,11 +98,12 @@ def _searched(partial: PartialDiagnosis, tell: Callable[[str], None]) -> Built |
     plain = bench.scored([t for t in scored.terms if not is_built(t)], scored.fit)
     before, after = mean_square(bench.left_out_m(plain)), mean_square(bench.left_out_m(scored))
     share = (before - after) / max(before - bench.plain.floor_m**2, 1e-12)
-    return Built(scored, plain, again, tuple(rounds), share, remainder_beside(bench, scored, bench.plain))
+    rest = remainder_beside(bench, scored, bench.plain)
+    return Built(_with_sizes(scored), plain, again, tuple(rounds), share, rest)
 
 
 def _grown(
-    bench: CorrelatedBench, chosen: Scored, named: Sequence[Term], tell: Callable[[str], None]
+    bench: CorrelatedBench, chosen: Scored, named: Sequence[Term], tell: Teller
 ) -> tuple[CorrelatedBench, Scored, list[Round]]:
     """The set with pieces beside it, its bench, and the rounds that were asked.
 
@@ -172,13 +166,19 @@ def _term_json(t: Term, scored: Scored) -> dict[str, Any]:
     return {"name": t.name, **stated, "coefficients": coefficients}
 
 
-def _note_sizes(built: Built) -> None:
-    """How far terms of the mechanics move a tip of the data, which margins allow for."""
-    chain, p = built.scored.fit.chain, built.scored.fit.p
+def _with_sizes(scored: Scored) -> Scored:
+    """The set with how far terms of the mechanics move a tip of the data, which margins allow for."""
+    chain, p, noted = scored.fit.chain, scored.fit.p, dict[str, Term]()
     here = chain.predict(p, derivatives=False).position_m
     for t, place in zip(chain.terms, chain.slices(), strict=True):
         if isinstance(t.effect, Learned) and t.effect.stage == "mechanics" and t.effect.target.kind_name != "plate":
             without = p.copy()
             without[place] = 0.0
             moved = np.linalg.norm(chain.predict(without, derivatives=False).position_m - here, axis=1)
-            t.effect.largest_mm = float(f"{1e3 * moved.max():.3g}")
+            largest_mm = float(f"{1e3 * moved.max():.3g}")
+            noted[t.key] = Term(t.effect.with_largest(largest_mm, chain.robot.n), t.parameters)
+    if not noted:
+        return scored
+    terms = [noted.get(t.key, t) for t in chain.terms]
+    own = tuple(noted.get(t.key, t) for t in scored.terms)
+    return Scored(own, replace(scored.fit, chain=chain.with_terms(terms)))

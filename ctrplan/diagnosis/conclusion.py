@@ -6,14 +6,12 @@ holds beside a remainder. A long log of a continuous motion, in which the ordina
 
 from __future__ import annotations
 
-import threading
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
-from ctrplan.base.long_work import StageProgress
 from ctrplan.calibration.fit_warnings import gross_outliers, too_many
 from ctrplan.calibration.residuals import Noise
 from ctrplan.diagnosis.adequacy import ignored, remains, rescaled_noise
@@ -22,37 +20,9 @@ from ctrplan.diagnosis.partial_diagnosis import PartialDiagnosis, diagnose_parti
 from ctrplan.diagnosis.posterior import Compared, settled
 from ctrplan.diagnosis.usable_poses import MOST_POSES, bench_of, checked_split, thinned, without_outliers
 from ctrplan.diagnosis.verdict import Judgement, judge
-from ctrplan.diagnosis.workbench import Candidates, Scored, SelectionStep, Workbench
+from ctrplan.diagnosis.workbench import Candidates, Interrupted, Scored, SelectionStep, Teller, Workbench
 from ctrplan.measurement.measurements import Measurements, Split, groups
 from ctrplan.robot.robot import Robot
-
-HELD_OUT_SHARE = 0.95  # of the work done when the held-out set is asked
-
-
-class Interrupted(Exception):
-    """Ctrl-C between two fits."""
-
-
-@dataclass(eq=False)
-class Teller:
-    """Names the steps to whoever watches, and stops between them when asked to."""
-
-    progress: StageProgress | None
-    interrupted: threading.Event | None
-    share: float = 0.05
-
-    def pause(self) -> None:
-        """Where a run may stop."""
-        if self.interrupted is not None and self.interrupted.is_set():
-            raise Interrupted
-
-    def __call__(self, step: str) -> None:
-        """A step begins."""
-        self.pause()
-        self.share += 0.25 * (HELD_OUT_SHARE - self.share)  # how many steps there will be is not known
-        if self.progress:
-            self.progress(step, self.share)
-
 
 INTERRUPTED = "Interrupted: this is what was found until then, not a verdict."
 
@@ -84,15 +54,14 @@ def conclude(
 ) -> Conclusion:
     """Searches what the catalogue has; `usable` (K,) are the poses to go by. Raises InputError where they are few."""
     wrong, parts, bench = without_outliers(robot, data, usable, noise)
-    is_long = (
-        data.is_stream and int((usable & ~wrong).sum()) > 2 * MOST_POSES
-    )  # of which every other is compared at most
+    is_long = data.is_stream and int((usable & ~wrong).sum()) > 2 * MOST_POSES  # every other is compared at most
     if is_long:
-        few = thinned(parts, data)
-        begun = _calibrated(data, few, bench_of(robot, data, few, noise), wrong)
+        begun = _calibrated(data, thinned(parts, data), bench, wrong)
         first = _beside_a_remainder(begun, data, usable, noise, known, teller)
         if first.interrupted or (first.partial and not first.partial.is_noise):
             return _with_built(first, first, teller)
+    if bench.data.count < len(parts.selection):
+        bench = bench_of(robot, data, parts, noise)
     result = _ordinary(data, usable, wrong, bench, parts, known, teller)
     is_explained = result.compared is None or result.compared.posterior.of_unknown < 1 / 2
     if is_explained or is_long:
@@ -215,10 +184,9 @@ def _searched(
 def _most_probable(
     bench: Workbench, known: Candidates, teller: Teller
 ) -> tuple[Workbench, Compared, Scored, tuple[SelectionStep, ...], Judgement]:
-    bench = bench.pausing(teller.pause)
     bench, compared, chosen, path = settled(bench, bench.scored([]), known, teller)
     judgement = judge(bench, chosen, known, compared.posterior, compared.sets)
-    return bench.pausing(lambda: None), compared, chosen, path, judgement
+    return bench, compared, chosen, path, judgement
 
 
 def _norms(scored: Scored) -> tuple[Array, Array]:

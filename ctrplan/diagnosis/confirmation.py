@@ -19,7 +19,6 @@ from ctrplan.calibration.discrepancy import Linearised
 from ctrplan.calibration.estimates import Errors, distances, summary
 from ctrplan.calibration.fit_warnings import excused, gross_outliers, too_many
 from ctrplan.calibration.least_squares import Fit, fit, fit_at
-from ctrplan.calibration.residuals import Noise
 from ctrplan.diagnosis.correlated_bench import FRAMES, CorrelatedBench, fixed, frames
 from ctrplan.diagnosis.result import Diagnosis
 from ctrplan.diagnosis.unknown_errors import UnknownErrors
@@ -28,7 +27,7 @@ from ctrplan.diagnosis.verdict import NAMED, log_odds, shown
 from ctrplan.diagnosis.workbench import Scored, valued
 from ctrplan.errors import InputError
 from ctrplan.measurement.measurements import Measurements, groups
-from ctrplan.pipeline.followed_runs import friction_correction
+from ctrplan.pipeline.followed_runs import simulated
 from ctrplan.pipeline.parametric_chain import ParametricChain
 from ctrplan.pipeline.term import Term
 
@@ -133,7 +132,9 @@ def _new(diagnosis: Diagnosis, data: Measurements, usable: NDArray[np.bool_]) ->
     poses = data.subset(some[:: thinning(len(some))] if data.is_stream else some)
     if data.homing is not None or diagnosis.data.homing is not None:  # no run has the zeros of the first one there
         poses = replace(poses, homing=data.homings + 1)
-    return NewPoses.of(poses, diagnosis.chosen.fit, diagnosis.noise)
+    chosen = diagnosis.chosen.fit
+    noise = replace(diagnosis.noise, discrepancy=chosen.noise.discrepancy)
+    return NewPoses(CorrelatedBench(chosen.chain.robot, poses, noise, groups(poses)))
 
 
 def _without(diagnosis: Diagnosis, gone: Term) -> Fit:
@@ -160,15 +161,6 @@ class NewPoses:
     """Runs that a diagnosis has not read, and their noise together with what remained of the diagnosis."""
 
     bench: CorrelatedBench
-    rough: Noise
-
-    @classmethod
-    def of(cls, poses: Measurements, chosen: Fit, noise: Noise) -> NewPoses:
-        """Those of a diagnosis with a chosen fit and the noise of the measurement."""
-        bench = CorrelatedBench(chosen.chain.robot, poses, noise, groups(poses))
-        rest = chosen.noise.discrepancy
-        sizes = (np.hypot(1, rest.position), np.hypot(1, rest.tangent)) if rest else (1.0, 1.0)
-        return cls(bench, Noise(noise.position_m * float(sizes[0]), noise.tangent_rad * float(sizes[1])))
 
     @property
     def data(self) -> Measurements:
@@ -179,7 +171,7 @@ class NewPoses:
         """A model in the frames of these runs, to first order in its own parameters and those of the frames."""
         placed, old = self.placed(result), _of_frames(result)
         free = _of_frames(placed)
-        parts = fit_at(placed.chain, self.bench.noise, self.bench.whitening_group, placed.p).residuals
+        parts = fit_at(placed.chain, self.bench.plain, self.bench.whitening_group, placed.p).residuals
         covariance = result.covariance[np.ix_(~old, ~old)]
         scale = np.sqrt(np.diag(covariance))  # parameters have units of their own
         values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
@@ -221,8 +213,8 @@ class NewPoses:
         terms = [t if t.name in FRAMES else fixed(t, result.p[places[t.key]]) for t in terms]
         chain = ParametricChain(result.chain.robot, self.data, terms)
         p = valued(chain, result, chain.neutral, but=FRAMES)
-        chain.correction = friction_correction(chain, p)
-        return fit(chain, self.rough, self.bench.whitening_group, p)
+        there = simulated(chain.robot, self.data, terms, p)
+        return fit(there, self.bench.noise_alike, self.bench.whitening_group, p)
 
 
 def _of_frames(result: Fit) -> NDArray[np.bool_]:

@@ -11,10 +11,9 @@ On a continuous motion, friction follows the simulated history from the first co
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
 from ctrplan.calibration import discrepancy
@@ -58,15 +57,17 @@ HELD = 1e-4  # of a prior, which holds a parameter
 USUAL_FRICTION = 0.2  # coefficient at which states are simulated while nobody knows any
 
 
+@dataclass(frozen=True, eq=False)
 class CorrelatedBench(Workbench):
-    """A workbench whose noise has a discrepancy besides. `plain` is the noise alone."""
+    """A workbench whose noise has a discrepancy besides."""
 
-    def __init__(self, robot: Robot, data: Measurements, noise: Noise, group: NDArray[np.int_]) -> None:
-        """group (K,): poses that are left out together."""
-        super().__init__(robot, data, noise, group)
-        self.plain, self.restarts = noise, 0
-        self._phi: Array | None = None
-        self._handed: dict[Scored, Fit] = {}
+    phi: Array | None = None  # (K, n - 1) friction states along the path, on a continuous motion
+    restarts: int = 0  # how often the path was begun again for them
+
+    @property
+    def plain(self) -> Noise:
+        """The noise alone."""
+        return replace(self.noise, discrepancy=None)
 
     def base(self, terms: Sequence[Term]) -> Term:
         """Ordinary calibration with Poisson's ratios that tubes have: nothing unexplained may hide in others."""
@@ -85,11 +86,11 @@ class CorrelatedBench(Workbench):
         """A bench that has the friction states of a set's own path and the discrepancy that it leaves, and the set
         fitted there; not `is_followed`: with the states as they are.
         """
-        bench = self._beginning()
-        bench._handed = {}
+        phi, restarts = self.phi, self.restarts
         if is_followed and self.data.is_stream and self.robot.n > 1:
-            bench._phi, bench.restarts = self._followed(scored)
-        bench.noise = replace(self.plain, discrepancy=self.estimated(scored))
+            phi, restarts = self._followed(scored)
+        noise = replace(self.noise, discrepancy=self.estimated(scored))
+        bench = replace(self, noise=noise, phi=phi, restarts=restarts)
         return bench, bench.scored(scored.terms, scored.fit)
 
     def handed_over(self, scored: Scored) -> Scored:
@@ -120,14 +121,11 @@ class CorrelatedBench(Workbench):
         return errors
 
     def _alike(self, scored: Scored) -> Fit:
-        if scored not in self._handed:
-            chain, p = scored.fit.chain, scored.fit.p
-            terms = [
-                fixed(t, p[place]) if t.name in scored.names else t
-                for t, place in zip(chain.terms, chain.slices(), strict=True)
-            ]
-            self._handed[scored] = fit(chain.with_terms(terms), self.noise_alike, self.whitening_group, p)
-        return self._handed[scored]
+        chain, p = scored.fit.chain, scored.fit.p
+        places = zip(chain.terms, chain.slices(), strict=True)
+        terms = [fixed(t, p[place]) if t.name in scored.names else t for t, place in places]
+        fitted = chain.with_terms(terms)
+        return self._once(("alike", scored), lambda: fit(fitted, self.noise_alike, self.whitening_group, p))
 
     @property
     def noise_alike(self) -> Noise:
@@ -152,7 +150,7 @@ class CorrelatedBench(Workbench):
         chain = super().chain(terms)
         chain.correction = None
         if self._has_friction(terms):
-            chain.followed_phi = self._phi
+            chain.followed_phi = self.phi
         return chain
 
     def rubbing(self, scored: Scored) -> tuple[ParametricChain, Array]:

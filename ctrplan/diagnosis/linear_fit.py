@@ -36,15 +36,26 @@ class Linear:
         back = replace(self, r=self.r + self.J[:, :, gone] @ self.offset[gone])
         return back.columns(np.flatnonzero(~gone).tolist())
 
+    def beside(self, columns: Array) -> Linear:
+        """With columns (K, 5, D) besides, of parameters without priors."""
+        more = np.zeros(columns.shape[2])
+        J, precision = np.concatenate([self.J, columns], axis=2), np.concatenate([self.precision, more])
+        return replace(self, J=J, precision=precision, offset=np.concatenate([self.offset, more]))
+
     @property
     def loss(self) -> float:
         """Loss of the poses and of the priors, with weights as they are."""
         return float(self.weight @ (self.r**2).sum(axis=1) + self.precision @ self.offset**2)
 
+    @property
+    def evidence(self) -> float:
+        """Logarithm of the evidence with weights as they are, up to what is the same for all fits of the poses."""
+        volume = float(np.linalg.slogdet(self.information)[1]) - float(np.log(self.precision).sum())
+        return -(self.loss + volume) / 2
+
     def refitted(self) -> Linear:
         """After one Gauss-Newton step."""
-        H, gradient = self._system()
-        step = solved(H, gradient - self.precision * self.offset)
+        step = solved(self.information, self.gradient - self.precision * self.offset)
         return replace(self, r=self.r - self.J @ step, offset=self.offset + step)
 
     def widened(self, owners: Sequence[str], widths: Mapping[str, Width]) -> Linear:
@@ -63,9 +74,32 @@ class Linear:
             return self
         return replace(self, r=rest.coloured(self.r), J=rest.coloured(self.J))
 
-    def _system(self) -> tuple[Array, Array]:
-        J, w = self.J.reshape(-1, self.J.shape[2]), np.repeat(self.weight, PER_POSE)
-        return J.T @ (w[:, None] * J) + np.diag(self.precision), J.T @ (w * self.r.ravel())
+    @property
+    def information(self) -> Array:
+        """(P, P) of the poses and of the priors."""
+        return self._times(self.J) + np.diag(self.precision)
+
+    @property
+    def gradient(self) -> Array:
+        """(P,) of the poses."""
+        return self._times(self.r[:, :, None])[:, 0]
+
+    def _times(self, values: Array) -> Array:
+        """(P, ...) derivatives with numbers (K, 5, ...) as poses count."""
+        J, w = self.J.reshape(-1, self.J.shape[2]), np.repeat(self.weight, PER_POSE)[:, None]
+        products: Array = J.T @ (w * values.reshape(len(w), -1))
+        return products
+
+
+def predicted(r: Array, J: Array, information: Array) -> tuple[float, float]:
+    """Chi-square and log density of residuals (R,) with derivatives (R, P), of numbers that no fit has seen.
+
+    Over noise and the uncertainty that a fit of some information (P, P) leaves in its parameters, by Woodbury's
+    identity.
+    """
+    whole, along = information + J.T @ J, J.T @ r
+    square = float(r @ r - along @ solved(whole, along))
+    return square, -(square + float(np.linalg.slogdet(whole)[1] - np.linalg.slogdet(information)[1])) / 2
 
 
 def left_out_residuals(fit: Linear, group: NDArray[np.int_]) -> Array:
@@ -73,7 +107,7 @@ def left_out_residuals(fit: Linear, group: NDArray[np.int_]) -> Array:
 
     With r = y - J p and H = J^T W J + prior, those of a group move to r_g + J_g (H - J_g^T W J_g)^-1 J_g^T W r_g.
     """
-    H, _ = fit._system()
+    H = fit.information
     left = np.empty_like(fit.r)
     for number in np.unique(group):
         inside = group == number
@@ -125,9 +159,8 @@ def widths_of(fit: Linear, owners: Sequence[str], named: Collection[str]) -> dic
 
     By expectation and maximisation, which never lowers the posterior of the logarithms of the widths.
     """
-    H, gradient = fit._system()
-    data = H - np.diag(fit.precision)
-    target, of = gradient + data @ fit.offset, np.array(owners)
+    data = fit.information - np.diag(fit.precision)
+    target, of = fit.gradient + data @ fit.offset, np.array(owners)
     places = {name: np.flatnonzero(of == name) for name in sorted(named) if name in owners}
     widths = dict.fromkeys(places, STATED)
     for _ in range(MOST_ITERATIONS):

@@ -19,10 +19,11 @@ from ctrplan.base.arrays import Array
 from ctrplan.calibration.least_squares import Fit
 from ctrplan.calibration.residuals import Noise, Residuals, residuals
 from ctrplan.diagnosis.adequacy import REJECTED
+from ctrplan.diagnosis.linear_fit import predicted
 from ctrplan.diagnosis.verdict import NAMED, Alternative, Finding, Judgement, Posterior
 from ctrplan.diagnosis.workbench import Scored
 from ctrplan.measurement.measurements import SEED, Measurements
-from ctrplan.pipeline.followed_runs import friction_correction
+from ctrplan.pipeline.followed_runs import simulated
 from ctrplan.pipeline.parametric_chain import ParametricChain
 from ctrplan.robot.robot import Robot
 from ctrplan.scenario.joint_space import JointSpace
@@ -179,15 +180,10 @@ def decision(
 
 def _predictive(fit: Fit, data: Measurements, noise: Noise) -> tuple[float, float]:
     """Log-density of new poses as a fit predicts them, and the chance of such a misfit by noise and its parameters."""
-    chain = ParametricChain(fit.chain.robot, data, fit.chain.terms)
-    chain.correction = friction_correction(chain, fit.p)
+    chain = simulated(fit.chain.robot, data, fit.chain.terms, fit.p)
     parts = residuals(data, chain.predict(fit.p), noise, data.configuration)
-    given = parts.given.ravel()
-    r, J = parts.r.ravel()[given], parts.J.reshape(len(given), -1)[given]
-    covariance = np.eye(len(r)) + J @ fit.covariance @ J.T
-    root = np.linalg.cholesky(covariance)
-    white = np.linalg.solve(root, r)
-    return float(-(white @ white) / 2 - np.log(np.diag(root)).sum()), float(chdtrc(len(r), white @ white))
+    square, density = predicted(parts.r[parts.given], parts.J[parts.given], fit.information)
+    return density, float(chdtrc(parts.given.sum(), square))
 
 
 def next_experiment(

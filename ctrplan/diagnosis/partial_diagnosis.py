@@ -20,12 +20,12 @@ from ctrplan.calibration.residuals import Noise
 from ctrplan.diagnosis.adequacy import Adequacy, remains
 from ctrplan.diagnosis.correlated_bench import FRAMES, HOMED, SHIFT, CorrelatedBench, frames_beside
 from ctrplan.diagnosis.linear_fit import left_out_residuals
-from ctrplan.diagnosis.posterior import Compared, Report, settled
+from ctrplan.diagnosis.posterior import Compared, settled
 from ctrplan.diagnosis.remainder import Remainder, localise, shares
 from ctrplan.diagnosis.term_pieces import is_built
 from ctrplan.diagnosis.usable_poses import block_split, blocks, on_one_branch, thinned, thinning
 from ctrplan.diagnosis.verdict import Judgement, Verdict, findings_of
-from ctrplan.diagnosis.workbench import Candidates, Scored, SelectionStep, Workbench, linear
+from ctrplan.diagnosis.workbench import Candidates, Scored, SelectionStep, Teller, Workbench, linear
 from ctrplan.measurement.measurements import Measurements, Split
 from ctrplan.pipeline.term import Term
 from ctrplan.robot.robot import Robot
@@ -72,7 +72,8 @@ class PartialDiagnosis:
     @cached_property
     def parts(self) -> tuple[Part, ...]:
         """What the listed effects close: some thirty fits, which a term that is built of the rest may make vain."""
-        return tuple(_part(self.bench, self.base, self.chosen, f.term) for f in self.judgement.findings)
+        ends = self.base, self.compared.base, self.chosen
+        return tuple(_part(self.bench, *ends, f.term) for f in self.judgement.findings)
 
     def to_json(self) -> dict[str, Any]:
         """What remains, for diagnosis.json."""
@@ -111,7 +112,7 @@ def diagnose_partially(
     usable: NDArray[np.bool_],
     noise: Noise,
     known: Candidates,
-    tell: Report,
+    tell: Teller,
     begun: Fit | None = None,
 ) -> PartialDiagnosis:
     """Searches, asks what holds, and describes the rest; `usable` (K,) are the poses to go by.
@@ -144,7 +145,7 @@ def most_probable(
     parts: Split,
     block: NDArray[np.int_],
     base: Scored,
-    tell: Report = lambda _: None,
+    tell: Teller,
 ) -> PartialDiagnosis:
     """The most probable set from a settled one on, and what is told of it.
 
@@ -168,12 +169,11 @@ def testable_beside(known: Candidates, bench: CorrelatedBench) -> Candidates:
     return replace(known, terms=tuple(t for t in known.terms if t.name not in always))
 
 
-def _part(bench: CorrelatedBench, base: Scored, chosen: Scored, t: Term) -> Part:
-    """The part of an effect in a set, where `base` is calibrated without effects and without free frames."""
+def _part(bench: CorrelatedBench, base: Scored, none: Scored, chosen: Scored, t: Term) -> Part:
+    """The part of an effect in a set; `base` is without effects and without free frames, `none` with free frames."""
     whole = left_out_residuals(linear(base.fit), bench.group)[:, :3] * bench.plain.position_m * bench.data.over_tip
     before, after = _rms(whole), _rms(bench.left_out_m(chosen))
     gap = float(np.sqrt(max(before**2 - bench.plain.floor_m**2, 0.0)))
-    none = bench.scored([])
     if t.name in FRAMES:
         others = [frame for frame in none.fit.chain.terms if frame.name in FRAMES and frame.name != t.name]
         alone, last = _rms(bench.left_out_m(none, *others)), _rms(bench.left_out_m(chosen, t))

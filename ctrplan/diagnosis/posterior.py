@@ -19,7 +19,7 @@ What something unknown may be, `unknown_errors.py` has.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -27,6 +27,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from ctrplan.calibration.discrepancy import Linearised, Spectrum
+from ctrplan.calibration.least_squares import Fit
 from ctrplan.diagnosis.correlated_bench import FRAMES
 from ctrplan.diagnosis.linear_fit import STATED, Linear, Width, widths_of
 from ctrplan.diagnosis.term_pieces import is_built, pieces
@@ -39,6 +40,7 @@ from ctrplan.diagnosis.workbench import (
     Scored,
     Screened,
     SelectionStep,
+    Teller,
     Workbench,
     linear,
 )
@@ -47,9 +49,9 @@ from ctrplan.pipeline.term import Term
 MOST_EFFECTS = 4  # of a set
 REFITTED = 5  # different effects that are fitted for good beside a set
 WINDOW = 30.0  # in the logarithm: sets that are less probable are not weighed again, a budget; they move by a few
+VAIN = 2 * log_odds(ACTS)  # what brings nothing loses no more: its prior odds, and as much again for its parameters
 ROUNDS = 3  # of a search, each with the friction states and the rest that the set before leaves
 
-Report = Callable[[str], None]
 Promise = tuple[float, list[Term]]  # the weight of a set to first order, and its terms
 
 
@@ -59,50 +61,64 @@ class Compared:
 
     posterior: Posterior
     sets: tuple[Scored, ...]
-    gain: float  # logarithm of how much more probable the first set is than the chosen one
+    base: Scored  # without effects
+
+    def places(self, terms: Sequence[Term]) -> list[Fit]:
+        """Where a set was when it was last fitted, if it was."""
+        return _places(self.sets[::-1], terms)
 
 
-def compared(bench: Workbench, chosen: Scored, known: Candidates, search: bool = False) -> Compared:
-    """The sets that a bench has fitted; search: whether more probable ones are sought.
+def compared(bench: Workbench, begun: Scored, known: Candidates) -> Compared:
+    """The most probable sets from one on, and what stands near them, beside the friction states of the bench.
 
     Built terms are no effects: what they do is done by something unknown.
     """
-    return _searched(bench, chosen, known, search).compared(chosen)
+    return _searched(bench, begun, known, Teller()).compared(begun)
 
 
-def _searched(bench: Workbench, chosen: Scored, known: Candidates, search: bool) -> _Comparison:
-    """The sets that were fitted to the same poses over the same noise, before their neighbours are weighed."""
-    base, fit = bench.scored([]), chosen.fit
-    of_poses = [scored for scored in (base, *bench.visited) if scored.fit.chain.data is fit.chain.data]
-    among = [scored for scored in of_poses if scored.fit.noise.position_m == fit.noise.position_m]
-    comparison = _Comparison(bench, known, base, chosen, among)
-    if search:
-        comparison.climb()
-        if comparison.best is not chosen:  # poses count as they do in the most probable set
-            likely = dict.fromkeys([comparison.as_known(base), comparison.as_known(chosen), *comparison.likely])
-            comparison = _Comparison(bench, known, base, comparison.best, likely)
+def _searched(
+    bench: Workbench, begun: Scored, known: Candidates, tell: Teller, earlier: Sequence[Scored] = ()
+) -> _Comparison:
+    """The sets that a search from one on comes to, before the neighbours of the best are weighed.
+
+    earlier: sets that were fitted beside other friction states or another rest, from where fits begin.
+    """
+    base = begun if not begun.terms else bench.scored([], *_places(earlier, []), begun.fit, None)
+    fitted = [base, *(scored for scored in earlier if bench.stands(scored))]
+    comparison = _Comparison(bench, known, base, begun, fitted, earlier)
+    comparison.climb(tell)
+    if comparison.best is not begun:  # poses count as they do in the most probable set
+        likely = dict.fromkeys([comparison.as_known(base), comparison.as_known(begun), *comparison.likely])
+        comparison = _Comparison(bench, known, base, comparison.best, likely, earlier)
     comparison.compare_less(comparison.best)
     return comparison
 
 
+def _places(earlier: Sequence[Scored], terms: Sequence[Term]) -> list[Fit]:
+    """Where a set was when it was last fitted, if it was."""
+    return [scored.fit for scored in earlier if _key(scored.terms) == _key(terms)][-1:]
+
+
 def settled(
-    bench: Bench, here: Scored, known: Candidates, tell: Report = lambda _: None
+    bench: Bench, here: Scored, known: Candidates, tell: Teller
 ) -> tuple[Bench, Compared, Scored, tuple[SelectionStep, ...]]:
     """The most probable set from one on, on a bench with what friction states and the rest are beside it, and the path
     taken.
     """
-    path = list[SelectionStep]()
+    path, earlier = list[SelectionStep](), list[Scored]()
     while True:
         tell("comparing sets of effects beside " + (", ".join(here.names) or "the calibrated robot"))
-        comparison, before = _searched(bench, here, known, search=True), here
+        comparison, before = _searched(bench, here, known, tell, earlier), here
         best = comparison.best
         bench, here = bench.corrected(best)
         if _key(best.terms) == _key(before.terms):
             return bench, comparison.compared(before), here, tuple(path)
-        names, gain = tuple(q.name for t in best.terms for q in t.parameters), comparison.gain(before)
+        names = tuple(q.name for t in best.terms for q in t.parameters)
+        gain = comparison.weight(best) - comparison.weight(comparison.as_known(before))
         path.append(SelectionStep("compare", " and ".join(best.names), names, round(gain, 2), bool(names)))
         if here is best or len(path) == ROUNDS:
             return bench, comparison.compared(before), here, tuple(path)
+        earlier += comparison.known_sets
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,23 +142,29 @@ class _Comparison:
     """What is the same for all sets of a search: poses, how much each counts, errors, and variants of effects."""
 
     def __init__(
-        self, bench: Workbench, known: Candidates, base: Scored, chosen: Scored, fitted: Iterable[Scored] = ()
+        self,
+        bench: Workbench,
+        known: Candidates,
+        base: Scored,
+        chosen: Scored,
+        fitted: Iterable[Scored],
+        earlier: Sequence[Scored],
     ) -> None:
-        self.bench, self.known, self.base = bench, known, base
+        self.bench, self.known, self.base, self.earlier = bench, known, base, earlier
         self.of_piece = float(np.log(len(pieces(bench.robot, bench.data, known.terms))))  # of which a term is built
         self.root = np.sqrt(np.where(base.failed | chosen.failed, 0.0, chosen.fit.residuals.weight))
         ends = [self.as_fitted(scored) for scored in (base, chosen)]
         self.errors = UnknownErrors(bench, base, chosen, ends, self.root)
         self.known_sets: dict[Scored, _Set] = {}  # with all frames that are free
+        self._fits: dict[frozenset[str], Scored] = {}  # the last of each set
         self._weights: dict[Scored, float] = {}  # with some of them or none
         self._evidence: dict[frozenset[str], _Set] = {}  # of sets that were fitted
         self._promised: dict[frozenset[str], _Set] = {}  # of others, to first order
         self._expanded: set[Scored] = set()
         self._near: dict[Scored, list[tuple[list[Term], _Set, Screened]]] = {}
         self._peaks: dict[Scored, float] = {}
-        self._best_near: dict[Scored, tuple[_Set, _Set]] = {}  # of sets near one: to first order, and as weighed
         for scored in (chosen, *fitted):
-            self.add(scored, chosen)
+            self.add(scored)
 
     @property
     def likely(self) -> list[Scored]:
@@ -162,57 +184,27 @@ class _Comparison:
                 self.compare_neighbours(here)
         ranked = sorted(self.known_sets, key=self.weight, reverse=True)
         along = self.errors.along(self.as_fitted(ranked[0]))
-        return Compared(normalised(self.by_names(), along), tuple(ranked), self.gain(chosen))
-
-    def gain(self, chosen: Scored) -> float:
-        """Logarithm of how much more probable the best set is than the one that was begun with."""
-        return self.weight(self.best) - self.weight(self.as_known(chosen))
+        return Compared(normalised(self.by_names(), along), tuple(ranked), self.as_known(self.base))
 
     def as_known(self, scored: Scored) -> Scored:
         """The set as it is fitted by now: further on where its fit had used up its steps."""
-        terms = _key(scored.terms)
-        return (
-            scored
-            if scored in self.known_sets
-            else next(other for other in self.known_sets if _key(other.terms) == terms)
-        )
+        return self._fits[_key(scored.terms)]
 
     def weight(self, scored: Scored) -> float:
         """Logarithm of prior times likelihood of a set, whichever of the frames that are free in it act."""
         return self._weights[scored]
 
-    def add(self, scored: Scored, near: Scored | None = None) -> None:
-        """A set as it is fitted, beside everything unknown; beside the error of a set `near` it where that is hopeless.
-
-        It is where that error makes it less probable than the set near it, or than the best one of others there.
-        """
-        if scored in self.known_sets:
-            return
-        terms, (widths, owners) = self._named(scored), self._of_fit(scored)
-        built = sum(map(is_built, scored.terms))
-        whole = linear(scored.fit).widened(owners, widths).centred(scored.fit.noise, self.root)
-        if near is None or near not in self.known_sets:
-            self._weigh(scored, widths, whole)
-            return
-        names = frozenset(t.name for t in terms)
-        rough = self._first_order(near, names, self._cost(names, widths, built), built, whole)
-        mine = self.known_sets[near]
-        best, as_weighed = self._best_near.get(near, (mine, mine))
-        if rough.weight < best.weight - WINDOW:
-            result = replace(rough, beside=rough.beside + as_weighed.beside - best.beside)
-            self.known_sets[scored], self._weights[scored] = result, result.weight
-            _note(self._promised, terms, result)
-            return
-        self._weigh(scored, widths, whole)
-        if rough.weight > best.weight:
-            self._best_near[near] = rough, self.known_sets[scored]
-
-    def _weigh(self, scored: Scored, widths: Mapping[str, Width], whole: Linearised) -> None:
-        """A set beside everything unknown; to first order without any of the frames, which are free in all fits.
+    def add(self, scored: Scored) -> None:
+        """A set as it is fitted, beside everything unknown; to first order without any of the frames that are free.
 
         Beside the same error where that is hopeless.
         """
-        terms, owners, weights = self._named(scored), scored.fit.chain.owners, list[float]()
+        if scored in self.known_sets:
+            return
+        self._fits[_key(scored.terms)] = scored
+        widths, owners = self._of_fit(scored)
+        whole = linear(scored.fit).widened(owners, widths).centred(scored.fit.noise, self.root)
+        terms, weights = self._named(scored), list[float]()
         built = sum(map(is_built, scored.terms))
         spectra, complete = self.errors.spectra(whole), list[_Set]()
         for gone in self._frames(scored):
@@ -244,7 +236,7 @@ class _Comparison:
         free = [t.name for t in self._named(scored) if t.name not in scored.names]
         return [frozenset(some) for count in range(len(free) + 1) for some in combinations(free, count)]
 
-    def climb(self) -> None:
+    def climb(self, tell: Teller) -> None:
         """Fits sets of one effect more or less than the most probable of each size, while these are more probable.
 
         Sizes count as far as one effect's prior odds may hide the better one.
@@ -263,16 +255,15 @@ class _Comparison:
             if not near:
                 return
             here = max(near, key=self.weight)
-            self.bench.pause()
+            tell.pause()
             if (further := self.bench.continued(here)) is not here:
                 self._forget(here)
                 self.add(further)
                 continue
             self._expanded.add(here)
-            for variants in self._more(here):
-                self._fit_best(variants, here)
-            for gone in here.terms:
-                for variants in self._instead(here, gone):
+            more = ((enlarged.weight, [*here.terms, *added]) for added, enlarged, _ in self._neighbours(here))
+            for promises in (more, *(self._replaced(here, gone) for gone in here.terms)):
+                for variants in self._worth_a_fit(here, promises):
                     self._fit_best(variants, here)
 
     def _fit_best(self, variants: Sequence[Promise], here: Scored) -> None:
@@ -284,50 +275,38 @@ class _Comparison:
         for promised, terms in variants:
             if promised <= highest:
                 return
-            scored = self.bench.scored(terms, here.fit, None)
-            self.add(scored, here)
-            highest = max(highest, self.known_sets[self.as_known(scored)].weight)
+            highest = max(highest, self.known_sets[self._fitted(terms, here)].weight)
 
-    def _more(self, here: Scored) -> list[list[Promise]]:
-        """The most probable neighbours of a set by their first step, of different effects."""
-        promises = ((enlarged.weight, [*here.terms, *added]) for added, enlarged, _ in self._neighbours(here))
-        return self._worth_a_fit(here, promises)
-
-    def _instead(self, here: Scored, gone: Term) -> list[list[Promise]]:
-        """Sets with another effect or none in the place of one of a set, by their first step from where that acts."""
-        return self._worth_a_fit(here, self._replaced(here, gone))
+    def _fitted(self, terms: Sequence[Term], here: Scored) -> Scored:
+        """A set near another one, as it is fitted then: from where it was, from there, or from where fits start."""
+        known, places = self._fits.get(_key(terms)), (*_places(self.earlier, terms), here.fit, None)
+        scored = self.bench.improved(known, here.fit) if known else self.bench.scored(terms, *places)
+        self.add(scored)
+        return scored
 
     def _worth_a_fit(self, here: Scored, promises: Iterable[Promise]) -> list[list[Promise]]:
-        """Promised sets near another by the effect that they end with, the most probable first.
-
-        One that brings nothing loses no more than its prior odds, and as much again for its parameters.
-        """
+        """Promised sets near another by the effect that they end with, the most probable first."""
         variants: dict[str, list[Promise]] = {}
         for weight, terms in promises:
-            if weight > self._least(here):
+            if weight > self.known_sets[here].weight + VAIN:
                 variants.setdefault(terms[-1].name if terms else "", []).append((weight, terms))
         ranked = [sorted(several, key=lambda variant: -variant[0]) for several in variants.values()]
         return sorted(ranked, key=lambda several: -several[0][0])[:REFITTED]
 
-    def _least(self, here: Scored) -> float:
-        """What a set near another has to promise."""
-        return self.known_sets[here].weight + 2 * log_odds(ACTS)
-
     def _replaced(self, here: Scored, gone: Term) -> Iterator[Promise]:
         """Sets without an effect of a set, with each that may be added or none, to first order.
 
-        Those that leave the poses too far off, however little their parameters cost, are not weighed.
+        Those that leave the poses too far off, for as much as fewer parameters cost less, are not weighed.
         """
-        mine, rest = self.known_sets[here], [t for t in here.terms if t is not gone]
+        rest = [t for t in here.terms if t is not gone]
         own = linear(here.fit)
-        most = own.loss + 2 * (mine.weight - self._least(here))
         near = [(added, screened.linear, screened.owners) for added, _, screened in self._neighbours(here)]
         for added, whole, owners in [*near, ([], own, here.fit.chain.owners)]:
             if any(t.effect.needs == gone.name for t in (*rest, *added)):
                 continue
             kept = np.array(owners) != gone.name
             left = whole.without(~kept).refitted()
-            if left.loss < most:
+            if max(left.evidence - own.evidence, (own.loss - left.loss) / 2) > VAIN:
                 lacking = self._lacking(here, gone, added, left, np.array(owners)[kept].tolist())
                 yield lacking.weight, [*rest, *added]
 
@@ -366,14 +345,13 @@ class _Comparison:
 
     def compare_less(self, here: Scored) -> None:
         """Compares a set with those of one effect less, to first order where that makes them hopeless."""
-        known = {_key(scored.terms) for scored in self.known_sets}
         for gone in here.terms:
             rest, kept = [t for t in here.terms if t is not gone], np.array(here.fit.chain.owners) != gone.name
             left = linear(here.fit).without(~kept).refitted()
             lacking = self._lacking(here, gone, [], left, np.array(here.fit.chain.owners)[kept].tolist())
             if lacking.weight > self.known_sets[here].weight - WINDOW:
-                self.add(self.bench.scored(rest, here.fit), here)
-            elif _key(rest) not in known:
+                self._fitted(rest, here)
+            elif _key(rest) not in self._fits:
                 _note(self._promised, [t for t in self._named(here) if t.name != gone.name], lacking)
 
     def compare_neighbours(self, here: Scored) -> None:

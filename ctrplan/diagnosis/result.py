@@ -12,15 +12,15 @@ import numpy as np
 from ctrplan.base.package import __version__, shown
 from ctrplan.calibration.estimates import Errors, estimates
 from ctrplan.calibration.fit_warnings import other_tubes
+from ctrplan.calibration.reading import MisreadError, Reading
 from ctrplan.calibration.residuals import Noise
 from ctrplan.calibration.robot_content import calibrated_content, model_error_m
 from ctrplan.diagnosis.adequacy import ChiSquare
 from ctrplan.diagnosis.built_term import Built
 from ctrplan.diagnosis.correlated_bench import FRAMES
-from ctrplan.diagnosis.gap import Gap
+from ctrplan.diagnosis.held_out import Gap
 from ctrplan.diagnosis.next_experiment import Decision, Proposal
 from ctrplan.diagnosis.partial_diagnosis import PartialDiagnosis
-from ctrplan.diagnosis.reading import MisreadError, Reading
 from ctrplan.diagnosis.remainder import Place, Remainder
 from ctrplan.diagnosis.slips import Slip
 from ctrplan.diagnosis.verdict import Judgement, Posterior, Verdict, names_of

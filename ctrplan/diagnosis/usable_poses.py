@@ -91,7 +91,6 @@ def _joined(number: NDArray[np.int_], pairs: NDArray[np.int_], share: float) -> 
 
 
 APART_M = 5e-3  # of a simulated history and a solution found afresh, in the same friction state
-MOST = 0.1  # of the poses: where there are more, the model is not this robot
 
 
 def on_one_branch(bench: CorrelatedBench, chosen: Scored) -> NDArray[np.bool_]:
@@ -101,7 +100,7 @@ def on_one_branch(bench: CorrelatedBench, chosen: Scored) -> NDArray[np.bool_]:
     apart = _apart_m(*bench.rubbing(chosen)) > APART_M
     if not chosen.fit.chain.robot_at(chosen.fit.p).friction.any():
         apart |= _apart_m(chosen.fit.chain, chosen.fit.p) > APART_M
-    return ~apart if apart.mean() <= MOST else np.ones(bench.data.count, bool)
+    return np.ones(len(apart), bool) if too_many(apart, np.ones(len(apart), bool)) else ~apart
 
 
 def _apart_m(chain: ParametricChain, p: Array) -> Array:
@@ -151,15 +150,17 @@ def bench_of(robot: Robot, data: Measurements, parts: Split, noise: Noise) -> Wo
 def without_outliers(
     robot: Robot, data: Measurements, usable: NDArray[np.bool_], noise: Noise
 ) -> tuple[NDArray[np.bool_], Split, Workbench]:
-    """Poses (K,) that went wrong, and split and bench without them. Found by the calibrated model without effects."""
+    """Poses (K,) that went wrong, and split and bench without them, of a continuous motion with poses that stand apart.
+
+    Found by the calibrated model without effects.
+    """
     wrong = np.zeros(data.count, bool)
     while True:
         parts = checked_split(data, usable & ~wrong)
-        some = thinned(parts, data)
-        bench = bench_of(robot, data, some, noise)
+        bench = bench_of(robot, data, thinned(parts, data), noise)
         more = gross_outliers(bench.scored([]).fit, data, usable & ~wrong)
         if not more.any() or too_many(wrong | more, usable):
-            return wrong, parts, bench if some is parts else bench_of(robot, data, parts, noise)
+            return wrong, parts, bench
         wrong |= more
 
 

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import threading
 from collections import Counter
-from collections.abc import Callable, Collection, Mapping, Sequence
-from copy import copy
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
+from ctrplan.base.long_work import StageProgress
 from ctrplan.calibration.least_squares import Fit, fit, fit_at
 from ctrplan.calibration.parameters import ABSOLUTE_STIFFNESS, BaseParameters
 from ctrplan.calibration.residuals import UNSOUND, Noise, residuals, robust_square
@@ -132,27 +133,58 @@ class SelectionStep:
     taken: bool
 
 
+class Interrupted(Exception):
+    """Ctrl-C between two fits."""
+
+
+HELD_OUT_SHARE = 0.95  # of the work done when the held-out set is asked
+
+
+@dataclass(eq=False)
+class Teller:
+    """Names the steps to whoever watches, and stops between fits when asked to."""
+
+    progress: StageProgress | None = None
+    interrupted: threading.Event | None = None
+    share: float = 0.05
+
+    def pause(self) -> None:
+        """Where a run may stop."""
+        if self.interrupted is not None and self.interrupted.is_set():
+            raise Interrupted
+
+    def __call__(self, step: str) -> None:
+        """A step begins."""
+        self.pause()
+        self.share += 0.25 * (HELD_OUT_SHARE - self.share)  # how many steps there will be is not known
+        if self.progress:
+            self.progress(step, self.share)
+
+
 Bench = TypeVar("Bench", bound="Workbench")
+Answer = TypeVar("Answer")
 
 
+@dataclass(frozen=True, eq=False)
 class Workbench:
-    """Everything that stays the same while sets of effects are compared. What it remembers are its own answers."""
+    """Everything that stays the same while sets of effects are compared.
 
-    def __init__(self, robot: Robot, data: Measurements, noise: Noise, group: NDArray[np.int_]) -> None:
-        """group (K,): poses that are left out together."""
-        self.robot, self.data, self.noise, self.group = robot, data, noise, group
-        self.pause: Callable[[], None] = lambda: None  # called between fits; may raise to stop
-        self._correction: tuple[Array, Array] | None = None
-        self._done: dict[frozenset[str], Scored] = {}
-        self._before: dict[frozenset[str], Fit] = {}  # beside other friction states and discrepancies
-        self._tried: dict[frozenset[str], list[Fit | None]] = {}  # where fits of a set began
-        self._sized: dict[Scored, Scored] = {}  # with wide priors
-        self._screened: dict[tuple[Scored, frozenset[str]], list[Screened]] = {}
+    A value: an answer depends on its question alone, and the same question has it at once.
+    """
 
-    @property
-    def visited(self) -> tuple[Scored, ...]:
-        """Sets that were fitted, as far as they still count."""
-        return tuple(self._done.values())
+    robot: Robot
+    data: Measurements
+    noise: Noise
+    group: NDArray[np.int_]  # (K,) poses that are left out together
+    correction: tuple[Array, Array] | None = None  # what friction states leave out of positions and tangents
+    _answers: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False)
+
+    def _once(self, question: Hashable, answer: Callable[[], Answer]) -> Answer:
+        """The answer to a question with all that it depends on, worked out once."""
+        if question not in self._answers:
+            self._answers[question] = answer()
+        known: Answer = self._answers[question]
+        return known
 
     @cached_property
     def whitening_group(self) -> NDArray[np.int_]:
@@ -170,27 +202,26 @@ class Workbench:
         return [self.base(terms)]
 
     def scored(self, terms: Sequence[Term], *near: Fit | None) -> Scored:
-        """The base and `terms` fitted together, from the values of a fit in `near` where it has them.
-
-        None in `near` stands for where a fit starts without any. A set that is known already is fitted again from a
-        place that promises more: the first fit may have ended in another valley, or where robots snap. One that another
-        bench had fitted may start there as well.
+        """The base and `terms` fitted together, from the most promising of the places `near`: values of fits, where
+        they have them; None stands for where a fit starts without any.
         """
-        key = frozenset(t.key for t in terms)
-        tried = self._tried.setdefault(key, [])
-        known = self._done.get(key)
-        earlier = [] if known else [f for f in [self._before.get(key)] if f]
-        places = [f for f in dict.fromkeys([*earlier, *(near or (None,))]) if not any(f is other for other in tried)]
-        if known is None or places:
-            self.pause()
-            tried += places
-            chain = self.chain([*self.basis(terms), *terms])
-            start, promised = self._start(chain, places, compared=known is not None)
-            if known is None or promised < known.fit.residuals.loss - WORTH_ANOTHER:
-                result = Scored(tuple(terms), fit(chain, self.noise, self.whitening_group, start))
-                known = result if known is None or result.fit.loss < known.fit.loss else known
-                self._done[key] = known
-        return known
+        question = "scored", tuple(terms), near
+        return self._once(question, lambda: self._fitted(terms, near or (None,)))
+
+    def _fitted(self, terms: Sequence[Term], near: Sequence[Fit | None]) -> Scored:
+        chain = self.chain([*self.basis(terms), *terms])
+        start, _ = self._start(chain, near)
+        return Scored(tuple(terms), fit(chain, self.noise, self.whitening_group, start))
+
+    def improved(self, known: Scored, near: Fit) -> Scored:
+        """A set fitted again from another place, if that promises more and keeps it: the first fit may have ended in
+        another valley, or where robots snap.
+        """
+        start, promised = self._start(known.fit.chain, [near], compared=True)
+        if promised >= known.fit.residuals.loss - WORTH_ANOTHER:
+            return known
+        again = replace(known, fit=fit(known.fit.chain, self.noise, self.whitening_group, start))
+        return again if again.fit.loss < known.fit.loss else known
 
     def continued(self, scored: Scored) -> Scored:
         """A set whose fit has used up its steps, fitted on from there until it converges or gets no better."""
@@ -198,42 +229,32 @@ class Workbench:
             further = replace(scored, fit=fit(scored.fit.chain, self.noise, self.whitening_group, scored.fit.p))
             if further.fit.loss > scored.fit.loss - WORTH_ANOTHER:
                 break
-            scored = self._done[frozenset(t.key for t in scored.terms)] = further
+            scored = further
         return scored
 
     def chain(self, terms: Sequence[Term]) -> ParametricChain:
         """The chain of terms, with friction as it is known by now."""
         chain = ParametricChain(self.robot, self.data, terms)
         if self._has_friction(terms):
-            chain.correction = self._correction
+            chain.correction = self.correction
         return chain
 
     def _has_friction(self, terms: Sequence[Term]) -> bool:
         return bool(self.robot.friction.any()) or any(t.name == "friction" for t in terms)
 
-    def pausing(self: Bench, pause: Callable[[], None]) -> Bench:
-        """The bench with something else called between fits."""
-        other = copy(self)
-        other.pause = pause
-        return other
-
     def corrected(self: Bench, scored: Scored) -> tuple[Bench, Scored]:
-        """A bench that has what friction states leave out of a set, and the set fitted there; this one stays."""
+        """A bench that has what friction states leave out of a set, and the set fitted there."""
         bench = self
         for _ in range(CORRECTIONS[self.data.is_stream] if self._has_friction(scored.terms) else 0):
-            bench = bench._beginning(lambda known: not self._has_friction(known.terms))
-            bench._correction = friction_correction(scored.fit.chain, scored.fit.p)
+            bench = replace(bench, correction=friction_correction(scored.fit.chain, scored.fit.p))
             scored = bench.scored(scored.terms, scored.fit)
         return bench, scored
 
-    def _beginning(self: Bench, is_kept: Callable[[Scored], bool] = lambda _: False) -> Bench:
-        """Another bench, which remembers of this one's sets those that are kept."""
-        other = copy(self)
-        other._done = {key: known for key, known in self._done.items() if is_kept(known)}
-        other._before = {**self._before, **{key: known.fit for key, known in self._done.items()}}
-        other._tried = {key: list(tried) for key, tried in self._tried.items() if key in other._done}
-        other._sized, other._screened = {}, {}
-        return other
+    def stands(self, scored: Scored) -> bool:
+        """Whether a set that another bench fitted is what this one would fit: all but friction states is the same."""
+        chain = scored.fit.chain
+        is_like = chain.data is self.data and scored.fit.noise is self.noise
+        return is_like and (not self._has_friction(scored.terms) or chain.correction is self.correction)
 
     def _start(self, chain: ParametricChain, near: Sequence[Fit | None], compared: bool = False) -> tuple[Fit, float]:
         """What a fit would be at the one of several starts whose first step promises most, and the loss promised.
@@ -277,14 +298,16 @@ class Workbench:
         Priors say where to look. The size of an effect that is there is for the data to say: a prior that it exceeds
         would draw it in and make its interval too narrow.
         """
-        if scored not in self._sized:
-            chain = scored.fit.chain
-            widths = widths_of(linear(scored.fit), chain.owners, scored.names)
-            wide = {name: width.over_stated for name, width in widths.items()}
-            terms = [_widened(t, max(1.0, wide.get(t.name, 1.0))) for t in chain.terms]
-            freed = fit(chain.with_terms(terms), self.noise, self.whitening_group, scored.fit.p)
-            self._sized[scored] = replace(scored, fit=freed) if max(wide.values(), default=1.0) > 1 else scored
-        return self._sized[scored]
+        return self._once(("sized", scored), lambda: self._sized(scored))
+
+    def _sized(self, scored: Scored) -> Scored:
+        chain = scored.fit.chain
+        widths = widths_of(linear(scored.fit), chain.owners, scored.names)
+        wide = {name: width.over_stated for name, width in widths.items()}
+        if max(wide.values(), default=1.0) <= 1:
+            return scored
+        terms = [_widened(t, max(1.0, wide.get(t.name, 1.0))) for t in chain.terms]
+        return replace(scored, fit=fit(chain.with_terms(terms), self.noise, self.whitening_group, scored.fit.p))
 
     def screened(
         self, here: Scored, others: Sequence[Term], completed: Callable[[Sequence[Term], Term], Sequence[Term]]
@@ -293,9 +316,12 @@ class Workbench:
 
         `completed` adds what a variant needs to the terms that it stands beside.
         """
-        key = here, frozenset(t.key for t in others)
-        if key in self._screened:
-            return self._screened[key]
+        question = "screened", here, tuple(others), completed
+        return self._once(question, lambda: self._screened(here, others, completed))
+
+    def _screened(
+        self, here: Scored, others: Sequence[Term], completed: Callable[[Sequence[Term], Term], Sequence[Term]]
+    ) -> list[Screened]:
         panel, screened = self.panel(here, others), list[Screened]()
         for other in others:
             if not self._is_as_in_panel(other):
@@ -306,7 +332,6 @@ class Workbench:
             places = panel.places(together)
             owners = tuple(panel.keys[k][0] for k in places)
             screened.append(Screened(other, panel.whole.columns(places).refitted(), owners, panel, places))
-        self._screened[key] = screened
         return screened
 
     def _is_as_in_panel(self, other: Term) -> bool:

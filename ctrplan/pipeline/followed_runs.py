@@ -9,6 +9,7 @@ the next waypoint, from the friction state it had; the tip remembers that for so
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -17,9 +18,11 @@ import numpy as np
 from ctrplan.base.arrays import Array
 from ctrplan.errors import SolverError
 from ctrplan.measurement.approach import friction_state, needed_waypoints
+from ctrplan.measurement.measurements import Measurements
 from ctrplan.mechanics.history import History, HistoryPath, Start
 from ctrplan.mechanics.shapes import Status
 from ctrplan.pipeline.parametric_chain import ParametricChain
+from ctrplan.pipeline.term import Term
 from ctrplan.pipeline.tip_table import markers_on, nested, on_body, point_table
 from ctrplan.robot.robot import Robot
 
@@ -126,3 +129,10 @@ def friction_correction(chain: ParametricChain, p: Array) -> tuple[Array, Array]
     wild = ~(np.linalg.norm(shift, axis=1) < LARGEST_M)
     shift[wild], turn[wild] = 0.0, 0.0
     return shift, turn
+
+
+def simulated(robot: Robot, data: Measurements, terms: Sequence[Term], p: Array) -> ParametricChain:
+    """The chain of terms for some data, with what friction states leave out of its poses at parameters (P,)."""
+    chain = ParametricChain(robot, data, terms)
+    chain.correction = friction_correction(chain, p)
+    return chain

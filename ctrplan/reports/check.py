@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ctrplan.base.arrays import HOUR_S, MM_PER_M, Array
+from ctrplan.calibration.reading import how_taken, read_again
 from ctrplan.certificate.certificate import FIGURES
-from ctrplan.diagnosis.reading import how_taken, read_again
 from ctrplan.drive.legs import Collars
 from ctrplan.errors import InputError
 from ctrplan.files.measurement_file import load_measurements

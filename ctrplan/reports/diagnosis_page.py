@@ -17,11 +17,11 @@ from ctrplan.diagnosis.correlated_bench import FRAMES
 from ctrplan.diagnosis.next_experiment import Proposal
 from ctrplan.diagnosis.partial_diagnosis import Part
 from ctrplan.diagnosis.result import Diagnosis
-from ctrplan.diagnosis.sentences import built_lines, headline, in_figures, probabilities, verdict_sentence
 from ctrplan.effects.learned.inputs import unit
 from ctrplan.pipeline.term import Term
 from ctrplan.reports import looks
 from ctrplan.reports.diagnosis_figures import SelectionErrors, gap_figure, path_figure, signature_figure, where_figure
+from ctrplan.reports.diagnosis_words import built_lines, headline, in_figures, probabilities, verdict_sentence
 from ctrplan.reports.html_page import plot, rendered
 from ctrplan.reports.words import Markup, term
 from ctrplan.storage.output_folder import write_atomically

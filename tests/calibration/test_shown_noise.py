@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from measured_data import SIGMA_M, pair_robot
 
-from ctrplan.calibration.observed_noise import observed_noises
-from ctrplan.diagnosis.adequacy import noise_floor
+from ctrplan.calibration.observed_noise import noise_floor, observed_noises
 from ctrplan.errors import InputError
 from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.measurement.measurements import Measurements

@@ -10,8 +10,8 @@ from measured_data import pair_robot
 from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
+from ctrplan.calibration import fit_warnings
 from ctrplan.calibration.residuals import Noise
-from ctrplan.diagnosis import usable_poses
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
 from ctrplan.diagnosis.usable_poses import on_one_branch
 from ctrplan.measurement.measurements import Measurements
@@ -67,5 +67,5 @@ def test_tubes_that_do_not_snap_and_poses_at_rest_have_one_branch() -> None:
 
 
 def test_a_model_that_is_on_another_branch_in_many_places_says_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(usable_poses, "MOST", 0.01)
+    monkeypatch.setattr(fit_warnings, "MOST_WRONG", 0.01)
     assert asked(curved(12.0), turned(WAY)).all()

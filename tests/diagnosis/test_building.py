@@ -16,17 +16,16 @@ from measured_data import SIGMA_M, measured, pair_robot, waypoints
 
 from ctrplan.__main__ import main
 from ctrplan.calibration.least_squares import Fit
+from ctrplan.calibration.observed_noise import noise_floor
 from ctrplan.calibration.residuals import Noise
-from ctrplan.diagnosis import CATALOGUE, Diagnosis, diagnose, workflow
+from ctrplan.diagnosis import CATALOGUE, Diagnosis, diagnose, held_out
 from ctrplan.diagnosis import built_term as term_building
-from ctrplan.diagnosis.adequacy import noise_floor
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
-from ctrplan.diagnosis.gap import Gap
+from ctrplan.diagnosis.held_out import Gap
 from ctrplan.diagnosis.partial_diagnosis import diagnose_partially
-from ctrplan.diagnosis.sentences import effect_lines, verdict_sentence
 from ctrplan.diagnosis.term_pieces import TermPiece, built_term, pieces, wide_linearisation, with_piece
 from ctrplan.diagnosis.usable_poses import usable_poses
-from ctrplan.diagnosis.workbench import Scored, candidates
+from ctrplan.diagnosis.workbench import Scored, Teller, candidates
 from ctrplan.effects.learned import parts
 from ctrplan.effects.learned.inputs import InputRange, Target
 from ctrplan.effects.learned.learned import named
@@ -34,6 +33,7 @@ from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.reports.diagnosis_figures import selection_errors
 from ctrplan.reports.diagnosis_page import diagnosis_report_html
+from ctrplan.reports.diagnosis_words import effect_lines, verdict_sentence
 
 ROBOT = pair_robot()
 PLAN = waypoints(ROBOT, 18)
@@ -91,7 +91,7 @@ def test_the_robot_that_is_handed_over_turns_as_the_true_one() -> None:
 def test_what_the_catalogue_has_is_named_beside_a_built_term_that_had_hidden_it() -> None:
     data, quick = rippled(OFFSET), {name: CATALOGUE[name] for name in ("sensor_offset", "tip_load")}
     noise, usable = noise_floor(ROBOT, data)[0], usable_poses(ROBOT, data)
-    before = diagnose_partially(ROBOT, data, usable, noise, candidates(ROBOT, data, quick), lambda _: None)
+    before = diagnose_partially(ROBOT, data, usable, noise, candidates(ROBOT, data, quick), Teller())
     assert {f.term.name for f in before.judgement.findings} <= {"sensor_offset"}
     after = diagnose(ROBOT, data, catalogue=quick)
     assert after.verdict == "partial" and [t.name for t in after.listed] == ["sensor_offset"]
@@ -105,14 +105,14 @@ def test_what_the_catalogue_has_is_named_beside_a_built_term_that_had_hidden_it(
 
 @thorough("test_what_the_catalogue_has_is_named_beside_a_built_term_that_had_hidden_it")
 def test_names_stay_where_the_poses_kept_aside_take_the_term_back(monkeypatch: pytest.MonkeyPatch) -> None:
-    opened = workflow.open_test_set
+    opened = held_out.open_test_set
 
     def further(before: Fit, after: Fit, *more: Any) -> Gap:
         gap = opened(before, after, *more)
         is_built = any(t.name.startswith("learned_") for t in after.chain.terms)
         return replace(gap, after=replace(gap.after, rms_m=1.0)) if is_built else gap
 
-    monkeypatch.setattr(workflow, "open_test_set", further)
+    monkeypatch.setattr(held_out, "open_test_set", further)
     after = diagnose(ROBOT, rippled(FURTHER), catalogue={"sensor_offset": CATALOGUE["sensor_offset"]})
     assert after.verdict == "partial" and [t.name for t in after.listed] == ["sensor_offset"]
     assert after.built is None and any("taken back" in note for note in after.notes)
@@ -123,7 +123,7 @@ def test_a_search_that_builds_nothing_leaves_what_was_found_as_it_is(monkeypatch
     beside, corrected, grown = list[tuple[str, ...]](), CorrelatedBench.corrected, term_building._grown
     data = rippled()
     noise, usable = noise_floor(ROBOT, data)[0], usable_poses(ROBOT, data)
-    before = diagnose_partially(ROBOT, data, usable, noise, candidates(ROBOT, data, {}), lambda _: None)
+    before = diagnose_partially(ROBOT, data, usable, noise, candidates(ROBOT, data, {}), Teller())
 
     def noted(bench: CorrelatedBench, scored: Scored, **how: bool) -> tuple[CorrelatedBench, Scored]:
         beside.append(scored.names)
@@ -132,12 +132,12 @@ def test_a_search_that_builds_nothing_leaves_what_was_found_as_it_is(monkeypatch
     def vain(bench: CorrelatedBench, chosen: Scored, *more: Any) -> tuple[CorrelatedBench, Scored, list[Any]]:
         return bench, chosen, grown(bench, chosen, *more)[2]
 
-    noise_before, visited = before.bench.noise, before.bench.visited
+    noise_before = before.bench.noise
     monkeypatch.setattr(term_building, "_grown", vain)
     monkeypatch.setattr(CorrelatedBench, "corrected", noted)
-    assert term_building.build(before, lambda _: None) is None
+    assert term_building.build(before, Teller()) is None
     assert ("learned_theta_2",) in beside
-    assert before.bench.noise is noise_before and before.bench.scored(before.chosen.terms) in visited
+    assert before.bench.noise is noise_before and before.chosen.fit.noise is noise_before
 
 
 def test_a_robot_that_has_its_term_lacks_nothing_more() -> None:

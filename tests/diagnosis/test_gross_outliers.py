@@ -19,9 +19,9 @@ from ctrplan.calibration.fit_warnings import LEAST, far_from_all
 from ctrplan.calibration.residuals import MODEL_POSITION_M
 from ctrplan.calibration.robot_content import CHI95
 from ctrplan.diagnosis import CATALOGUE, Diagnosis, diagnose
-from ctrplan.diagnosis.gap import LARGEST_REST, largest_remainder, times_noise
-from ctrplan.diagnosis.sentences import verdict_sentence
+from ctrplan.diagnosis.held_out import LARGEST_REST, largest_remainder, times_noise
 from ctrplan.measurement.measurements import Measurements
+from ctrplan.reports.diagnosis_words import verdict_sentence
 
 ROBOT = pair_robot()
 PLAN = waypoints(ROBOT, 20)

@@ -9,8 +9,8 @@ import pytest
 from measured_data import pair_robot, waypoints
 
 from ctrplan.base.arrays import Array
-from ctrplan.diagnosis.conclusion import HELD_OUT_SHARE, Teller
 from ctrplan.diagnosis.remainder import localise, most_probable_variances, quantities
+from ctrplan.diagnosis.workbench import HELD_OUT_SHARE, Teller
 from ctrplan.measurement.measurements import Measurements
 
 DATA = waypoints(pair_robot(), 18)

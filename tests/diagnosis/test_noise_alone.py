@@ -9,8 +9,9 @@ import pytest
 from made_up_input import FUZZ
 from measured_data import measured, pair_robot, waypoints
 
+from ctrplan.calibration.observed_noise import noise_floor
 from ctrplan.diagnosis import CATALOGUE, diagnose
-from ctrplan.diagnosis.adequacy import noise_floor, remains
+from ctrplan.diagnosis.adequacy import remains
 from ctrplan.diagnosis.posterior import compared
 from ctrplan.diagnosis.verdict import Posterior
 from ctrplan.diagnosis.workbench import Scored, Workbench, candidates

@@ -15,24 +15,25 @@ from measured_data import measured, pair_robot, waypoints, write_csv
 from unbuilt import build_nothing
 
 from ctrplan.__main__ import main
+from ctrplan.calibration.observed_noise import noise_floor
 from ctrplan.diagnosis import CATALOGUE, Diagnosis, diagnose
-from ctrplan.diagnosis.adequacy import noise_floor, remains
+from ctrplan.diagnosis.adequacy import remains
 from ctrplan.diagnosis.conclusion import Conclusion
 from ctrplan.diagnosis.confirmation import confirm
 from ctrplan.diagnosis.correlated_bench import frames
+from ctrplan.diagnosis.held_out import opened
 from ctrplan.diagnosis.next_experiment import next_experiment
 from ctrplan.diagnosis.partial_diagnosis import Closing, PartialDiagnosis, diagnose_partially
-from ctrplan.diagnosis.sentences import effect_lines
 from ctrplan.diagnosis.usable_poses import usable_poses
 from ctrplan.diagnosis.verdict import Alternative, Finding
-from ctrplan.diagnosis.workbench import candidates
-from ctrplan.diagnosis.workflow import opened
+from ctrplan.diagnosis.workbench import Teller, candidates
 from ctrplan.errors import InputError
 from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.pipeline.term import term
 from ctrplan.reports.diagnosis_figures import selection_errors
 from ctrplan.reports.diagnosis_page import diagnosis_report_html, gap_split, share_table
+from ctrplan.reports.diagnosis_words import effect_lines
 
 ROBOT = pair_robot()
 PLAN, OTHERS = waypoints(ROBOT, 18), waypoints(ROBOT, 8, seed=5)
@@ -107,9 +108,7 @@ def test_what_follows_any_smooth_error_is_not_named_beside_one() -> None:
     """On a pair the place of the tip gives the joints away: a distortion by place is any smooth error of the joints."""
     data = beside_a_rest({}, waypoints(ROBOT, 32, seed=3))
     known = candidates(ROBOT, data, {name: CATALOGUE[name] for name in ("sensor_distortion", "sensor_offset")})
-    found = diagnose_partially(
-        ROBOT, data, usable_poses(ROBOT, data), noise_floor(ROBOT, data)[0], known, lambda _: None
-    )
+    found = diagnose_partially(ROBOT, data, usable_poses(ROBOT, data), noise_floor(ROBOT, data)[0], known, Teller())
     assert not found.judgement.findings
 
 

@@ -17,7 +17,7 @@ from ctrplan.base.arrays import Array
 from ctrplan.calibration.discrepancy import decay
 from ctrplan.diagnosis import CATALOGUE, Diagnosis, diagnose
 from ctrplan.diagnosis.conclusion import Conclusion
-from ctrplan.diagnosis.workflow import opened
+from ctrplan.diagnosis.held_out import opened
 from ctrplan.measurement.measurements import Measurements
 
 ROBOT, COUNT, MEMORY_S, LATE_S = pair_robot(), 500, 1.5, 0.2

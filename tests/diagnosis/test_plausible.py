@@ -10,15 +10,15 @@ import pytest
 from measured_data import measured, pair_robot, waypoints
 
 from ctrplan.calibration.fit_warnings import is_strained, strained, symptoms
+from ctrplan.calibration.observed_noise import noise_floor
 from ctrplan.calibration.residuals import robust_square
-from ctrplan.diagnosis import CATALOGUE, diagnose, workflow
-from ctrplan.diagnosis.adequacy import noise_floor
-from ctrplan.diagnosis.gap import LARGEST_REST, contradiction, largest_remainder
+from ctrplan.diagnosis import CATALOGUE, diagnose, held_out
+from ctrplan.diagnosis.held_out import LARGEST_REST, contradiction, largest_remainder
 from ctrplan.diagnosis.posterior import settled
-from ctrplan.diagnosis.sentences import verdict_sentence
 from ctrplan.diagnosis.verdict import judge
-from ctrplan.diagnosis.workbench import Workbench, candidates
+from ctrplan.diagnosis.workbench import Teller, Workbench, candidates
 from ctrplan.pipeline.term import Term, term
+from ctrplan.reports.diagnosis_words import verdict_sentence
 
 ROBOT = pair_robot()
 PLAN = waypoints(ROBOT, 18)
@@ -86,7 +86,7 @@ def test_beside_enlarged_noise_no_effect_is_larger_than_is_plausible(play_deg: f
     }
     for robot, told in ((ROBOT, "named"), (pair_robot(measurement=half), verdict)):
         bench = Workbench(robot, data, noise, data.configuration)
-        _, found, chosen, _ = settled(bench, bench.scored([]), few)
+        _, found, chosen, _ = settled(bench, bench.scored([]), few, Teller())
         assert judge(bench, chosen, few, found.posterior, found.sets).verdict == told
 
 
@@ -113,9 +113,8 @@ def test_what_parameters_leave_open_is_no_contradiction_and_is_told() -> None:
 
 
 def test_what_the_robot_file_s_numbers_contradict_lists_no_effect(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The fit agrees with the poses kept aside, the robot that would be written does not."""
-    told = iter(["", "The figures contradict it."])
-    monkeypatch.setattr(workflow, "contradiction", lambda *_: next(told))
+    """The robot that would be written does not agree with the poses kept aside."""
+    monkeypatch.setattr(held_out, "contradiction", lambda verdict, *_: "The figures contradict it.")
     found = diagnose(ROBOT, measured(ROBOT, PLAN, BASE | {"backlash": {"theta_2_deg": 8.0}}), catalogue=FEW)
     assert found.verdict == "unexplained" and "The figures contradict it." in found.notes
     assert not found.listed and found.chosen.names == ()

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from ctrplan.__main__ import main
 from ctrplan.base.arrays import Array
-from ctrplan.diagnosis.reading import how_taken, read_again
+from ctrplan.calibration.reading import how_taken, read_again
 from ctrplan.measurement.measurements import Measurements, is_streamed
 
 ROBOT = pair_robot()

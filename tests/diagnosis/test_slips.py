@@ -15,10 +15,10 @@ from ctrplan.base.arrays import Array
 from ctrplan.calibration.residuals import Noise
 from ctrplan.diagnosis import CATALOGUE
 from ctrplan.diagnosis.remainder import localise
-from ctrplan.diagnosis.sentences import headline, verdict_sentence
 from ctrplan.diagnosis.slips import LEAST_POSES, after_slip, found_slip
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.pipeline.term import term
+from ctrplan.reports.diagnosis_words import headline, verdict_sentence
 
 ROBOT = pair_robot()
 NOISE = Noise(SIGMA_M, float(np.radians(0.15)))

@@ -68,7 +68,7 @@ def told_of(data: Measurements, *beside: object) -> Compared:
     chosen = parts.selection
     bench = CorrelatedBench(ROBOT, data.subset(chosen), Noise(SIGMA_M, SIGMA_RAD), block[chosen])
     known = partial_diagnosis.testable_beside(candidates(ROBOT, data, QUICK), bench)
-    return compared(*bench.corrected(bench.scored(beside)), known, search=True)  # type: ignore[arg-type]
+    return compared(*bench.corrected(bench.scored(beside)), known)  # type: ignore[arg-type]
 
 
 def test_what_acts_beside_a_term_and_a_smooth_error_is_named() -> None:

@@ -10,10 +10,11 @@ from measured_data import measured, pair_robot, waypoints
 
 from ctrplan.calibration import least_squares
 from ctrplan.calibration.estimates import distances
+from ctrplan.calibration.observed_noise import noise_floor
 from ctrplan.calibration.residuals import robust_square
 from ctrplan.diagnosis import CATALOGUE
-from ctrplan.diagnosis.adequacy import noise_floor
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
+from ctrplan.diagnosis.posterior import compared
 from ctrplan.diagnosis.workbench import Workbench, candidates
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.pipeline.term import Term, term
@@ -47,9 +48,9 @@ def test_a_set_is_fitted_again_from_a_place_that_promises_more(
     with monkeypatch.context() as patch:
         patch.setattr(least_squares, "MOST_STEPS", 1)
         stuck = bench.scored([shifted], both.fit)  # its shape without the compliance: robots snap there
-    better = bench.scored([shifted], both.fit, None)
+    better = bench.improved(stuck, bench.scored([]).fit)
     assert better.fit.loss < stuck.fit.loss - 100
-    assert bench.scored([shifted], both.fit) is better  # and it stays known
+    assert bench.scored([shifted], both.fit) is stuck  # what was asked elsewhere changes no answer
 
 
 def test_the_order_in_which_effects_came_does_not_matter(data: Measurements) -> None:
@@ -86,14 +87,42 @@ def test_a_variant_promises_what_it_can_do_itself(data: Measurements) -> None:
         assert bench.scored([variant], base.fit).fit.residuals.loss == pytest.approx(promised, rel=0.15), variant.key
 
 
-def test_a_bench_that_is_corrected_is_another_and_goes_on_from_where_the_first_was(data: Measurements) -> None:
+def test_a_bench_that_is_corrected_is_another(data: Measurements) -> None:
     first = CorrelatedBench(ROBOT, data, noise_floor(ROBOT, data)[0], data.configuration)
-    base, shaft = first.scored([]), first.scored([whole("shaft_torsion")])
-    noise, visited = first.noise, first.visited
+    base, noise = first.scored([]), first.noise
     second, there = first.corrected(base)
-    assert first.noise is noise and first.visited == visited and first.scored([]) is base
-    assert second.visited == (there,) and second.noise.discrepancy is not None and noise.discrepancy is None
+    assert first.noise is noise and first.scored([]) is base and there is not base
+    assert second.noise.discrepancy is not None and noise.discrepancy is None and first.corrected(base)[0] is not first
+
+
+def test_the_same_question_has_the_same_answer_whatever_was_asked_before(data: Measurements) -> None:
+    shaft, load, shifted = whole("shaft_torsion"), whole("tip_load"), whole("base_misalignment")
+    questions = [([], None), ([shaft], None), ([shaft, load], "shaft"), ([shifted], "both"), ([shifted, load], None)]
+
+    def answers(order: list[int]) -> dict[int, np.ndarray]:
+        bench = bench_of(data)
+        near = {"shaft": bench_of(data).scored([shaft]).fit, "both": bench_of(data).scored([shaft, shifted]).fit}
+        told = {}
+        for k in order:
+            terms, place = questions[k]
+            told[k] = bench.scored(terms, near[place] if place else None).fit.p
+        return told
+
+    first, other = answers([0, 1, 2, 3, 4, 0, 3]), answers([4, 3, 3, 2, 1, 0])
+    for k in range(len(questions)):
+        np.testing.assert_allclose(first[k], other[k], rtol=1e-7, atol=1e-9, err_msg=str(k))
+
+
+def test_what_a_search_comes_to_does_not_depend_on_what_its_bench_was_asked_before(data: Measurements) -> None:
+    few = {name: CATALOGUE[name] for name in ("shaft_torsion", "tip_load", "base_misalignment")}
+    known = candidates(ROBOT, data, few)
+    fresh, used = bench_of(data), bench_of(data)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(least_squares, "MOST_STEPS", 0)
-        begun = second.scored([whole("shaft_torsion")], base.fit)
-    assert np.array_equal(begun.fit.p, shaft.fit.p)
+        patch.setattr(least_squares, "MOST_STEPS", 1)
+        for t in known.terms:
+            used.scored([t], used.scored([whole("base_misalignment")], None).fit)  # these end anywhere
+    told = [compared(bench, bench.scored([]), known) for bench in (fresh, used)]
+    for a, b in zip(*(one.posterior.hypotheses for one in told), strict=True):
+        assert (a.names, a.has_unknown) == (b.names, b.has_unknown) and a.weight == pytest.approx(b.weight, abs=1e-6)
+    for a, b in zip(told[0].sets, told[1].sets, strict=True):
+        assert a.names == b.names and a.fit.loss == pytest.approx(b.fit.loss, abs=1e-6)

@@ -45,6 +45,10 @@ class Learned(Effect):
             self.parts[name] = result
         self._shapes = {part: k for k, part in enumerate(dict.fromkeys(part for _, part in self.parts.values()))}
 
+    def with_largest(self, largest_mm: float, n: int) -> Learned:
+        """The term with another size that it moved a tip by in its data; n: number of tubes."""
+        return type(self)(self.target, list(self.parts), self.ranges, n, largest_mm)
+
     @property
     def inputs(self) -> dict[str, bool]:
         """Inputs of the term, and whether each counts modulo whole turns."""

@@ -39,11 +39,11 @@ from hidden_effects.noise import add_noise
 from hidden_effects.score import wilson
 
 from ctrplan.calibration.estimates import distances
-from ctrplan.diagnosis.adequacy import noise_floor
+from ctrplan.calibration.observed_noise import noise_floor
 from ctrplan.diagnosis.built_term import build
 from ctrplan.diagnosis.partial_diagnosis import PartialDiagnosis, diagnose_partially
 from ctrplan.diagnosis.usable_poses import usable_poses
-from ctrplan.diagnosis.workbench import Scored, candidates
+from ctrplan.diagnosis.workbench import Scored, Teller, candidates
 from ctrplan.files.measurement_file import load_measurements
 from ctrplan.files.robot_file import load_robot
 from ctrplan.measurement.measurements import Measurements
@@ -189,13 +189,13 @@ def asked(folder: Path) -> dict[str, Any]:
     data = load_measurements(folder / "measurements.csv", robot)
     began = time.process_time()
     noise, usable = noise_floor(robot, data)[0], usable_poses(robot, data)
-    found = diagnose_partially(robot, data, usable, noise, candidates(robot, data), lambda _: None)
+    found = diagnose_partially(robot, data, usable, noise, candidates(robot, data), Teller())
     halfway = time.process_time()
     bench, aside = found.bench, data.subset(found.split.held_out_set)
     result: dict[str, Any] = {"named": names(found), "seconds": [round(halfway - began, 1)], "first": probable(found)}
     result["before_mm"] = gap_mm(found.base, aside, noise.floor_m)
     result["named_mm"] = gap_mm(bench.handed_over(bench.sized(found.chosen)), aside, noise.floor_m)
-    built = build(found, lambda _: None)
+    built = build(found, Teller())
     result["seconds"].append(round(time.process_time() - halfway, 1))
     if built is None:
         return result | {"built": False}

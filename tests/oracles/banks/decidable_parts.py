@@ -25,8 +25,8 @@ from hidden_effects.case import make
 from hidden_effects.leftovers import DEG_PER_MM, _places
 
 from banks.built_terms import known
+from ctrplan.calibration.observed_noise import noise_floor
 from ctrplan.calibration.residuals import residuals
-from ctrplan.diagnosis.adequacy import noise_floor
 from ctrplan.diagnosis.correlated_bench import FRAMES, CorrelatedBench
 from ctrplan.diagnosis.usable_poses import block_split, blocks, usable_poses
 from ctrplan.files.measurement_file import load_measurements

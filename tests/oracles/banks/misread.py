@@ -18,7 +18,7 @@ from hidden_effects.score import Goal
 from hidden_effects.tube import Array
 from scipy.spatial.transform import Rotation
 
-from ctrplan.diagnosis.reading import read_again
+from ctrplan.calibration.reading import read_again
 from ctrplan.errors import InputError
 from ctrplan.files.measurement_file import load_measurements
 from ctrplan.files.robot_file import load_robot

@@ -40,9 +40,9 @@ from hidden_effects.world import Motion, World
 
 from ctrplan.base.arrays import CHI95
 from ctrplan.calibration.estimates import distances
+from ctrplan.calibration.observed_noise import noise_floor
 from ctrplan.calibration.residuals import residuals
 from ctrplan.diagnosis import Diagnosis, diagnose
-from ctrplan.diagnosis.adequacy import noise_floor
 from ctrplan.diagnosis.next_experiment import decision, proposals, proposed_waypoints
 from ctrplan.diagnosis.usable_poses import bench_of, checked_split, usable_poses
 from ctrplan.diagnosis.verdict import Alternative, Finding

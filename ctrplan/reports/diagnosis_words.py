@@ -9,7 +9,7 @@ import numpy as np
 from ctrplan.calibration.estimates import estimates
 from ctrplan.calibration.least_squares import Fit
 from ctrplan.diagnosis.correlated_bench import FRAME
-from ctrplan.diagnosis.gap import LARGEST_REST, times_noise
+from ctrplan.diagnosis.held_out import LARGEST_REST, times_noise
 from ctrplan.diagnosis.result import Diagnosis
 from ctrplan.diagnosis.unknown_errors import IN_WORDS
 from ctrplan.diagnosis.verdict import Posterior, shown
