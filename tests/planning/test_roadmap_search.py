@@ -351,7 +351,7 @@ def test_only_what_can_be_compensated_is_polished(vessel: MotionChecker, monkeyp
 
 
 def test_a_racer_s_last_path_that_can_be_driven_is_its_result(vessel: MotionChecker) -> None:
-    """However many of its trail can't be; the cheapest as driven comes first."""
+    """However many of its trail can't be; the cheapest as driven comes first, those before it once it is refused."""
     goals = goal_states(vessel, np.random.default_rng(0))
     clock = SearchClock(vessel.meter, timed=False, budget_s=2.0)
     search = StageSearch(vessel, goals, 0, time.monotonic(), 2.0, clock, lambda _: None, threading.Event())
@@ -364,7 +364,7 @@ def test_a_racer_s_last_path_that_can_be_driven_is_its_result(vessel: MotionChec
 
         race._result = result  # type: ignore[assignment,method-assign]
         costs = [driven.cost_mm for driven in race.results()]
-        assert costs == sorted(10.0 - min(last, n - 1) for n in (9, 4) if last >= 0)
+        assert costs == sorted(10.0 - k for n in (9, 4) for k in range(min(last + 1, n)))
 
 
 def test_a_race_s_results_end_at_the_goal_and_cost_what_they_do_as_driven(vessel: MotionChecker) -> None:

@@ -367,6 +367,7 @@ class Race:
         """Polished paths, of each racer the last that can be driven, the cheapest first.
 
         Where friction at the end of a path turns round on the way, the last of them may have no room as it is driven.
+        Whoever asks for another will not have a path: then the one before it is its racer's.
         """
         checker = self.roadmap.checker
         least = MotionChecker(
@@ -374,28 +375,31 @@ class Race:
         )
         least.watch = checker.watch
         order = itertools.count()  # of what costs the same
-        waiting: list[tuple[float, int, Polish | Result]] = []
-        waiting += [(racer.cost_mm, next(order), racer) for racer in self.racers if racer.trail]
+        waiting: list[tuple[float, int, list[Array], Result | None]] = []
+        waiting += [(racer.cost_mm, next(order), racer.trail, None) for racer in self.racers if racer.trail]
         heapq.heapify(waiting)
         while waiting:
-            _, _, first = heapq.heappop(waiting)
-            if isinstance(first, Result):
-                yield first
-            elif (result := self._last_driven(least, first.trail)) is not None:
-                heapq.heappush(waiting, (result.cost_mm, next(order), result))
+            _, _, trail, result = heapq.heappop(waiting)
+            if result is not None:
+                yield result
+                trail = trail[:-1]
+            if (last := self._last_driven(least, trail)) is not None:
+                heapq.heappush(waiting, (last[1].cost_mm, next(order), trail[: last[0] + 1], last[1]))
 
-    def _last_driven(self, least: MotionChecker, trail: list[Array]) -> Result | None:
-        """The last path of a trail that can be driven, by halves: what cannot is taken to be so to the trail's end."""
-        result, first, end = self._result(least, trail[-1]), 0, len(trail) - 1
-        if result is not None:
-            return result
+    def _last_driven(self, least: MotionChecker, trail: list[Array]) -> tuple[int, Result] | None:
+        """The number of the last path of a trail that can be driven, and its result.
+
+        By halves: what cannot is taken to be so to the trail's end.
+        """
+        first, end, last = 0, len(trail), None
+        place = end - 1
         while first < end:
-            middle = (first + end) // 2
-            if (earlier := self._result(least, trail[middle])) is None:
-                end = middle
+            if (result := self._result(least, trail[place])) is None:
+                end = place
             else:
-                result, first = earlier, middle + 1
-        return result
+                first, last = place + 1, (place, result)
+            place = (first + end) // 2
+        return last
 
     def _result(self, least: MotionChecker, corners: Array) -> Result | None:
         """A path (K, m) as it is driven, with the reserve of `least`; None where it cannot be."""

@@ -160,11 +160,9 @@ class StageSearch:
             race.run(self.clock.now, until, self._is_over)
         begun_mm = driven_mm if np.isfinite(driven_mm) else before.cost_mm
         for result in race.results():
-            if self._is_enough():
-                break
             gain_mm = begun_mm - result.cost_mm
-            if not gain_mm > WORTH_A_CERTIFICATE * begun_mm:
-                continue
+            if self._is_enough() or not gain_mm > WORTH_A_CERTIFICATE * begun_mm:
+                break
             as_driven_mm = before.cost_mm - gain_mm if self.is_compensated else None
             if not self._tidied(roadmap.checker, result.to_goal, ROADMAP, result.driven, as_driven_mm):
                 return True
