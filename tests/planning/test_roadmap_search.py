@@ -6,6 +6,7 @@ import threading
 import time
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -350,21 +351,26 @@ def test_only_what_can_be_compensated_is_polished(vessel: MotionChecker, monkeyp
         assert all(racer.is_aimed for racer in race.racers)
 
 
-def test_a_racer_s_last_path_that_can_be_driven_is_its_result(vessel: MotionChecker) -> None:
-    """However many of its trail can't be; the cheapest as driven comes first, those before it once it is refused."""
+def test_results_are_the_cheapest_as_driven(vessel: MotionChecker) -> None:
+    """Of all paths that polish came by, whatever they promised; those that can't be driven are none."""
     goals = goal_states(vessel, np.random.default_rng(0))
     clock = SearchClock(vessel.meter, timed=False, budget_s=2.0)
     search = StageSearch(vessel, goals, 0, time.monotonic(), 2.0, clock, lambda _: None, threading.Event())
-    race = Race(search._first_path(), search._expanded, 0, is_compensated=True, moves_goal=True)
-    race.racers = [SimpleNamespace(cost_mm=cost, trail=list(range(n))) for cost, n in ((1.0, 9), (2.0, 4))]  # type: ignore[misc]
-    for last in range(-1, 9):
+    race, rng = Race(search._first_path(), search._expanded, 0, is_compensated=True, moves_goal=True), search._rng
+    for _ in range(20):
+        dearer_mm = rng.exponential(2.0, size=9) * rng.integers(0, 2, size=9)
+        promised = np.sort(rng.uniform(100.0, 110.0, size=9))[::-1]
+        is_driven = rng.uniform(size=9) < 0.7
+        paths = [(float(cost), np.array([k])) for k, cost in enumerate(promised)]
+        race.racers = [SimpleNamespace(trail=paths[:4]), SimpleNamespace(trail=paths[4:])]  # type: ignore[list-item]
 
-        def result(_: MotionChecker, k: int, last: int = last) -> Result | None:
-            return Result(np.zeros(0), np.zeros(0), 10.0 - k) if k <= last else None
+        def result(_: MotionChecker, corners: Array, of: tuple[Array, ...] = (promised + dearer_mm, is_driven)) -> Any:
+            k = int(corners[0])
+            return Result(corners, corners, float(of[0][k])) if of[1][k] else None
 
-        race._result = result  # type: ignore[assignment,method-assign]
-        costs = [driven.cost_mm for driven in race.results()]
-        assert costs == sorted(10.0 - k for n in (9, 4) for k in range(min(last + 1, n)))
+        race._result = result  # type: ignore[method-assign]
+        expected = np.sort((promised + dearer_mm)[is_driven])
+        assert [driven.cost_mm for driven in race.results()] == pytest.approx(expected.tolist())
 
 
 def test_a_race_s_results_end_at_the_goal_and_cost_what_they_do_as_driven(vessel: MotionChecker) -> None:

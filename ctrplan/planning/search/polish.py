@@ -9,7 +9,6 @@ valid and it costs less. Several paths are polished by turns, as they will be dr
 from __future__ import annotations
 
 import heapq
-import itertools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import partial
@@ -43,7 +42,7 @@ TURNS = 4  # of a race: half of them to begin so many paths, half for the best o
 class Polish:
     """A path (K, m) that gets cheaper as long as `run` runs.
 
-    `corners` and `cost_mm` are the best so far, `trail` all that were, in their order.
+    `corners` and `cost_mm` are the best so far, `trail` all that were, with their costs, in their order.
     """
 
     def __init__(
@@ -57,7 +56,7 @@ class Polish:
         self.solver = TipSolver(checker.space, checker.mechanics, checker.watch)
         self.corners, self.cost_mm = merge_legs(corners), np.inf
         self.cost_mm = self._cost_mm(self.corners)
-        self.trail = [self.corners] if np.isfinite(self.cost_mm) else []
+        self.trail = [(self.cost_mm, self.corners)] if np.isfinite(self.cost_mm) else []
         self._near, self._rng = NearPlaces(checker), np.random.default_rng(seed)
         self._stray_mm = np.zeros(0)  # lengths of random steps of each level, and of all together
         self._work = self._steps()
@@ -76,8 +75,7 @@ class Polish:
         """Yields before each step."""
         if not np.isfinite(self.cost_mm):
             yield
-            self.put_right()
-        if np.isfinite(self.cost_mm):
+        if self.put_right():
             yield from self._leave_out()
             yield from self._divide()
         before_mm = np.inf
@@ -231,7 +229,7 @@ class Polish:
         if not cost_mm < self.cost_mm - LEAST_GAIN_MM:
             return False
         self.corners, self.cost_mm = merge_legs(corners), cost_mm
-        self.trail.append(self.corners)
+        self.trail.append((self.cost_mm, self.corners))
         return True
 
     def _cost_mm(self, corners: Array) -> float:
@@ -355,7 +353,7 @@ class Race:
             if states is not None and (racer := self._begun(self.expanded(states))):
                 racer.run(partial(is_over, now() + turn))
         for racer in sorted(self.racers, key=lambda racer: racer.cost_mm):
-            if not is_over(until) and np.isfinite(racer.cost_mm):
+            if not is_over(until):
                 racer.run(partial(is_over, until))
 
     def cost_mm(self, corners: Array) -> float:
@@ -364,42 +362,25 @@ class Race:
         return np.inf if driven is None else self._price_mm(*driven)
 
     def results(self) -> Iterator[Result]:
-        """Polished paths, of each racer the last that can be driven, the cheapest first.
+        """Polished paths as they are driven, the cheapest first, all that led to a racer's last among them.
 
-        Where friction at the end of a path turns round on the way, the last of them may have no room as it is driven.
-        Whoever asks for another will not have a path: then the one before it is its racer's.
+        Where friction at the end turned round on the way, a racer's last is dearer as it is driven, or has no room.
         """
         checker = self.roadmap.checker
         least = MotionChecker(
             checker.scenario, checker.style, checker.meter, RESERVE_LEFT * self.roadmap.checker.reserve_m
         )
         least.watch = checker.watch
-        order = itertools.count()  # of what costs the same
-        waiting: list[tuple[float, int, list[Array], Result | None]] = []
-        waiting += [(racer.cost_mm, next(order), racer.trail, None) for racer in self.racers if racer.trail]
+        trails = (path for racer in self.racers for path in racer.trail)
+        waiting: list[tuple[float, int, Array, Result | None]]
+        waiting = [(cost_mm, k, corners, None) for k, (cost_mm, corners) in enumerate(trails)]
         heapq.heapify(waiting)
         while waiting:
-            _, _, trail, result = heapq.heappop(waiting)
+            _, k, corners, result = heapq.heappop(waiting)
             if result is not None:
                 yield result
-                trail = trail[:-1]
-            if (last := self._last_driven(least, trail)) is not None:
-                heapq.heappush(waiting, (last[1].cost_mm, next(order), trail[: last[0] + 1], last[1]))
-
-    def _last_driven(self, least: MotionChecker, trail: list[Array]) -> tuple[int, Result] | None:
-        """The number of the last path of a trail that can be driven, and its result.
-
-        By halves: what cannot is taken to be so to the trail's end.
-        """
-        first, end, last = 0, len(trail), None
-        place = end - 1
-        while first < end:
-            if (result := self._result(least, trail[place])) is None:
-                end = place
-            else:
-                first, last = place + 1, (place, result)
-            place = (first + end) // 2
-        return last
+            elif (result := self._result(least, corners)) is not None:
+                heapq.heappush(waiting, (result.cost_mm, k, corners, result))
 
     def _result(self, least: MotionChecker, corners: Array) -> Result | None:
         """A path (K, m) as it is driven, with the reserve of `least`; None where it cannot be."""
@@ -420,13 +401,15 @@ class Race:
         return self.is_compensated and goal.tip_m is not None and goal.joints is None and goal.line_m is None
 
     def _begun(self, corners: Array) -> Polish | None:
-        """A racer that has yet to run, from a path (K, m) to the goal."""
+        """A racer that has yet to run, from a path (K, m) to the goal as it is driven, or as it is where that fails."""
         checker = self.roadmap.checker
         driven = self._driven(checker, corners)
-        if driven is None:
-            return None
-        self.racers.append(Polish(checker, driven[1], self.seed, moves_goal=self.moves_goal, is_aimed=self._is_aimed))
-        return self.racers[-1]
+        for path in () if driven is None else (driven[1], corners):
+            racer = Polish(checker, path, self.seed, moves_goal=self.moves_goal, is_aimed=self._is_aimed)
+            if racer.put_right():
+                self.racers.append(racer)
+                return racer
+        return None
 
     def _driven(self, checker: MotionChecker, corners: Array) -> tuple[MotionChecker, Array] | None:
         """A path (K, m) as it is compensated, and a checker with its goal there; None where it can't be."""
