@@ -108,12 +108,12 @@ def test_the_offset_that_is_aimed_for_is_that_at_the_end(slope: float, monkeypat
     case, path = pair(), np.array([START, [*START[:2], GOAL[2]], GOAL])
 
     def miss_m(corners: Any) -> Any:
-        return compensation._frictionless(case.robot, corners[-1:])[0][0] - case.goal.tip_m
+        return compensation.frictionless_tips(case.robot, corners[-1:])[0][0] - case.goal.tip_m
 
     def offset_m(_: Any, corners: Any) -> Any:
         return np.array([0.3e-3, -0.1e-3, 0.2e-3]) + slope * miss_m(corners)
 
-    monkeypatch.setattr(compensation, "_offset_m", offset_m)
+    monkeypatch.setattr(compensation, "offset_m", offset_m)
     checker = MotionChecker(case)
     other, moved = compensation.aimed(checker, path)
     assert other is not checker and np.linalg.norm(miss_m(moved)) > 0.1e-3
