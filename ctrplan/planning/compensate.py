@@ -163,7 +163,7 @@ def aimed(checker: MotionChecker, corners: Array) -> tuple[MotionChecker, Array]
     goal = scenario.goal
     if goal.tip_m is None or goal.joints is not None or goal.line_m is not None or len(corners) < 2:
         return checker, corners
-    offset, before = offset_m(scenario, corners), None
+    offset, before, near = offset_m(scenario, corners), None, (checker, corners)
     for _ in range(ITERATIONS):
         if not np.isfinite(offset).all():
             break
@@ -175,14 +175,16 @@ def aimed(checker: MotionChecker, corners: Array) -> tuple[MotionChecker, Array]
             break
         change = offset_m(scenario, moved) - offset
         if np.linalg.norm(change) <= TIP_TOLERANCE_M:
-            return other, moved
+            near = other, moved
+        if np.linalg.norm(change) <= CLOSE_M:
+            break
         step = change
         if before is not None:  # Anderson's: where the last two changes, drawn on, would be none
             turned = change - before[1]
             drawn_on = float(change @ turned) / max(float(turned @ turned), 1e-18)
             step = change - drawn_on * (offset - before[0] + turned)
         before, offset = (offset, change), offset + step
-    return checker, corners
+    return near
 
 
 def offset_m(scenario: Scenario, corners: Array) -> Array:
