@@ -43,7 +43,7 @@ from ctrplan.reports.plan_words import COLOURS, standing, verdict
 from ctrplan.reports.render.camera import look_at
 from ctrplan.reports.render.film import SKY, rgb, write_caption
 from ctrplan.reports.render.rasteriser import Body, Camera, Picture, Stage, vertex_normals
-from ctrplan.reports.robot_surface import RobotPose, anatomy_surface, end_ring, stand
+from ctrplan.reports.robot_surface import RobotPose, anatomy_surface, end_rings, stand
 from ctrplan.reports.words import millimetres
 from ctrplan.storage.output_folder import write_atomically
 
@@ -214,8 +214,7 @@ def _draw_robot(ax: Axes3D, pose: RobotPose, zorder: int, colours: list[str]) ->
         width = max(2e3 * float(rod.radius_m.max()) * scale, THINNEST_PT + 0.8 * (len(pose.tubes) - 1 - tube))
         x, y, z = rod.centreline_m.T * 1e3
         ax.plot(x, y, z, color=colours[tube], linewidth=width, solid_capstyle="butt", zorder=zorder + 0.1)
-    for tube in range(len(pose.tubes)):
-        ring = end_ring(pose, tube)
+    for tube, ring in enumerate(end_rings(pose)):
         if ring.radius_m.any():
             width = max(2e3 * float(ring.radius_m.max()) * scale, 2 * THINNEST_PT + 2.0 * (len(pose.tubes) - 1))
             ax.plot(*ring.centreline_m.T * 1e3, color=colours[tube], linewidth=width, zorder=zorder + 0.2,
