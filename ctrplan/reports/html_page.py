@@ -151,20 +151,17 @@ def _typed_array(values: NDArray[np.float32 | np.int32]) -> dict[str, str]:
     return {"dtype": kind, "bdata": base64.b64encode(values.astype(f"<{kind}").tobytes()).decode("ascii")}
 
 
-LEVEL = 4  # of zlib: plotly.js is 4 % larger than by its usual 6, in half the time
-
-
 def packed(text: str | bytes) -> str:
     """Compressed, in letters and digits: packed.js makes the text of it again."""
     content = text if isinstance(text, bytes) else text.encode()
-    return base64.b64encode(zlib.compress(content, LEVEL)).decode("ascii")
+    return base64.b64encode(zlib.compress(content, looks.LEVEL)).decode("ascii")
 
 
 @cache
 def _library() -> str:
-    """plotly.js, a third of its size; packed once and kept, which takes as long as the rest of a page."""
+    """plotly.js, a third of its size; packed once and kept: packing takes as long as the rest of a page."""
     library = Path(str(distribution("plotly").locate_file("plotly/package_data/plotly.min.js"))).read_bytes()
-    key = hashlib.sha256(b"packed %d" % LEVEL + library).hexdigest()
+    key = hashlib.sha256(b"packed %d" % looks.LEVEL + library).hexdigest()
     known = disk_cache.load(key, (-1,), "will be packed again")  # four letters in the place of a number
     text = packed(library) if known is None else known.tobytes().decode("ascii")
     if known is None:

@@ -42,7 +42,7 @@ LEG_KINDS = {"rotation": "#E4EDF7", "translation": "#FBF0DC", "simultaneous": "#
 
 
 DPI = 120  # of pictures
-LEVEL = 3  # of zlib: a tenth larger than by its usual 6, in two thirds of the time
+LEVEL = 4  # of zlib, for pictures and pages: plotly.js is 4 % larger than by its usual 6, in half the time
 
 
 def png(figure: Figure, dpi: int = DPI) -> bytes:
