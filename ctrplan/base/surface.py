@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 
@@ -36,31 +36,34 @@ class Rod:
         Vertices are ordered alike for any rod of as many stations, (N * sides + 2, 3), and so are the faces. Rings
         stand in frames carried along without twist from the x axis, so that rods that move smoothly do not flicker.
         """
-        normal, binormal = _frames(self.tangent)
-        angle = 2 * np.pi * np.arange(sides) / sides
-        spokes = np.cos(angle)[:, None] * normal[:, None] + np.sin(angle)[:, None] * binormal[:, None]
-        rings = self.centreline_m[:, None] + self.radius_m[:, None, None] * spokes
-        vertices = np.concatenate([rings.reshape(-1, 3), self.centreline_m[[0, -1]]])
-        return Surface(vertices, _rod_faces(len(self.radius_m), sides))
+        return Surface(rod_vertices([self], sides)[0], rod_faces(len(self.radius_m), sides))
+
+
+def rod_vertices(rods: Sequence[Rod], sides: int) -> Array:
+    """(R, N * sides + 2, 3) vertices of the surfaces of rods with N stations each, all at once."""
+    line, tangent = np.stack([rod.centreline_m for rod in rods]), np.stack([rod.tangent for rod in rods])
+    normal, binormal = _frames(tangent)
+    angle = 2 * np.pi * np.arange(sides)[:, None] / sides
+    spokes = np.cos(angle) * normal[:, :, None] + np.sin(angle) * binormal[:, :, None]
+    rings = line[:, :, None] + np.stack([rod.radius_m for rod in rods])[:, :, None, None] * spokes
+    return np.concatenate([rings.reshape(len(rods), -1, 3), line[:, [0, -1]]], axis=1)
 
 
 def _frames(tangent: Array) -> tuple[Array, Array]:
-    """Normals and binormals (N, 3), (N, 3) that are twisted as little as the tangents allow."""
-    start = np.eye(3)[np.argsort(np.abs(tangent[0]), kind="stable")[0]]
-    x, y, z = start.tolist()
-    normals = []
-    for a, b, c in tangent.tolist():  # one after the other, for which plain numbers are faster
-        along = x * a + y * b + z * c
-        x, y, z = x - along * a, y - along * b, z - along * c
-        size = math.sqrt(x * x + y * y + z * z)
-        x, y, z = x / size, y / size, z / size
-        normals.append((x, y, z))
-    normal = np.array(normals)
+    """Normals and binormals (R, N, 3), (R, N, 3) of R rods that are twisted as little as the tangents allow."""
+    normal = np.empty_like(tangent)
+    carried = np.eye(3)[np.abs(tangent[:, 0]).argmin(axis=1)]
+    for k in range(tangent.shape[1]):
+        ahead = tangent[:, k]
+        carried = carried - (carried * ahead).sum(axis=1, keepdims=True) * ahead
+        carried /= np.sqrt((carried * carried).sum(axis=1, keepdims=True))
+        normal[:, k] = carried
     return normal, np.cross(tangent, normal)
 
 
 @cache
-def _rod_faces(stations: int, sides: int) -> NDArray[np.int64]:
+def rod_faces(stations: int, sides: int) -> NDArray[np.int64]:
+    """Triangles between the vertices of a rod, the same for all rods of as many stations."""
     ring, side = np.meshgrid(np.arange(stations - 1), np.arange(sides), indexing="ij")
     a, b = ring * sides + side, ring * sides + (side + 1) % sides
     wall = np.stack([a, b, b + sides, a, b + sides, a + sides], axis=-1).reshape(-1, 3)

@@ -226,9 +226,10 @@ def _scene(plans: tuple[WrittenPlan, WrittenPlan], paths: list[list[RobotPose]],
             still.append(line_trace(xyz(goal[None]), mode="markers", marker=marker, name=name))
     points = np.concatenate([pose.envelope.surface(4).vertices_m for path in paths for pose in path])
     figure = in_anatomy([*moving, *still], scenarios[0], points)
+    moved = [moved_traces(path) for path in paths]
     frames = [
         {
-            "data": [t for path, count in zip(paths, counts, strict=True) for t in moved_traces(path[k])[:count]],
+            "data": [t for traces, count in zip(moved, counts, strict=True) for t in traces[k][:count]],
             "traces": list(range(len(moving))),
             "name": step,
         }

@@ -193,7 +193,7 @@ class LiveState:
         others = other_shapes(robot, *robot.drive.collars(joints), tip_m)
         clearance_mm = float(samples.clearance_m[-1]) * 1e3 if placement.checker.field else None
         return {
-            "traces": [_vertices(trace) for trace in [*moved_traces(shown), xyz(stand(scenario).vertices_m)]],
+            "traces": [_vertices(trace) for trace in [*moved_traces([shown])[0], xyz(stand(scenario).vertices_m)]],
             "base": placement.lines,
             "tip_mm": _rounded(shown.tip_m * 1e3, 2),
             "bound_mm": _finite(float(samples.position_m[-1]) * 1e3),

@@ -42,12 +42,13 @@ LEG_KINDS = {"rotation": "#E4EDF7", "translation": "#FBF0DC", "simultaneous": "#
 
 
 DPI = 120  # of pictures
+LEVEL = 4  # of zlib, for pictures and pages: plotly.js is 4 % larger than by its usual 6, in half the time
 
 
 def png(figure: Figure, dpi: int = DPI) -> bytes:
     """The figure of matplotlib as the content of a PNG file."""
     content = io.BytesIO()
-    figure.savefig(content, format="png", dpi=dpi)
+    figure.savefig(content, format="png", dpi=dpi, pil_kwargs={"compress_level": LEVEL})
     return content.getvalue()
 
 

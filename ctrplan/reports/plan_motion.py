@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ctrplan.base.arrays import Array
-from ctrplan.base.surface import capsule
+from ctrplan.base.surface import capsule, rod_vertices
 from ctrplan.plans.planned_motion import place_time_s, sample_time_s
 from ctrplan.reports import looks
 from ctrplan.reports.curves import CURSOR
@@ -167,10 +167,9 @@ def scene_figure(scene: PlanScene) -> go.Figure:
 
 def motion_frames(scene: PlanScene) -> list[dict[str, Any]]:
     """plotly's frames, one a pose, as plain objects: what of the start's first traces changes."""
-    results = []
-    for step in scene.path:
-        line = {"type": "scatter3d", **xyz(_tips_until(scene.plan, step.time_s))}
-        data = [*moved_traces(step), line]
+    tips_m, times_s, results = tip_path(scene.plan), sample_time_s(scene.plan), []
+    for step, moved in zip(scene.path, moved_traces(scene.path), strict=True):
+        data = [*moved, {"type": "scatter3d", **xyz(_tips_until(tips_m, times_s, step.time_s))}]
         results.append({"name": f"{step.time_s:.3f}", "data": data, "traces": list(range(len(data)))})
     return results
 
@@ -189,7 +188,7 @@ def start_figure(scene: PlanScene) -> dict[str, Any]:
     hidden = {"visible": False, "meta": {"later": True}}
     later = [trace | hidden for trace in (*_at_goal(scene), *narrowest, swept)]
     traces = [*moving, plate_trace(plan.scenario), *_goal(plan), *later]
-    robots, foot = [step.envelope.surface(4).vertices_m for step in path], stand(plan.scenario).vertices_m
+    robots, foot = rod_vertices([step.envelope for step in path], 4), stand(plan.scenario).vertices_m
     points = np.concatenate([*robots, foot, goal_tip(plan)[None]])
     return in_anatomy(traces, plan.scenario, points)
 
@@ -207,7 +206,7 @@ def _tip_path(plan: Plan, time_s: float) -> Trace:
     bound_mm = (plan.certificate.samples.bound_m * 1e3).astype(np.float32)
     largest = max(float(np.nanmax(bound_mm)), 1e-6)
     return line_trace(
-        xyz(_tips_until(plan, time_s)),
+        xyz(_tips_until(tip_path(plan), sample_time_s(plan), time_s)),
         mode="lines",
         line={"color": bound_mm, "width": 6, "colorscale": BOUND_SCALE, "cmin": 0, "cmax": largest, "showscale": False},
         name=html.escape(f"{looks.TIP_PATH.name} so far, red where friction may err most"),
@@ -217,11 +216,11 @@ def _tip_path(plan: Plan, time_s: float) -> Trace:
     )
 
 
-def _tips_until(plan: Plan, time_s: float) -> Array:
+def _tips_until(tips_m: Array, times_s: Array, time_s: float) -> Array:
     """(K, 3) [m] the tip at the certificate's samples, not a number of those that are still ahead."""
-    ahead = sample_time_s(plan) > time_s
+    ahead = times_s > time_s
     ahead[0] = False  # a line without a point has no place
-    return np.where(ahead[:, None], np.nan, tip_path(plan))
+    return np.where(ahead[:, None], np.nan, tips_m)
 
 
 def _goal(plan: Plan) -> list[Trace]:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from matplotlib import patheffects, rc_context
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import LightSource
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -43,7 +44,7 @@ from ctrplan.reports.plan_words import COLOURS, standing, verdict
 from ctrplan.reports.render.camera import look_at
 from ctrplan.reports.render.film import SKY, rgb, write_caption
 from ctrplan.reports.render.rasteriser import Body, Camera, Picture, Stage, vertex_normals
-from ctrplan.reports.robot_surface import RobotPose, anatomy_surface, end_ring, stand
+from ctrplan.reports.robot_surface import RobotPose, anatomy_surface, end_rings, stand
 from ctrplan.reports.words import millimetres
 from ctrplan.storage.output_folder import write_atomically
 
@@ -214,8 +215,7 @@ def _draw_robot(ax: Axes3D, pose: RobotPose, zorder: int, colours: list[str]) ->
         width = max(2e3 * float(rod.radius_m.max()) * scale, THINNEST_PT + 0.8 * (len(pose.tubes) - 1 - tube))
         x, y, z = rod.centreline_m.T * 1e3
         ax.plot(x, y, z, color=colours[tube], linewidth=width, solid_capstyle="butt", zorder=zorder + 0.1)
-    for tube in range(len(pose.tubes)):
-        ring = end_ring(pose, tube)
+    for tube, ring in enumerate(end_rings(pose)):
         if ring.radius_m.any():
             width = max(2e3 * float(ring.radius_m.max()) * scale, 2 * THINNEST_PT + 2.0 * (len(pose.tubes) - 1))
             ax.plot(*ring.centreline_m.T * 1e3, color=colours[tube], linewidth=width, zorder=zorder + 0.2,
@@ -305,7 +305,17 @@ def _draw_column(figure: Figure, plan: Plan, time: Timeline) -> None:
     speeds = speed_panel(plan)
     draw_panel(axes[-1], speeds, time, heading=f"{speeds.title}, colours as above, translations dotted")
     axes[-1].set_xlabel("time (s)")
-    figure.align_ylabels(axes)
+    _align_labels(figure, axes)
+
+
+def _align_labels(figure: Figure, axes: Sequence[Axes]) -> None:
+    """What `Figure.align_ylabels` does, measured once: that measures every axis anew whenever it draws another."""
+    renderer = FigureCanvasAgg(figure).get_renderer()  # type: ignore[no-untyped-call]
+    for ax in axes:
+        ax.yaxis.get_tightbbox(renderer)  # puts its label beside its own numbers
+    left = min(ax.yaxis.label.get_position()[0] for ax in axes)
+    for ax in axes:
+        ax.yaxis.set_label_coords((left - ax.bbox.x0) / ax.bbox.width, 0.5)
 
 
 def _headline(figure: Figure, plan: Plan) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -12,7 +13,7 @@ from ctrplan.anatomy.parts import exact_clearance
 from ctrplan.anatomy.patient_frame import ENDS, Frame, axis_label
 from ctrplan.base.arrays import Array, spread_directions
 from ctrplan.base.long_work import Progress
-from ctrplan.base.surface import Rod, Surface
+from ctrplan.base.surface import Rod, Surface, rod_vertices
 from ctrplan.errors import SolverError
 from ctrplan.files.plan_file import WrittenPlan
 from ctrplan.mechanics.shapes import Status
@@ -20,7 +21,7 @@ from ctrplan.plans.planned_motion import Played, joints_at
 from ctrplan.reports import looks
 from ctrplan.reports.html_page import FIGURE_TEXT
 from ctrplan.reports.looks import view_box
-from ctrplan.reports.robot_surface import RobotPose, anatomy_surface, pose, stand, tube_surface
+from ctrplan.reports.robot_surface import RobotPose, anatomy_surface, pose, stand, tube_surface, tube_vertices
 from ctrplan.scenario.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -59,12 +60,16 @@ def line_trace(coordinates: dict[str, Any], **style: Any) -> Trace:
     return {"type": "scatter3d", **coordinates, **style}
 
 
-def moved_traces(pose: RobotPose) -> list[Trace]:
-    """What of `robot_traces` changes with the pose."""
-    tubes = [tube_surface(pose, i, SIDES) for i in range(len(pose.tubes))]
-    surfaces = [*tubes, pose.envelope.surface(ENVELOPE_SIDES)]
-    meshes = [{"type": "mesh3d", **xyz(surface.vertices_m)} for surface in surfaces]
-    return [*meshes, {"type": "scatter3d", **_corner_lines(pose)}]
+def moved_traces(poses: Sequence[RobotPose]) -> list[list[Trace]]:
+    """What of `robot_traces` changes with the pose, for each."""
+    envelopes = rod_vertices([pose.envelope for pose in poses], ENVELOPE_SIDES)
+    return [
+        [
+            *({"type": "mesh3d", **xyz(vertices)} for vertices in (*tubes, envelope)),
+            {"type": "scatter3d", **_corner_lines(pose)},
+        ]
+        for pose, tubes, envelope in zip(poses, tube_vertices(poses, SIDES), envelopes, strict=True)
+    ]
 
 
 def _corner_lines(pose: RobotPose) -> dict[str, Any]:

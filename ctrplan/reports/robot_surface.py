@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 
 from ctrplan.anatomy.surface_file import collapsed
 from ctrplan.base.arrays import Array
-from ctrplan.base.surface import Rod, Surface
+from ctrplan.base.surface import Rod, Surface, rod_faces, rod_vertices
 from ctrplan.errors import SolverError
 
 if TYPE_CHECKING:
@@ -166,25 +166,33 @@ WIDTH, STANDS_OUT = 0.018, 1.35  # share of the robot's length, and of the outer
 
 def tube_surface(pose: RobotPose, tube: int, sides: int) -> Surface:
     """The tube with the ring at its end, which has no size where the tube can be seen; 0 the outermost."""
-    rod, ring = pose.tubes[tube].surface(sides), end_ring(pose, tube).surface(sides)
-    return Surface(
-        np.concatenate([rod.vertices_m, ring.vertices_m]),
-        np.concatenate([rod.faces, ring.faces + len(rod.vertices_m)]),
-    )
+    rod = rod_faces(len(pose.tubes[tube].radius_m), sides)
+    ring = rod_faces(2, sides) + len(pose.tubes[tube].radius_m) * sides + 2
+    return Surface(tube_vertices([pose], sides)[0, tube], np.concatenate([rod, ring]))
 
 
-def end_ring(pose: RobotPose, tube: int) -> Rod:
-    """Rings of tubes that end at the same place stand behind each other, the outer one's first."""
-    lengths = [_arc_lengths(rod.centreline_m)[-1] for rod in pose.tubes]
-    width, rod = WIDTH * max(lengths), pose.tubes[tube]
-    hidden = tube > 0 and lengths[tube] < max(lengths[:tube]) + width and rod.radius_m[0] > 0
-    place = sum(abs(length - lengths[tube]) < width for length in lengths[:tube])
-    s_m, last = _arc_lengths(rod.centreline_m), lengths[tube] - place * width
-    ends = np.clip([last - width, last], 0.0, None)
-    line = np.stack([np.interp(ends, s_m, column) for column in rod.centreline_m.T], axis=1)
-    tangent = np.repeat(rod.tangent[-1:], 2, axis=0)
-    radius = STANDS_OUT * max(other.radius_m.max() for other in pose.tubes) if hidden else 0.0
-    return Rod(line, tangent, np.full(2, radius))
+def tube_vertices(poses: Sequence[RobotPose], sides: int) -> Array:
+    """(P, n, V, 3) [m] vertices of every tube's surface, its ring included, at each pose."""
+    tubes = rod_vertices([rod for pose in poses for rod in pose.tubes], sides)
+    rings = rod_vertices([ring for pose in poses for ring in end_rings(pose)], sides)
+    both = np.concatenate([tubes, rings], axis=1)
+    return both.reshape(len(poses), -1, *both.shape[1:])
+
+
+def end_rings(pose: RobotPose) -> list[Rod]:
+    """A ring a tube, outermost first; those of tubes that end at the same place stand behind each other."""
+    places = [_arc_lengths(rod.centreline_m) for rod in pose.tubes]
+    lengths = [float(s_m[-1]) for s_m in places]
+    width, thickest = WIDTH * max(lengths), max(float(rod.radius_m.max()) for rod in pose.tubes)
+    results = []
+    for tube, (rod, s_m) in enumerate(zip(pose.tubes, places, strict=True)):
+        hidden = tube > 0 and lengths[tube] < max(lengths[:tube]) + width and rod.radius_m[0] > 0
+        last = lengths[tube] - width * sum(abs(length - lengths[tube]) < width for length in lengths[:tube])
+        ends = np.maximum([last - width, last], 0.0)
+        line = np.stack([np.interp(ends, s_m, column) for column in rod.centreline_m.T], axis=1)
+        radius = STANDS_OUT * thickest if hidden else 0.0
+        results.append(Rod(line, np.repeat(rod.tangent[-1:], 2, axis=0), np.full(2, radius)))
+    return results
 
 
 def _arc_lengths(line_m: Array) -> Array:
@@ -195,7 +203,7 @@ def _arc_lengths(line_m: Array) -> Array:
 NODES = 400_000
 FINEST_M = 1.0e-3
 THINNEST_CELLS = 0.9  # a thinner rod could slip between the nodes of the grid
-STRIDE, FAR_CELLS = 4, 8
+STRIDES, FAR_CELLS = (4, 2, 1), 8
 SPACING_CELLS = 0.5  # of the spheres that stand for a rod, or thin ones would be beads on a string
 ALIKE_CELLS = SPACING_CELLS / 4  # spheres of neighbouring poses nearer to each other stand for each other
 
@@ -223,8 +231,9 @@ def swept_surface(poses: Sequence[RobotPose], nodes: int = NODES) -> Surface:
 def _depths(nodes: Array, counts: tuple[int, int, int], centres: Array, radii: Array, cell: float) -> Array:
     """(K,) distance [m] from the union of spheres, negative within; of nodes far from its surface the sign alone.
 
-    Every fourth node along each axis is asked first. Where it is farther from the surface than from a node, that node
-    is on the same side. Outside, the fourth dimension tells a distance that no sphere, however large, comes below.
+    Every fourth node along each axis is asked first, then every second, then all. Where one is farther from the surface
+    than from a node of the next, that node is on the same side and not asked. Outside, the fourth dimension tells a
+    distance that no sphere, however large, comes below.
     """
     largest, far = float(radii.max()), FAR_CELLS * cell
     tree = cKDTree(np.column_stack([centres, np.sqrt(largest**2 - radii**2)]))
@@ -235,15 +244,14 @@ def _depths(nodes: Array, counts: tuple[int, int, int], centres: Array, radii: A
         result[near] = np.linalg.norm(places[near] - centres[which[near]], axis=1) - radii[which[near]]
         return result, np.where(result > 0, np.minimum(lifted - largest, far), result)
 
-    places = np.unravel_index(np.arange(len(nodes)), counts, order="F")
-    some = np.flatnonzero(np.all([place % STRIDE == 0 for place in places], axis=0))
-    coarse = np.empty(tuple((count - 1) // STRIDE + 1 for count in counts))
-    coarse[tuple(place[some] // STRIDE for place in places)] = depths(nodes[some])[1]
-    beside = ((place + STRIDE // 2) // STRIDE for place in places)
-    values: Array = coarse[tuple(np.minimum(row, size - 1) for row, size in zip(beside, coarse.shape, strict=True))]
-    close = np.abs(values) < (np.sqrt(3) * (STRIDE - 1) + 1) * cell
-    values[close] = depths(nodes[close])[0]
-    return values
+    grid, values = nodes.reshape(*counts[::-1], 3), np.zeros((1, 1, 1))
+    for stride in STRIDES:
+        places = grid[::stride, ::stride, ::stride]
+        beside = [np.minimum((np.arange(n) + 1) // 2, m - 1) for n, m in zip(places.shape, values.shape, strict=False)]
+        values = values[np.ix_(*beside)]
+        close = np.abs(values) < (np.sqrt(3) * (2 * stride - 1) + 1) * cell
+        values[close] = depths(places[close])[int(stride > 1)]
+    return values.reshape(-1)
 
 
 def _spheres(rods: Sequence[Rod], cell: float) -> tuple[Array, Array]:
@@ -254,7 +262,9 @@ def _spheres(rods: Sequence[Rod], cell: float) -> tuple[Array, Array]:
         at = np.linspace(0.0, s_m[-1], int(s_m[-1] / (SPACING_CELLS * cell)) + 2)
         results.append(np.column_stack([np.interp(at, s_m, row) for row in (*rod.centreline_m.T, rod.radius_m)]))
     rows = np.concatenate(results)
-    _, first = np.unique(np.round(rows / (ALIKE_CELLS * cell)), axis=0, return_index=True)
+    alike = np.round(rows / (ALIKE_CELLS * cell)).astype(np.int64)
+    alike -= alike.min(axis=0)
+    _, first = np.unique(np.ravel_multi_index(tuple(alike.T), tuple(alike.max(axis=0) + 1)), return_index=True)
     return rows[first, :3], np.maximum(rows[first, 3], THINNEST_CELLS * cell)
 
 

@@ -18,7 +18,7 @@ from ctrplan.reports.looks import view_box
 from ctrplan.reports.plan_motion import scene_figure, start_figure
 from ctrplan.reports.plan_scene import goal_tip, plan_scene, tip_path
 from ctrplan.reports.reach_page import ReachScene, reach_figure
-from ctrplan.reports.robot_surface import end_ring, plate, pose, tube_surface
+from ctrplan.reports.robot_surface import end_rings, plate, pose, tube_surface
 
 TURN = Rotation.from_euler("xyz", [40, -70, 110], degrees=True)
 SHIFT_M = np.array([0.02, -0.05, 0.11])
@@ -121,9 +121,9 @@ def moved(points_m: np.ndarray) -> np.ndarray:
 def test_a_tube_that_others_hide_has_a_ring_at_its_end(plan: Plan) -> None:
     """Tubes 1 and 2 of this robot end at one place: tube 2 would never be seen."""
     shown = pose(plan.scenario, plan.legs[-1].end)
-    middle, inner = end_ring(shown, 1), end_ring(shown, 2)
+    outer, middle, inner = end_rings(shown)
     assert middle.radius_m.min() > shown.tubes[0].radius_m.max() and not inner.radius_m.any()
-    assert not end_ring(shown, 0).radius_m.any()
+    assert not outer.radius_m.any()
     assert np.linalg.norm(middle.centreline_m[-1] - shown.tubes[1].centreline_m[-1]) < 0.05 * 0.15
     counts = {len(tube_surface(shown, tube, 10).vertices_m) for tube in range(3)}
     assert counts == {len(tube_surface(pose(plan.scenario, plan.legs[0].start), 1, 10).vertices_m)}

@@ -26,7 +26,7 @@ from ctrplan.studies.study.study import Doing, Study
 from ctrplan.studies.study.table import load_study
 from ctrplan.studies.study.task import Job
 
-distributed = pytest.importorskip("distributed")
+pytestmark = pytest.mark.skipif(find_spec("distributed") is None, reason="dask is not installed")
 
 PAIR = str(ROBOTS / "table_5_pair.toml")
 SLOW = """

@@ -6,6 +6,7 @@ import datetime
 import json
 from collections.abc import Iterator
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +40,7 @@ from ctrplan.studies.target_set import (
     with_target,
 )
 
-pytest.importorskip("optuna")
+pytestmark = pytest.mark.skipif(find_spec("optuna") is None, reason="optuna is not installed")
 
 PAIR = SCENARIOS / "pair_free.toml"
 POINTS_MM = [[27, 17, 166], [-33, 19, 160]]

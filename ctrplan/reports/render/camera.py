@@ -11,6 +11,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from ctrplan.base.arrays import Array, Z
+from ctrplan.base.surface import rod_vertices
 from ctrplan.reports.looks import side_azimuth_rad
 from ctrplan.reports.plan_scene import TILT, WrittenMotion
 from ctrplan.reports.render.rasteriser import Camera
@@ -61,7 +62,7 @@ def camera_of(view: View, motion: WrittenMotion, aspect: float) -> Callable[[Rob
 
 def robot_points(motion: WrittenMotion) -> Array:
     """(K, 3) all that the robot's envelope takes, plate included."""
-    rods = [pose.envelope.surface(6).vertices_m for pose in motion.path]
+    rods = rod_vertices([pose.envelope for pose in motion.path], 6)
     return np.concatenate([*rods, motion.scenario.base_position_m[None]])
 
 
