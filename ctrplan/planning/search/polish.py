@@ -259,7 +259,8 @@ class Polish:
 
     def _end_m(self, corners: Array) -> Array:
         """(3,) the frictionless tip at the end of a path (K, m)."""
-        return frictionless_tips(self.checker.scenario.robot, corners[-1:])[0][0]
+        tip_m: Array = frictionless_tips(self.checker.scenario.robot, corners[-1:])[0][0]
+        return tip_m
 
     def _walked(self, corners: Array) -> PathSamples | None:
         """The walk of a path; None where limits or zero-clearance shapes along new legs refuse it."""
