@@ -11,7 +11,7 @@ from __future__ import annotations
 import heapq
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cached_property, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -230,6 +230,7 @@ class Polish:
             return False
         self.corners, self.cost_mm = merge_legs(corners), cost_mm
         self.trail.append((self.cost_mm, self.corners))
+        self.__dict__.pop("_aim_m", None)
         return True
 
     def _cost_mm(self, corners: Array) -> float:
@@ -304,7 +305,7 @@ class Polish:
     def _brought_back(self, model: PathModel, q: Array) -> Array | None:
         """Joint values (m,) near q with the tip on the target; None where they stray beyond limits."""
         end = model.corners[-1]
-        aim = self.solver.tips(end[None])[0] + self._aim_m() - model.slopes.tip_m
+        aim = self.solver.tips(end[None])[0] + self._aim_m - model.slopes.tip_m
         if not np.isfinite(aim).all():
             return None
         start = self.space.projected(q[None], fallback=end[None])
@@ -312,6 +313,7 @@ class Polish:
         back: Array = self.solver.solve(TipTarget(aim), start, TIP_STEPS, turned=False).joints[0]
         return back
 
+    @cached_property
     def _aim_m(self) -> Array:
         """(3,) where the frictionless tip goes next: to the target, or nearer to where friction will take it there."""
         if not self.is_aimed:
