@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -262,6 +263,27 @@ def test_a_path_that_comes_too_close_is_put_right(case: Scenario, beside: Motion
     assert checker.cost_mm(motion, ends_at_goal=True) == pytest.approx(polish.cost_mm)
     apart = np.linalg.norm((polish.corners - path) * checker.space.weights_mm, axis=1)
     assert apart.max() < 5.0  # mm: no more than it takes
+
+
+def test_corrections_keep_the_places_of_those_before(beside: MotionChecker, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A step that mends half of what is too close: the next model has what the last had, moved, beside its own."""
+    path, correction, models = roundabout(), PathModel.correction, list[PathModel]()
+
+    def half(model: PathModel) -> Array | None:
+        models.append(model)
+        step = correction(model)
+        return None if step is None else step / 2
+
+    monkeypatch.setattr(PathModel, "correction", half)
+    room_m = beside.known_walk(path).clearance_m.min()
+    robot = replace(beside.scenario.robot, model_error_m=float(room_m) + 0.3e-3)
+    Polish(MotionChecker(replace(beside.scenario, robot=robot), reserve_m=0.0), path, 0).put_right()
+    assert len(models) > 2
+    for before, model in itertools.pairwise(models):
+        delta = (model.corners - before.corners) * beside.space.weights_mm
+        kept = model.places[-len(before.places) :]
+        assert len(model.places) > len(kept) > 0
+        assert [place.room_mm for place in kept] == [place.moved(delta).room_mm for place in before.places]
 
 
 def test_a_roundabout_way_gets_shorter_and_ends_at_the_target(case: Scenario, checker: MotionChecker) -> None:
