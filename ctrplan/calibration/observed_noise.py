@@ -168,7 +168,7 @@ def _noise(position_m: float, tangent_rad: float, data: Measurements) -> Noise |
 def noise_floor(robot: Robot, data: Measurements) -> tuple[Noise, str]:
     """Noise, and a sentence about it where it is not as stated. Raises InputError where neither file nor data have it.
 
-    Of data without tangents the noise of tangents is of no matter.
+    The noise of tangents does not matter where data have none.
     """
     stated, shown = robot.measurement, list(observed_noises(data))
     if stated is None and not shown:

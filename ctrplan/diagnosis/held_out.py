@@ -72,8 +72,8 @@ def open_test_set(before: Fit, after: Fit, held_out_set: Measurements, group: ND
     nominal = ParametricChain(before.chain.robot, held_out_set, before.chain.terms)
     chains = [simulated(f.chain.robot, held_out_set, f.chain.terms, f.p) for f in (before, after)]
     correction, effective_there = chains[1].correction, chains[1].predict(after.p)
-    asked = (nominal, before.chain.neutral), (chains[0], before.p)
-    predictions = [*(chain.predict(p, derivatives=False) for chain, p in asked), effective_there]
+    without = (nominal, before.chain.neutral), (chains[0], before.p)
+    predictions = [*(chain.predict(p, derivatives=False) for chain, p in without), effective_there]
     failed = predictions[1].failed | predictions[2].failed
     kept = ~excused(failed)
     result = _residuals(effective_there.subset(kept), held_out_set.subset(kept), group[kept], noise)

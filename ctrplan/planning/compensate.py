@@ -188,7 +188,10 @@ def aimed(checker: MotionChecker, corners: Array) -> tuple[MotionChecker, Array]
 
 
 def offset_m(scenario: Scenario, corners: Array) -> Array:
-    """(3,) from the frictionless tip at the end of a path (K, m) to the middle of where the tip with friction ends."""
+    """(3,) [m] from the frictionless tip at a path's end (K, m) to the middle of where the tip with friction ends.
+
+    In the robot's frame, over all friction that the start allows; NaN where a simulated history failed.
+    """
     middle = ball_centre(end_tips(scenario.robot, corners, start_states(scenario)))
     offset: Array = middle - frictionless_tips(scenario.robot, corners[-1:])[0][0]
     return offset
@@ -210,7 +213,7 @@ def brought_to_goal(checker: MotionChecker, corners: Array) -> Array | None:
 
 
 def frictionless_tips(robot: Robot, joints: Array) -> tuple[Array, Array]:
-    """Frictionless tips and tangents (K, 3), (K, 3) at joints (K, m), robot's frame."""
+    """Frictionless tips (K, 3) [m] and tangents (K, 3) at joints (K, m), robot's frame."""
     tips = robot.mechanics.tips_with_friction(*robot.drive.collars(joints), np.zeros((len(joints), robot.n - 1)))
     return tips.position_m, tips.tangent
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import hashlib
 import json
 import math
 import zlib
@@ -20,7 +19,6 @@ from numpy.typing import NDArray
 from ctrplan.base.package import __version__
 from ctrplan.reports import looks, words
 from ctrplan.reports.words import Markup
-from ctrplan.storage import cache as disk_cache
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -151,22 +149,16 @@ def _typed_array(values: NDArray[np.float32 | np.int32]) -> dict[str, str]:
     return {"dtype": kind, "bdata": base64.b64encode(values.astype(f"<{kind}").tobytes()).decode("ascii")}
 
 
-def packed(text: str | bytes) -> str:
+def packed(text: str) -> str:
     """Compressed, in letters and digits: packed.js makes the text of it again."""
-    content = text if isinstance(text, bytes) else text.encode()
-    return base64.b64encode(zlib.compress(content, looks.LEVEL)).decode("ascii")
+    return base64.b64encode(zlib.compress(text.encode(), looks.LEVEL)).decode("ascii")
 
 
 @cache
 def _library() -> str:
-    """plotly.js, a third of its size; packed once and kept: packing takes as long as the rest of a page."""
-    library = Path(str(distribution("plotly").locate_file("plotly/package_data/plotly.min.js"))).read_bytes()
-    key = hashlib.sha256(b"packed %d" % looks.LEVEL + library).hexdigest()
-    known = disk_cache.load(key, (-1,), "will be packed again")  # four letters in the place of a number
-    text = packed(library) if known is None else known.tobytes().decode("ascii")
-    if known is None:
-        disk_cache.store_all({key: np.frombuffer(text.encode(), dtype=np.float32)})
-    return f'{script("packed.js")}\nconst plotly = library("{text}");\n'
+    """plotly.js, a third of its size. Its file is found without an import of plotly, which takes as long as packing."""
+    library = Path(str(distribution("plotly").locate_file("plotly/package_data/plotly.min.js")))
+    return f'{script("packed.js")}\nconst plotly = library("{packed(library.read_text(encoding="utf-8"))}");\n'
 
 
 def scene_script(plot: str, key: str, *calls: str, files: Sequence[str] = ()) -> str:

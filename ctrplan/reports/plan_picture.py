@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from matplotlib import patheffects, rc_context
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import LightSource
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -305,17 +304,7 @@ def _draw_column(figure: Figure, plan: Plan, time: Timeline) -> None:
     speeds = speed_panel(plan)
     draw_panel(axes[-1], speeds, time, heading=f"{speeds.title}, colours as above, translations dotted")
     axes[-1].set_xlabel("time (s)")
-    _align_labels(figure, axes)
-
-
-def _align_labels(figure: Figure, axes: Sequence[Axes]) -> None:
-    """What `Figure.align_ylabels` does, measured once: that measures every axis anew whenever it draws another."""
-    renderer = FigureCanvasAgg(figure).get_renderer()  # type: ignore[no-untyped-call]
-    for ax in axes:
-        ax.yaxis.get_tightbbox(renderer)  # puts its label beside its own numbers
-    left = min(ax.yaxis.label.get_position()[0] for ax in axes)
-    for ax in axes:
-        ax.yaxis.set_label_coords((left - ax.bbox.x0) / ax.bbox.width, 0.5)
+    figure.align_ylabels(axes)
 
 
 def _headline(figure: Figure, plan: Plan) -> None:

@@ -352,7 +352,7 @@ def test_only_what_can_be_compensated_is_polished(vessel: MotionChecker, monkeyp
 
 
 def test_results_are_the_cheapest_as_driven(vessel: MotionChecker) -> None:
-    """Of all paths that polish came by, whatever they promised; those that can't be driven are none."""
+    """All paths that polish came by are offered by that, whatever they promised; but those that can't be driven."""
     goals = goal_states(vessel, np.random.default_rng(0))
     clock = SearchClock(vessel.meter, timed=False, budget_s=2.0)
     search = StageSearch(vessel, goals, 0, time.monotonic(), 2.0, clock, lambda _: None, threading.Event())

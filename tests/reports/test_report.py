@@ -23,7 +23,7 @@ from ctrplan.base.surface import capsule
 from ctrplan.plans.plan import Plan
 from ctrplan.plans.planned_motion import ComparedWay
 from ctrplan.reports.curves import CURSOR
-from ctrplan.reports.html_page import _library, _templates, rendered
+from ctrplan.reports.html_page import _templates, rendered
 from ctrplan.reports.plan_motion import camera_places, moments, scene_figure
 from ctrplan.reports.plan_page import joints_figure, margins_figure, plan_report_html, write_plan_report
 from ctrplan.reports.plan_scene import FRAMES, PlanScene, plan_scene
@@ -309,20 +309,3 @@ def test_a_fine_mesh_is_drawn_coarser_and_the_page_says_so(scene: PlanScene) -> 
     assert len(content) < 5e6
     (drawn, whole) = re.search(r"drawn in ([\d,]+) of its ([\d,]+) triangles", Page(content).text).groups()  # type: ignore[union-attr]
     assert int(whole.replace(",", "")) == len(ball.faces) and int(drawn.replace(",", "")) <= 12_000
-
-
-def test_plotly_is_packed_once_and_anew_where_what_was_kept_is_damaged(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("CTRPLAN_CACHE_DIR", str(tmp_path))
-    packed_anew = _library.__wrapped__()
-    (kept,) = (tmp_path / "fields").iterdir()
-    whole = kept.read_bytes()
-    with monkeypatch.context() as patch:
-        patch.setattr("ctrplan.reports.html_page.packed", lambda _: pytest.fail("packed although it was kept"))
-        assert _library.__wrapped__() == packed_anew
-    for damaged in (b"", whole[:-1], whole[:-3] + b"</s"):
-        kept.write_bytes(damaged)
-        assert _library.__wrapped__() == packed_anew and kept.read_bytes() == whole
-    monkeypatch.setenv("CTRPLAN_CACHE_DIR", str(kept / "no_folder"))
-    assert _library.__wrapped__() == packed_anew
