@@ -117,7 +117,7 @@ def test_the_offset_that_is_aimed_for_is_that_at_the_end(slope: float, monkeypat
     checker = MotionChecker(case)
     other, moved = compensation.aimed(checker, path)
     assert other is not checker and np.linalg.norm(miss_m(moved)) > 0.1e-3
-    assert np.linalg.norm(miss_m(moved) + offset_m(None, moved)) < 2 * TIP_TOLERANCE_M
+    assert np.linalg.norm(miss_m(moved) + offset_m(None, moved)) < 2 * compensation.CLOSE_M
 
 
 def test_a_line_gets_corners_where_friction_takes_the_tip_off_between_them(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -360,6 +360,20 @@ def test_the_goal_follows_friction_at_the_end_of_the_path(case: Scenario, checke
     assert miss.cost_mm - plain_mm == pytest.approx((case.cost.error_goal + case.cost.path) * beyond_mm)
 
 
+def test_the_next_aim_is_nearer_to_where_friction_takes_it(case: Scenario, checker: MotionChecker) -> None:
+    """By half a millimetre at most, and anew once there is another path."""
+    path = roundabout()[:-1]  # ends with a turn, which leaves friction
+    path[-1] = GOAL
+    polish = Polish(checker, roundabout(), 0, is_aimed=True)
+    for other in (None, path):
+        assert other is None or polish._takes(other)
+        end_m, miss_m = polish._end_m(polish.corners), polish._miss_m(polish.corners)
+        shift_m = polish._aim_m - end_m
+        assert np.linalg.norm(miss_m) > 0.1e-3
+        assert np.linalg.norm(shift_m) == pytest.approx(min(FOLLOWED_M, float(np.linalg.norm(miss_m))))
+        assert np.linalg.norm(miss_m - shift_m) == pytest.approx(max(float(np.linalg.norm(miss_m)) - FOLLOWED_M, 0.0))
+
+
 TURNED = CostTerm("turned", 100.0, lambda q: np.abs(q[:, 1]))
 WITHDRAWN = CostTerm("withdrawn", 1e4, lambda q: GOAL[3] - q[:, 3])
 

@@ -351,6 +351,21 @@ def test_only_what_can_be_compensated_is_polished(vessel: MotionChecker, monkeyp
         assert all(racer.is_aimed for racer in race.racers)
 
 
+def test_a_path_whose_aimed_beginning_has_no_room_is_polished_from_where_it_is(
+    vessel: MotionChecker, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    goals = goal_states(vessel, np.random.default_rng(0))
+    clock = SearchClock(vessel.meter, timed=False, budget_s=2.0)
+    search = StageSearch(vessel, goals, 0, time.monotonic(), 2.0, clock, lambda _: None, threading.Event())
+    race = Race(search._first_path(), search._expanded, 0, is_compensated=True, moves_goal=True)
+    assert search.best is not None
+    path = search.best.corners
+    monkeypatch.setattr("ctrplan.planning.search.polish.aimed", lambda checker, q: (checker.without_reserve(), q + 1.0))
+    racer = race._begun(path)
+    assert racer is not None and racer is race.racers[0]
+    np.testing.assert_array_equal(racer.trail[0][1], path)
+
+
 def test_results_are_the_cheapest_as_driven(vessel: MotionChecker) -> None:
     """All paths that polish came by are offered by that, whatever they promised; but those that can't be driven."""
     goals = goal_states(vessel, np.random.default_rng(0))
