@@ -102,7 +102,7 @@ def test_the_way_that_is_known_to_be_driven_is_tried_first(monkeypatch: pytest.M
     np.testing.assert_allclose(known.compensation.correction, found.compensation.correction, atol=1e-12)
 
 
-@pytest.mark.parametrize("slope", [-1.05, -0.9, 0.5])
+@pytest.mark.parametrize("slope", [0.13, -1.05, -0.9, 0.5])
 def test_the_offset_that_is_aimed_for_is_that_at_the_end(slope: float, monkeypatch: pytest.MonkeyPatch) -> None:
     """Also where it changes as much as the end does, so that aiming where it last was leads away."""
     case, path = pair(), np.array([START, [*START[:2], GOAL[2]], GOAL])
