@@ -193,6 +193,7 @@ def fixture_trouble(scenario: Scenario) -> str:
 # least, and the joint length [mm] over which it changes: of greatest marginal likelihood for 1,322 states that twelve
 # searches of two scenarios solved.
 LOSS_M, LOSS_SD_M, SCATTER_M, LOSS_MM = 1e-3, 2e-3, 0.2e-3, 30.0
+LEAST_HOPE = 0.01  # however little is expected: the surrogate may be wrong
 
 
 def expected_share(room_m: Array) -> Array:

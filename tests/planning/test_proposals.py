@@ -125,6 +125,53 @@ def test_insertions_that_grow_are_motions_to_their_goals_and_none_is_known_to_fa
         assert all(state.valid for state in solved)
 
 
+class Places:
+    """Ways of places in one dimension: what is expected of them, and what is solved, are given by their rooms."""
+
+    def __init__(self, *rooms_mm: list[float]) -> None:
+        self.solved: list[float] = []
+        self.ways = [
+            TurnedInsertion(np.zeros((2, 1)), k, np.array(mm)[:, None], 1e-3 * np.array(mm))
+            for k, mm in enumerate(rooms_mm)
+        ]
+
+    def share_valid(self, joints: Array, room_m: Array) -> Array:
+        """Falls by half for places within 0.1 mm of one that was refused."""
+        refused = [mm for mm in self.solved if mm < 3.0]
+        near = [any(abs(mm - 1e3 * room) < 0.1 for mm in refused) for room in room_m]
+        return np.clip(1e2 * room_m, 0.0, 1.0) * np.where(near, 0.5, 1.0)
+
+    def is_valid(self, joints: Array, room_m: float) -> bool:
+        """Three millimetres are enough."""
+        self.solved.append(float(joints[0]))
+        return self.solved[-1] >= 3.0
+
+    def likely(self, enough: float | None = None) -> list[int]:
+        """The numbers of likely ways."""
+        return [way.goal for way in proposals.likely_insertions(self.ways, self.share_valid, self.is_valid, enough)]
+
+
+def test_ways_are_likely_where_no_place_is_in_doubt_or_those_that_are_were_solved() -> None:
+    places = Places([2.0, 9.0], [6.0, 8.0], [4.0, 3.5, 9.0], [0.05, 9.0])
+    assert places.likely() == [1, 2]
+    assert places.solved == [3.5, 4.0, 2.0]  # the likeliest first, what is hopeless not at all
+
+
+def test_where_little_doubt_is_enough_nothing_is_solved_once_a_way_is_sure() -> None:
+    sure, doubtful = Places([2.0], [6.0], [9.95], [7.0]), Places([2.0, 9.0], [6.0, 7.0], [8.0, 5.5], [3.5])
+    assert sure.likely(0.1) == [2, 3, 1]  # with those that are likely
+    assert not sure.solved
+    assert doubtful.likely(0.1) == [1, 2]
+    assert doubtful.solved == [6.0, 7.0]
+
+
+def test_a_way_that_is_refused_takes_hope_from_ways_like_it() -> None:
+    """The way beside is no longer the next to be looked at, and not thrown away either."""
+    places = Places([2.95], [2.92], [2.0])
+    assert places.likely() == []
+    assert places.solved == [2.95, 2.0, 2.92]
+
+
 def test_none_is_offered_where_a_known_path_costs_less_than_all(checker: MotionChecker, search: RoadmapSearch) -> None:
     goals = search.joints[search.goals]
     assert not turned_insertions(checker, goals, left_mm(search), np.random.default_rng(1), 100, 100.0)

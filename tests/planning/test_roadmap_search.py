@@ -112,15 +112,15 @@ def test_a_motion_of_the_next_path_is_checked_ahead(vessel: MotionChecker, monke
         search.known[k], search.cost[k] = True, 1.0 if checked else np.inf
         checked.append(k)
 
-    def check_ahead(search: RoadmapSearch, k: int) -> None:
+    def look_ahead(_: MotionChecker, start: Array, goal: Array) -> None:
         together.wait(10.0)
-        ahead.append(k)
+        ahead.append(int(np.flatnonzero((joints[1:] == goal).all(axis=1))[0]))
 
     monkeypatch.setattr(
         MotionChecker, "look", lambda _, ways: [Stations(way, np.ones(len(way)), jumps=False) for way in ways]
     )
     monkeypatch.setattr(RoadmapSearch, "_check", check)
-    monkeypatch.setattr(RoadmapSearch, "_check_ahead", check_ahead)
+    monkeypatch.setattr(MotionChecker, "look_ahead", look_ahead)
     search = RoadmapSearch(vessel, roadmap, goals)
     assert search.any_path(lambda: False) is not None
     assert len(checked) == 2 and ahead[0] == checked[1]

@@ -11,6 +11,8 @@ random ways like that most are refused by one or two of their zero-clearance sha
 
 from __future__ import annotations
 
+import heapq
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,7 +21,7 @@ from numpy.typing import NDArray
 from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.base.long_work import ROOM_NS
 from ctrplan.motion.checker import MotionChecker
-from ctrplan.planning.room import expected_share
+from ctrplan.planning.room import LEAST_HOPE, expected_share
 from ctrplan.scenario.tip_solver import GoalState, TipSolver, TipTarget
 
 STATION_MM = 6.0  # along the body between neighbours of a chain
@@ -176,6 +178,44 @@ def turned_insertions(
         for row, joints, room_m in zip(rows, places, _rooms(checker, places), strict=True)
         if room_m.min() >= 0
     ]
+
+
+def likely_insertions(
+    ways: list[TurnedInsertion],
+    share_valid: Callable[[Array, Array], Array],
+    is_valid: Callable[[Array, float], bool],
+    enough: float | None = None,
+) -> list[TurnedInsertion]:
+    """Those whose places are all likelier valid than not, the likeliest first: where that is in doubt, it is solved.
+
+    share_valid: the probability (S,) that each of the places (S, m) with such rooms (S,) is valid, by all that was
+    solved so far; is_valid: solves one of them. Where a doubt is enough, solving ends with the first way of which no
+    place is in more doubt than that; others join it that are likely by then.
+    """
+    solved = [np.zeros(len(way.room_m), dtype=bool) for way in ways]
+
+    def doubt(k: int) -> tuple[float, int, int]:
+        share = np.where(solved[k], 1.0, share_valid(ways[k].joints, ways[k].room_m))
+        return 1 - float(share.min()), k, int(np.argmin(share))
+
+    result, queue = list[int](), sorted(map(doubt, range(len(ways))))
+    while queue and not (result and enough):
+        most = doubt(heapq.heappop(queue)[1])  # by all that was solved since
+        if queue and most > queue[0]:
+            heapq.heappush(queue, most)
+            continue
+        doubtful, k, place = most
+        if doubtful < (enough or 1 / 2):
+            result.append(k)
+            continue
+        if doubtful > 1 - LEAST_HOPE:
+            break
+        solved[k][place] = is_valid(ways[k].joints[place], float(ways[k].room_m[place]))
+        if solved[k][place]:
+            heapq.heappush(queue, doubt(k))
+    doubtful_yet = sorted(doubt(k) for _, k, _ in queue)
+    likely = [k for doubtful, k, _ in doubtful_yet if doubtful < 1 / 2]
+    return [ways[k] for k in [*result, *likely]]
 
 
 def least_cost_mm(checker: MotionChecker, delta: Array) -> Array:

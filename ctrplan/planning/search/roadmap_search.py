@@ -20,8 +20,9 @@ from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.base.long_work import EDGE_NS, counted_aside
 from ctrplan.motion.checker import DEFINITE_COLLISION_M, MotionChecker
 from ctrplan.planning.goal_states import Trail
-from ctrplan.planning.room import ClearanceSurrogate
-from ctrplan.planning.search.proposals import SKIPS, Roadmap, least_cost_mm, states_beside, turned_insertions
+from ctrplan.planning.room import LEAST_HOPE, ClearanceSurrogate
+from ctrplan.planning.search import proposals
+from ctrplan.planning.search.proposals import SKIPS, Roadmap, least_cost_mm
 from ctrplan.scenario.tip_solver import GoalState
 
 AT_ONCE = 2  # motions checked in parallel; the same everywhere, as it decides what is checked
@@ -31,9 +32,7 @@ NEIGHBOURS = 8
 AT_MM = 1e-6  # of joint length, within which a place is at a motion's end
 TRIES = 4  # random states looked at for each that is added
 VALID_JUMPS = 0.05  # of motions along which the zero-clearance tip jumps
-LEAST_HOPE = 0.01  # however little is expected: the surrogate may be wrong
 WALK_PER_STATE = 30  # solves of a motion's walk for one of a state: with less doubt than that it is walked at once
-
 
 Result = TypeVar("Result")
 
@@ -107,20 +106,6 @@ class RoadmapSearch:
         ends = share[self.place[self.edges]].min(axis=1, initial=1.0)
         self.hope = np.minimum(np.minimum(ends, share[self.narrowest]), np.where(self.jumps, VALID_JUMPS, 1.0))
 
-    def _is_likely_valid(self, joints: Array, room_m: Array) -> bool:
-        """Whether all places (S, m) of a way are likelier valid than not: where that is in doubt it is solved."""
-        solved = np.zeros(len(room_m), dtype=bool)
-        while True:
-            share = np.where(solved, 1.0, self.clearance.share_valid_at(joints, room_m))
-            least = int(np.argmin(share))
-            if share[least] > 1 / 2:
-                return True
-            is_valid = self.checker.state(joints[least]).valid
-            self._learn(self.clearance.extend(joints[[least]], room_m[[least]]))
-            if not is_valid:
-                return False
-            solved[least] = True
-
     def _learn(self, places: NDArray[np.int_]) -> None:
         """Takes in what solved places leave."""
         self.checker.meter.add(EDGE_NS * len(self.clearance.room_m) * len(places))
@@ -134,7 +119,7 @@ class RoadmapSearch:
         Half of the states have the tip where that of another is, of those first from or to which no motion was valid.
         """
         space, q, troubled = self.checker.space, self.joints, self._troubled(rng, TRIES * count // 2)
-        beside = self._likely_valid(states_beside(self.checker, q[troubled], rng), count // 2)
+        beside = self._likely_valid(proposals.states_beside(self.checker, q[troubled], rng), count // 2)
         added = np.concatenate([beside, self._likely_valid(space.sample(rng, TRIES * count), count - len(beside))])
         everything, edges = np.concatenate([q, added]), set()
         for i in range(len(q), len(everything)):
@@ -147,16 +132,26 @@ class RoadmapSearch:
             self._add_insertions(rng, insertions)
 
     def _add_insertions(self, rng: np.random.Generator, count: int) -> None:
-        """Adds those of `count` random insertions that are likely valid, cheaper than the path known."""
+        """Adds those of `count` random insertions that are likely valid, cheaper than the path known.
+
+        Without one, a single way that may be walked at once, and those that are likely when that is there.
+        """
         goals, known, first = self.goals, self.known_path(), len(self.joints)
         left_mm = self.checker.scenario.cost.error_goal * MM_PER_M * np.array([self.left_m[k] for k in goals.tolist()])
         most_mm = known.cost_mm if known else np.inf
-        ways = turned_insertions(self.checker, self.joints[goals], left_mm, rng, count, most_mm)
-        if ways := [way for way in ways if self._is_likely_valid(way.joints, way.room_m)]:
+        ways = proposals.turned_insertions(self.checker, self.joints[goals], left_mm, rng, count, most_mm)
+        enough = None if known else 1 / WALK_PER_STATE
+        if ways := proposals.likely_insertions(ways, self.clearance.share_valid_at, self._solved_at, enough):
             amid = first + 2 * np.arange(len(ways))
             nodes = np.stack([np.zeros_like(amid), amid, amid + 1, goals[[way.goal for way in ways]]], axis=1)
             edges = np.concatenate([nodes[:, k : k + 2] for k in range(3)])
             self.extend(np.concatenate([way.states for way in ways]), edges)
+
+    def _solved_at(self, joints: Array, room_m: float) -> bool:
+        """Whether joints (m,) are valid, which is solved and teaches what to expect of others."""
+        is_valid = self.checker.state(joints).valid
+        self._learn(self.clearance.extend(joints[None], np.array([room_m])))
+        return is_valid
 
     def add_trails(self, trails: list[Trail]) -> None:
         """Adds goal states a step apart, joined to those ahead in their trail; the last ones also to others."""
@@ -249,7 +244,8 @@ class RoadmapSearch:
             if not todo:
                 return self.joints[nodes]
             ahead = self._likely_next(price, todo) if is_any_enough and len(todo) < AT_ONCE else []
-            self._together([*(partial(self._check, k) for k in todo), *(partial(self._check_ahead, k) for k in ahead)])
+            aside = (partial(self.checker.look_ahead, *self.joints[self.edges[k]]) for k in ahead)
+            self._together([*(partial(self._check, k) for k in todo), *aside])
         return None
 
     def _refuses_a_motion(self, doubtful: list[int]) -> bool:
@@ -291,9 +287,6 @@ class RoadmapSearch:
         """(K, m) corners of a motion."""
         a, b = self.joints[self.edges[k]]
         return self.checker.space.corners(a, b, self.checker.style)
-
-    def _check_ahead(self, k: int) -> None:
-        self.checker.look_ahead(*self.joints[self.edges[k]])
 
     def known_path(self, goal: int | None = None) -> KnownPath | None:
         """The cheapest path, to one goal if it is given, of motions that are valid and leave enough room, or None."""
