@@ -6,8 +6,8 @@
     python benchmarks/run.py scenarios success [SCENARIO ...] [--time 1] [--seeds 20] [--seed FIRST]
     python benchmarks/run.py scenarios cage [--time 2] [--seeds 5]
 
-costs: what plans of a search of so many seconds cost, how many seeds have one, and what all of it takes of a processor;
-with --against, in alternation with another checkout.
+costs: what plans of a search of so many counted seconds cost, how many seeds have one, how far from their targets they
+may arrive, and what all of it takes of a processor; with --against, in alternation with another checkout.
 success: how many seeds have a plan after a search of so many counted seconds, which ends with its first certified path.
 cage: the same of a robot whose inner tube stands in a cage of bars with three gaps, to three tips outside.
 choice: how much choice the scenarios' goals leave: goal configurations, their bounds, and the ratio between them.
@@ -95,17 +95,18 @@ def choice(paths: list[Path]) -> Iterator[tuple[object, ...]]:
         yield path.stem, len(bounds), f"{low:.2f} to {high:.2f} mm", f"{high / low:.1f} x"
 
 
-def plan_once(path: Path, seed: int, time_s: float) -> tuple[float, float, float]:
-    """Cost [mm] and bound at the goal [mm] of a plan, NaN where there is none, and seconds of a processor."""
+def plan_once(path: Path, seed: int, time_s: float) -> tuple[float, float, float, float]:
+    """Cost, bound at the goal and arrival [mm] of a plan, NaN where there is none, and seconds of a processor."""
     began = time.process_time()
     scenario = ctrplan.load_scenario(path, [f"planner.time_s={time_s}"])
     try:
         plan = ctrplan.plan(scenario, seed=seed)
     except ctrplan.CtrplanError as error:
         print(path.stem, seed, error, file=sys.stderr, flush=True)
-        return np.nan, np.nan, time.process_time() - began
+        return np.nan, np.nan, np.nan, time.process_time() - began
     took = time.process_time() - began
-    return cost_mm(plan, scenario.cost), 1e3 * plan.certificate.goal_bound_m, took
+    c = plan.certificate
+    return cost_mm(plan, scenario.cost), 1e3 * c.goal_bound_m, 1e3 * c.arrival.error_m if c.arrival else np.nan, took
 
 
 def costs(paths: list[Path], given: Any) -> None:
@@ -114,7 +115,7 @@ def costs(paths: list[Path], given: Any) -> None:
 
     def rows() -> Iterator[list[str]]:
         for path in paths:
-            values = np.full((len(trees), given.seeds, 3), np.nan)
+            values = np.full((len(trees), given.seeds, 4), np.nan)
             for seed in range(given.seeds):
                 for k in range(len(trees)) if seed % 2 else reversed(range(len(trees))):
                     arguments = ("once", path.stem, "--seed", str(seed), "--time", str(given.time))
@@ -123,14 +124,15 @@ def costs(paths: list[Path], given: Any) -> None:
             for solved in values:
                 there = np.isfinite(solved[:, 0])
                 cost, bound = (np.median(solved[there, c]) if there.any() else np.nan for c in (0, 1))
-                least = np.nanmin(solved[:, 0], initial=np.inf)
-                cells += [f"{there.sum()} of {given.seeds}", f"{cost:.1f} mm", f"{least:.1f} mm", f"{bound:.2f} mm"]
-                cells += [f"{np.median(solved[:, 2]):.1f} s"]
+                least, most = (f(solved[there, 0]) if there.any() else np.nan for f in (np.min, np.max))
+                arrival = np.nanmax(solved[:, 2], initial=0.0)
+                cells += [f"{there.sum()} of {given.seeds}", f"{cost:.1f} mm", f"{least:.1f} to {most:.1f}"]
+                cells += [f"{bound:.2f} mm", f"{arrival:.2f} mm", f"{np.median(solved[:, 3]):.1f} s"]
             yield cells
 
-    names = ("planned", "cost, median", "least", "bound at the goal", "processor")
+    names = ("planned", "cost, median", "all", "bound at the goal", "largest arrival error", "processor")
     heads = [f"{name}{where}" for where in ("", ", there")[: len(trees)] for name in names]
-    table("costs", ("scenario", *heads), rows())
+    table(f"costs after {given.time:g} s", ("scenario", *heads), rows())
 
 
 def ended_by_a_path(progress: Progress) -> None:
