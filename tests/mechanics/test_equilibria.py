@@ -336,6 +336,24 @@ def test_robots_of_another_kind_are_refused_in_one_sentence() -> None:
     assert not is_unique(loaded, [0, -90e-3])
 
 
+@pytest.mark.parametrize(
+    ("theta", "l", "sentence"),
+    [
+        ([0, np.nan, 1], [0, -0.01, -0.02], "theta_b of tube 2 = nan rad: must be finite"),
+        ([0, 1, 1], [0, -0.01, -np.inf], "l_b of tube 3 = -inf m: must be finite"),
+        ([0, 1, 1], [0, 0.01, 0.02], "l_b of tube 2 = 0.01 m: must lie behind the outer tube's base"),
+        ([0, 1, 1], [0, -17, -60], "l_b = -60.0 m: .* are these millimetres"),
+    ],
+)
+def test_collars_that_do_not_nest_have_no_equilibria(theta: list[float], l: list[float], sentence: str) -> None:  # noqa: E741
+    """What solves the robot refuses them in these words, too."""
+    robot = load_robot(ROBOTS / "three_tube.toml")
+    for ask in (robot.solve, robot.equilibria):
+        with pytest.raises(InputError, match=sentence) as refused:
+            ask(theta, l)
+        assert "\n" not in str(refused.value)
+
+
 def test_ik_and_view_say_that_there_are_others(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """At 170 deg the bent pair has two stable shapes; at 20 deg it has one."""
     robot, file = bent(2.5), tmp_path / "bent.toml"
