@@ -11,7 +11,6 @@ from stated_plans import in_si, scene_of, sphere, table_ii
 
 import ctrplan
 from ctrplan.drive.legs import distance_from_polyline
-from ctrplan.drive.trajectory import time_parameterise
 from ctrplan.errors import InputError
 from ctrplan.scenario.scenario import Goal, Scenario
 
@@ -38,7 +37,7 @@ def test_a_path_is_certified_as_it_is(scenario: Scenario, way: Any) -> None:
 
 
 def test_a_trajectory_is_its_way(scenario: Scenario, way: Any) -> None:
-    trajectory = time_parameterise(way, scenario.robot.drive)
+    trajectory = ctrplan.time_parameterise(way, scenario.robot.drive)
     of_path, of_trajectory = (ctrplan.certify(scenario, each) for each in (way, trajectory))
     assert of_trajectory.min_clearance_m == pytest.approx(of_path.min_clearance_m, abs=1e-6)
     assert ctrplan.certify(scenario, way, timing=trajectory).valid
@@ -124,7 +123,7 @@ def test_what_is_no_timing_of_the_path_is_a_sentence(
     """Backward and broken clocks once were certified."""
     robot = table_ii(f"effects.drive_lag.theta_s={late}")
     with pytest.raises(InputError, match=sentence) as refused:
-        ctrplan.certify(replace(scenario, robot=robot), way, timing=given(time_parameterise(way, robot.drive)))
+        ctrplan.certify(replace(scenario, robot=robot), way, timing=given(ctrplan.time_parameterise(way, robot.drive)))
     assert "\n" not in str(refused.value)
 
 
@@ -158,7 +157,7 @@ def test_a_drive_that_follows_late_needs_a_timing_by_which_it_is_followed(scenar
     with pytest.raises(InputError, match=r"effects.drive_lag.*0.4 s late.*give its timing"):
         ctrplan.certify(late, way)
     straight = np.array([way[0], way[-1]])
-    fast = time_parameterise(straight, late.robot.drive)
+    fast = ctrplan.time_parameterise(straight, late.robot.drive)
     slow = replace(fast, time_s=20 * fast.time_s, duration_s=20 * fast.duration_s, leg_end_s=20 * fast.leg_end_s)
     apart = []
     for timing in (fast, slow):
