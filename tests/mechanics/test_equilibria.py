@@ -213,8 +213,8 @@ def test_a_shape_that_friction_alone_holds_refuses_the_start(angle_deg: float) -
     bound = robot.bound(theta, l)
     assert not path.snaps.any()
     assert np.linalg.norm(path.position_m[-1] - bound.frictionless.tip_m) > bound.position_m + 50e-3
-    assert "with clearance and friction" in other_start(scenario, at)
-    assert not other_start(replace(scenario, start_friction="released"), at)
+    assert re.search("with clearance and friction.*oscillated", other_start(scenario, at))
+    assert not any(other_start(replace(scenario, start_friction=kind), at) for kind in ("released", "oscillated"))
 
 
 def test_a_shape_that_friction_holds_beside_a_fold_is_known() -> None:
