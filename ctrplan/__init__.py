@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from ctrplan.diagnosis.workflow import diagnose as diagnose
     from ctrplan.drive.drive import Drive as Drive
     from ctrplan.drive.drive import Joint as Joint
+    from ctrplan.drive.trajectory import Trajectory
+    from ctrplan.drive.trajectory import time_parameterise as time_parameterise
     from ctrplan.errors import CtrplanError, InputError, NoAnswerError
     from ctrplan.files.file_content import as_read as as_read
     from ctrplan.files.file_content import to_toml as to_toml
@@ -124,8 +126,9 @@ __all__ = [
     "Sphere",
     "Status",
     "Study",
-    "TipTracker",
     "StudyTable",
+    "TipTracker",
+    "Trajectory",
     "Tube",
     "TubeDesign",
     "TubeDesigns",
@@ -158,6 +161,7 @@ __all__ = [
     "save_plan",
     "scenario_from_dict",
     "show",
+    "time_parameterise",
     "to_toml",
     "verify",
 ]

@@ -35,7 +35,7 @@ BEYOND_BOUND_M = 0.3e-3  # of a simulated tip: histories and bounds may be of di
 
 # Of bodies, against the model of exact geometry: 0.27 mm at most on the search mesh, 0.17 on the certificate mesh, for
 # clearances between tubes below 0.1 mm. Wide ones add to it, for the model is of first order in them: 0.44 mm for each
-# mm of all pairs together at most (`benchmarks/mesh_allowance.py`).
+# mm of all pairs together at most (`benchmarks/run.py allowances`).
 CERTIFICATE_MESH_M, SEARCH_MESH_M = 0.2e-3, 0.8e-3  # the latter on top of the former
 NARROW_M, FIRST_ORDER = 0.05e-3, 0.4
 # Of bounds, which are differences of tips on one mesh: 0.23 mm short at most on the search mesh, 0.007 on the

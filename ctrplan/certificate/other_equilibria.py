@@ -255,6 +255,8 @@ def _elsewhere(robot: Robot, joints: Array, bound: Bound, is_loaded: bool, is_co
         )
         if way.any():
             sentence += f"; {UNWIND} {_moved(robot, way)}"
+        if is_loaded and np.isnan(seen[0]):
+            sentence += '; friction alone holds it: with friction = "oscillated" in [start] there is none'
         if turns == "absolute" and not is_counted:
             return f"{sentence}; rotations straight from home snap on the way, and may end in either"
         if other.turns.any():

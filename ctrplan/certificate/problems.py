@@ -15,9 +15,9 @@ import numpy as np
 from ctrplan.anatomy.parts import exact_clearance
 from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.certificate.certificate import CertificateSamples
-from ctrplan.certificate.friction_states import SPACING_M, bound_allowance_m, mesh_allowance_m
+from ctrplan.certificate.friction_states import bound_allowance_m, mesh_allowance_m
 from ctrplan.certificate.other_equilibria import way_to_unwind
-from ctrplan.certificate.walked_piece import Piece
+from ctrplan.certificate.walked_piece import LEAP_M, Piece
 from ctrplan.drive.legs import distance_from_polyline
 from ctrplan.mechanics.equilibria import SAME_SHAPE_M
 from ctrplan.mechanics.shapes import Accuracy
@@ -101,7 +101,6 @@ def _closely(robot: Robot, joints: Array, walked_m: Array, upper_m: Array) -> Ar
 BRANCH_TOLERANCE_M = 0.2e-3  # between tips of a shape at the ends of neighbouring pieces, reached on two ways
 # In sentences where the shape that is followed is not the one that is solved at the joints by themselves.
 PARTED = ("the shape depends on the way there", "another equilibrium exists for the same joints and friction.")
-LEAP_M = 2 * SPACING_M  # a shape that moves farther between samples was not followed
 
 
 def problems_of_walk(scenario: Scenario, space: JointSpace, corners: Array, pieces: Sequence[Piece]) -> list[str]:

@@ -53,6 +53,7 @@ if TYPE_CHECKING:
 
 PIECE_MM = 40.0  # joint length of the pieces that run in parallel
 FINE_M = 0.1e-3  # between samples where half of SPACING_M decides: five times the work there
+LEAP_M = 2 * SPACING_M  # a shape that moves farther between samples was not followed
 FROM_PLATE_M = 5e-3  # points of a body farther from where it leaves the plate have to stay in front of it
 
 
@@ -194,7 +195,10 @@ def walk_pieces(
     def walk(leg_way: tuple[int, Array]) -> Piece:
         leg, way = leg_way
         same = memory.get((way.tobytes(), variants.large, accuracy))
-        return replace(same, leg=leg) if same else walked(variants, space, leg, way, accuracy)
+        piece = replace(same, leg=leg) if same else walked(variants, space, leg, way, accuracy)
+        if piece.motion_m.max() > LEAP_M and piece.samples.status[-1] < Status.UNSTABLE:  # or only the mesh's nodes do
+            return walked(variants, space, leg, way, "certificate")
+        return piece
 
     pieces: list[Piece] = []
     with ThreadPoolExecutor(cores()) as pool:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ctrplan.base.arrays import Array
+from ctrplan.errors import InputError
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,6 +24,8 @@ class Collars:
 
 MERGE_TOLERANCE = 1e-9  # a merged leg passes its waypoints within this fraction of its length
 STILL_RAD, STILL_M = 1e-6, 1e-8  # collars of a file or a log that differ by less stand still
+LEAVES = 1e-5  # rad or m by which a sample may lie beside its leg: digits that somebody rounded
+SHORTEST = 1e-4  # rad or m of a leg that no sample may leave out
 LINE_TOLERANCE = 1e-12  # rad or m off its leg, or beside the waypoint that it repeats, that counts as none
 
 
@@ -93,3 +96,43 @@ def _bow(run: Array, bow: float) -> float:
     if bow > allowed:
         bow = float(distance_from_leg(run[1:-1], start, end).max())
     return bow if bow <= allowed else math.inf
+
+
+def places_on_legs(rows: Array, waypoints: Array, file: str | None, what: str) -> Array:
+    """(T,) leg number plus share of it where joints (T, m) lie on the legs through waypoints (L + 1, m).
+
+    Raises InputError for rows that leave the legs, go back, leave a leg out, or do not go from start to end.
+    """
+    places, leg, share = np.empty(len(rows)), 0, 0.0
+    for k, row in enumerate(rows):
+        leg, share = _next_place(row, waypoints, leg, share, file, f"{what}, sample {k + 1}")
+        places[k] = leg + share
+    for k, end, name in ((0, 0, "start"), (len(rows) - 1, len(waypoints) - 1, "end")):
+        if np.abs(rows[k] - waypoints[end]).max() > LEAVES:
+            raise InputError(f"must be at the {name} of the legs", file=file, key=f"{what}, sample {k + 1}")
+    return places
+
+
+def _next_place(row: Array, waypoints: Array, leg: int, share: float, file: str | None, key: str) -> tuple[int, float]:
+    """The first place at or after (leg, share) where the row lies on the legs."""
+    for k in range(leg, len(waypoints) - 1):
+        chord = waypoints[k + 1] - waypoints[k]
+        length = float(np.linalg.norm(chord))
+        along = float((row - waypoints[k]) @ chord) / length**2 if length > 0 else 0.0
+        at = min(max(along, share if k == leg else 0.0), 1.0)
+        if np.abs(row - waypoints[k] - at * chord).max() <= LEAVES:
+            return k, at
+        if k > leg and length > SHORTEST:
+            break
+    if _apart(row, waypoints) > LEAVES:
+        raise InputError(f"leaves the legs by {_apart(row, waypoints):.3g} rad or m", file=file, key=key)
+    raise InputError("is out of order: the legs do not pass here after the sample before", file=file, key=key)
+
+
+def _apart(row: Array, waypoints: Array) -> float:
+    """Distance [rad or m, the largest joint's] of a row (m,) from the legs."""
+    chords = np.diff(waypoints, axis=0)
+    squares = np.sum(chords**2, axis=1)
+    along = np.sum((row - waypoints[:-1]) * chords, axis=1) / np.where(squares > 0, squares, 1.0)
+    feet = waypoints[:-1] + np.clip(along, 0.0, 1.0)[:, None] * chords
+    return float(np.abs(row - feet).max(axis=1).min())

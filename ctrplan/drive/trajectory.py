@@ -347,10 +347,10 @@ def late_rows(drive: Drive, time_s: Array, position: Array, at_s: Array) -> Arra
 
 def _late_ways(drive: Drive, corners: Array, timing: Trajectory | None) -> list[LegWay]:
     made = timing or time_parameterise(corners, drive, joinable=True)
-    tail_s = made.duration_s + np.linspace(0, float(drive.joint_late_s.max()), 50)
-    instants = np.unique(np.concatenate([made.time_s, tail_s]))
+    instants = np.unique(np.add.outer(made.time_s, [0.0, *drive.joint_late_s]))  # between which all joints go straight
     rows = late_rows(drive, made.time_s, made.position, instants)
-    legs = _commanded_legs(corners, made.position)[np.minimum(np.arange(len(instants)), len(made.time_s) - 1)]
+    commanded = np.searchsorted(made.time_s, instants, side="right") - 1
+    legs = _commanded_legs(corners, made.position)[commanded]
     steps = np.abs(np.diff(rows, axis=0)) / np.where(drive.is_rotation, STEP_RAD, STEP_M)
     moved = np.floor(np.append(0.0, np.cumsum(steps.max(axis=1))))
     ways = list[LegWay]()

@@ -102,7 +102,8 @@ class Shape:
     contact_angle_rad: tuple[Array, ...]  # per pair: where the inner tube leans, twist-free frame
     status: Status
     residual: float  # largest imbalance of moments over the robot's own, EI * precurvature
-    # smallest eigenvalue of the torsional second variation over GJ / L^2 of the innermost tube; NaN along histories
+    # smallest eigenvalue of the torsional second variation over GJ / L^2 of the innermost tube; NaN along histories.
+    # Whatever phi is, that of the frictionless shape: walks and bodies in friction states count friction.
     stability: float
     max_strain: float
     equilibrium: _model.Equilibrium | None = field(default=None, repr=False)  # what the core kept of the solution

@@ -16,14 +16,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ctrplan.base.arguments import PROGRESS, Made, checked
-from ctrplan.base.arrays import MM_PER_M, Array, numbers
+from ctrplan.base.arrays import MM_PER_M, MOST_TURNS_DEG, Array, numbers
 from ctrplan.base.long_work import Progress, part_of
 from ctrplan.certificate.certificate import Certificate, joined_certificates
 from ctrplan.certificate.certify import certify as certified_legs
 from ctrplan.certificate.certify import either_arrives
 from ctrplan.certificate.problems import PARTED
 from ctrplan.certificate.walked_legs import miscounted
-from ctrplan.drive.legs import distance_from_polyline, merge_legs
+from ctrplan.drive.legs import merge_legs, places_on_legs
 from ctrplan.drive.trajectory import PERIOD, PERIOD_S, Trajectory
 from ctrplan.errors import InputError, NoAnswerError
 from ctrplan.motion.checker import MotionChecker
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 SAME_JOINTS = 1e-6  # rad or m by which a path may begin, end, or pass beside the joint values asked for: rounding
 
 
-@checked(scenario=Made("Scenario"), progress=PROGRESS)
+@checked(scenario=Made("Scenario"), timing=Made("Trajectory"), progress=PROGRESS)
 def certify(
     scenario: Scenario,
     path: ArrayLike | Trajectory,
@@ -51,17 +51,16 @@ def certify(
 ) -> Certificate:
     """The certificate of a path as it is: waypoints (K, m) of actuated joints, straight in between, or a trajectory.
 
-    timing: the trajectory that drives the waypoints; nothing but its way is used. The certificate says in `valid` and
-    `problems` whether the motion holds, its arrival included. Raises InputError, one sentence, for what is not the
-    scenario's motion: another start, goal or direction, targets left out or out of order, limits, a trajectory beside
-    the waypoints; and for waypoints alone, or several targets, of a robot whose joints follow unequally late: how far
-    they leave the path depends on its timing.
+    timing: the trajectory that drives the waypoints; its times count where joints follow late. The certificate says in
+    `valid` and `problems` whether the motion holds, its arrival included. Raises InputError, one sentence, for what is
+    not the scenario's motion: another start, goal or direction, targets left out or out of order, limits, a trajectory
+    beside the waypoints; and for waypoints alone, or several targets, of a robot whose joints follow unequally late:
+    how far they leave the path depends on its timing.
     """
     given, timed = (path.position, path) if isinstance(path, Trajectory) else (path, timing)
     corners = _corners(scenario, given)
     scenario = standing(scenario, corners)
-    if timed is not None:
-        _refuse_other_way(scenario, corners, timed)
+    timed = None if timed is None else _along(scenario, corners, timed)
     if timed is None or scenario.via:
         refuse_late_drive(scenario)
     space = JointSpace.of(scenario)
@@ -134,8 +133,14 @@ def _corners(scenario: Scenario, path: ArrayLike) -> Array:
     """Waypoints (K, m) of a path from the scenario's start. Raises InputError."""
     m = len(scenario.robot.drive.joints)
     corners = numbers(path, "path").copy()
-    if corners.ndim != 2 or corners.shape[1] != m or len(corners) < 2 or not np.all(np.isfinite(corners)):
-        raise InputError(f"must be finite, of shape (K, {m}) with K >= 2, not {corners.shape}", key="path")
+    if corners.ndim != 2 or corners.shape[1] != m or len(corners) < 2:
+        raise InputError(f"must be of shape (K, {m}) with K >= 2, not {corners.shape}", key="path")
+    most = np.where(scenario.robot.drive.is_rotation, np.radians(MOST_TURNS_DEG), np.finfo(np.float64).max)
+    for row, j in np.argwhere(~(np.abs(corners) <= most)):
+        joint, value = scenario.robot.drive.joints[j], float(corners[row, j])
+        rule = f"from {-MOST_TURNS_DEG:g} to {MOST_TURNS_DEG:g} {joint.unit}" if np.isfinite(value) else "finite"
+        where = f"row {row}: {joint.name} = {value / joint.si_per_unit:g} {joint.unit}"
+        raise InputError(f"{where}: must be {rule}", file=scenario.path, key="path")
     scenario.robot.drive.warn_of_degrees("path", corners)
     _refuse_joints(scenario, "begin at the scenario's start", corners[0] - scenario.start)
     return corners
@@ -183,14 +188,24 @@ def _miss(scenario: Scenario, goal: Goal, joints: Array) -> str:
     return "" if off_m <= goal.tolerance_m else f"the tip is {off_m * MM_PER_M:.3g} mm from it"
 
 
-def _refuse_other_way(scenario: Scenario, corners: Array, timing: Trajectory) -> None:
-    """Raises InputError for a trajectory of other joints, or one that leaves the path (K, m) or ends elsewhere."""
-    if timing.names != scenario.robot.drive.names:
-        raise InputError(f"must drive {', '.join(scenario.robot.drive.names)}", file=scenario.path, key="timing")
-    ends = np.abs(timing.position[[0, -1]] - corners[[0, -1]]).max()
-    off = max(float(distance_from_polyline(timing.position, merge_legs(corners)).max()), float(ends))
-    if off > SAME_JOINTS * 10:  # digits that somebody rounded
-        raise InputError(f"leaves the path by {off:.3g} rad or m", file=scenario.path, key="timing")
+def _along(scenario: Scenario, corners: Array, timing: Trajectory) -> Trajectory:
+    """The trajectory, in arrays. Raises InputError for one of other joints or without a clock, or that leaves the path
+    (K, m), a leg out, or its order.
+    """
+    names = scenario.robot.drive.names
+    if timing.names != names:
+        raise InputError(f"must drive {', '.join(names)}", file=scenario.path, key="timing")
+    time_s, position = numbers(timing.time_s, "timing.time_s"), numbers(timing.position, "timing.position")
+    if not time_s.size or position.shape != (time_s.size, len(names)):
+        rule = f"must have times (T,) and joint values (T, {len(names)}), not {time_s.shape}, {position.shape}"
+        raise InputError(rule, file=scenario.path, key="timing")
+    for k in np.flatnonzero(~np.isfinite(np.column_stack([time_s, position])).all(axis=1)):
+        raise InputError("must be finite", file=scenario.path, key=f"timing, sample {k + 1}")
+    for k in np.flatnonzero(np.diff(time_s) <= 0):
+        rule = f"must be later than the sample before, {time_s[k]:.9g} s"
+        raise InputError(rule, file=scenario.path, key=f"timing.time_s, sample {k + 2}", value=time_s[k + 1], unit="s")
+    places_on_legs(position, merge_legs(corners), scenario.path, "timing")
+    return replace(timing, time_s=time_s, position=position)
 
 
 def refuse_late_drive(scenario: Scenario) -> None:

@@ -144,9 +144,9 @@ ENDINGS: dict[Kind, str] = {
     "narrowest": ", all allowances taken off",
 }
 START_FRICTION = {
-    "unknown": "unknown, so that the certificate holds whatever the robot did before",
+    "unknown": "unknown, so that the certificate holds whatever friction was before",
     "oscillated": "let go of by an oscillation, as the scenario says; the certificate covers no other start",
-    "observed": "as an observer found it, for predictions; the certificate holds whatever the robot did before",
+    "observed": "as an observer found it, for predictions; the certificate holds whatever friction was before",
     "released": "none, as the scenario says; the certificate covers no other start",
 }
 

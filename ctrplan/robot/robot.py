@@ -252,12 +252,13 @@ class Robot:
         """Every equilibrium without clearance and friction at collars (n,) [rad], (n,) [m], stable or not.
 
         Whole turns of collars lead from one to another. `branches` of the result has the stable shapes with clearance
-        and friction. Raises InputError for robots with loads, with oval tubes or such that soften, and for more than
-        five tubes.
+        and friction. Raises InputError for collars that don't nest, for robots with loads, with oval tubes or such that
+        soften, and for more than five tubes.
         """
         from ctrplan.mechanics.equilibria import equilibria
 
         warn_of_degrees("theta_b", theta_b)
+        self.mechanics.zero_clearance(theta_b, l_b, loads=False)  # which refuses collars that don't nest
         return equilibria(self, theta_b, l_b)
 
     def solve(

@@ -108,7 +108,7 @@ SPOILED: dict[str, tuple[Change, str]] = {
     ),
     "samples elsewhere": (
         lambda c: c["certificate"]["samples"]["joints"][1].__setitem__(0, 0.5),
-        "certificate.samples.joints, sample 2: leaves the plan's legs by 0.5 rad or m",
+        "certificate.samples.joints, sample 2: leaves the legs by 0.5 rad or m",
     ),
     "a short column": (
         lambda c: c["certificate"]["samples"]["bound_m"].pop(),
@@ -174,7 +174,7 @@ def swapped(table: list[list[str]], a: int, b: int) -> None:
 
 Spoil = Callable[[list[list[str]]], object]
 BAD_ROWS: dict[str, tuple[Spoil, str]] = {
-    "off the legs": (lambda r: r[20].__setitem__(1, "0.3"), "trajectory, sample 20: leaves the plan's legs by"),
+    "off the legs": (lambda r: r[20].__setitem__(1, "0.3"), "trajectory, sample 20: leaves the legs by"),
     "out of order": (lambda r: swapped(r, 40, 41), "is out of order"),
     "time runs back": (
         lambda r: r[20].__setitem__(0, "0.01"),
@@ -182,8 +182,8 @@ BAD_ROWS: dict[str, tuple[Spoil, str]] = {
     ),
     "no number": (lambda r: r[20].__setitem__(1, "nan"), "row 20, rotate_outer_position_rad = 'nan': must be a"),
     "no column": (lambda r: r[0].__setitem__(1, "angle"), "rotate_outer_position_rad: is missing"),
-    "ends early": (lambda r: r.__delitem__(slice(-30, None)), "must be at the end of the plan's legs"),
-    "begins late": (lambda r: r.__delitem__(slice(1, 30)), "must be at the start of the plan's legs"),
+    "ends early": (lambda r: r.__delitem__(slice(-30, None)), "must be at the end of the legs"),
+    "begins late": (lambda r: r.__delitem__(slice(1, 30)), "must be at the start of the legs"),
 }
 
 

@@ -18,6 +18,8 @@ from ctrplan.base.arrays import Array, alike, shares_of_length
 from ctrplan.certificate.certificate import Certificate
 from ctrplan.certificate.certify import certify
 from ctrplan.certificate.variants import Variants
+from ctrplan.drive.drive import STEP_M, STEP_RAD
+from ctrplan.drive.legs import distance_from_polyline
 from ctrplan.drive.trajectory import driven_ways, time_parameterise
 from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.robot.robot import Robot
@@ -130,6 +132,19 @@ def test_a_late_drive_leaves_its_legs_by_its_speed_times_the_delay() -> None:
     both = robot(effects={"drive_lag": {"theta_s": 0.2, "l_s": 0.2}})
     ((_, straight),) = driven_ways(both.drive, corners)
     np.testing.assert_array_equal(straight, corners)  # all late alike: on the legs
+
+
+def test_a_late_drive_is_followed_between_the_samples_of_its_timing() -> None:
+    """What is sampled twice a leg is driven as what is sampled every 10 ms: joints go straight between samples."""
+    late, corners = robot(**LATE), np.array([joints(0, 0, 0, -60), joints(40, 40, 40, -30)])
+    each = time_parameterise(corners, late.drive)
+    timing = replace(each, time_s=each.time_s[[0, -1]], position=each.position[[0, -1]])
+    ((_, way),) = driven_ways(late.drive, corners, timing)
+    at_s = np.linspace(0, timing.duration_s + 0.4, 500)
+    share = np.interp(at_s[:, None] - late.drive.joint_late_s, timing.time_s, [0.0, 1.0])
+    driven = corners[0] + share * (corners[1] - corners[0])
+    steps = np.where(late.drive.is_rotation, STEP_RAD, STEP_M)
+    assert distance_from_polyline(driven / steps, way / steps).max() < 1
 
 
 def test_a_delay_that_is_known_by_an_interval_is_play_by_speed() -> None:

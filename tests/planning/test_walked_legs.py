@@ -6,13 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from places import SCENARIOS
+from places import ROBOTS, SCENARIOS
 
 from ctrplan.base.arrays import Array
 from ctrplan.certificate import walked_piece
 from ctrplan.certificate.walked_legs import walk_legs
+from ctrplan.files.robot_file import load_robot
 from ctrplan.files.scenario_file import load_scenario
-from ctrplan.scenario.joint_space import JointSpace
+from ctrplan.scenario.joint_space import JointSpace, bare_scenario
 
 
 def test_pieces_of_a_failed_walk_are_not_walked_again(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -44,3 +45,28 @@ def test_pieces_of_a_failed_walk_are_not_walked_again(monkeypatch: pytest.Monkey
     begun.clear()
     walk_legs(scenario, second, failed=failed)
     assert len(begun) == len(after.pieces)  # of another scenario: clearances are taken off its anatomy and margins
+
+
+def test_what_leaps_on_the_search_mesh_alone_was_followed() -> None:
+    """A corner of tight tubes moves 0.9 mm at once where nodes change, and 0.006 mm on the certificate mesh."""
+    robot = load_robot(ROBOTS / "three_tube.toml", [f"contact.{k}.clearance_mm=0.015" for k in (1, 2)])
+    way = np.array(
+        [[2.60522425, -0.81471377, 2.90152567, -13.60972e-3], [2.49249906, -1.00764185, 2.71507159, -11.61487e-3]]
+    )
+    between = way[0] + np.linspace(0.6577, 0.679, 41)[:, None] * (way[1] - way[0])
+    for mesh, least_m, most_m in (("search", 0.8e-3, np.inf), ("certificate", 0.0, 0.01e-3)):
+        bounds = [robot.bound(*robot.drive.collars(q), accuracy=mesh) for q in between]
+        tips = np.array([[shape.tip_m for shape in bound.corners] for bound in bounds])
+        assert least_m <= np.linalg.norm(np.diff(tips, axis=0), axis=2).max() <= most_m
+    scenario = replace(bare_scenario(robot), start=way[0])
+    (piece,) = (walk := walk_legs(scenario, way)).pieces
+    assert not walk.problems and piece.accuracy == "certificate" and piece.motion_m.max() < walked_piece.LEAP_M
+
+
+def test_what_leaps_on_both_meshes_is_refused() -> None:
+    """A corner of the paper's robot loses its equilibrium 15 mm from the next one."""
+    robot = load_robot(ROBOTS / "three_tube.toml")
+    ends = ([-81.2347, -4.1948, 152.0806, -68.9908], [83.7843, -89.5933, -110.3702, -58.4198])  # deg, mm
+    way = np.array(ends) * [joint.si_per_unit for joint in robot.drive.joints]
+    problems = walk_legs(replace(bare_scenario(robot), start=way[0]), way).problems
+    assert any("leaps by 15" in problem for problem in problems)
