@@ -18,6 +18,7 @@ from matplotlib.colors import LightSource
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d import proj3d
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from PIL import Image
@@ -189,11 +190,12 @@ def _frame(ax: Axes3D, points_m: Array, anatomy_m: Array, frame: Frame | None) -
     ax.set_box_aspect(tuple(upper - lower), zoom=1.04)
     ax.set_proj_type("ortho")
     ax.view_init(elev=ELEVATION_DEG, azim=float(np.degrees(side_azimuth_rad(points_m))))
+    sides = upper - lower
     for k, axis in enumerate((ax.xaxis, ax.yaxis, ax.zaxis)):
+        axis.set_major_locator(MaxNLocator(3 if sides[k] < sides.max() else 6))  # labels of short axes meet at a corner
         axis.set_pane_color((0.975, 0.98, 0.985, 1.0))
         axis.set_tick_params(labelsize=9, colors=looks.MUTED)
         axis.set_label_text(f"{axis_label(k, frame)} (mm)")
-    ax.locator_params(nbins=6)
 
 
 def _draw_surface(ax: Axes3D, surface: Surface, colour: str, alpha: float, zorder: int) -> None:
