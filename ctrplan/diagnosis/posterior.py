@@ -28,7 +28,7 @@ from scipy.special import logsumexp
 
 from ctrplan.calibration.discrepancy import Linearised, Spectrum
 from ctrplan.calibration.least_squares import Fit
-from ctrplan.diagnosis.correlated_bench import FRAMES
+from ctrplan.diagnosis.correlated_bench import FRAMES, HOMED, SHIFT
 from ctrplan.diagnosis.linear_fit import STATED, Linear, Width, widths_of
 from ctrplan.diagnosis.term_pieces import is_built, pieces
 from ctrplan.diagnosis.unknown_errors import Peak, UnknownErrors, without_error
@@ -184,7 +184,7 @@ class _Comparison:
                 self.compare_neighbours(here)
         ranked = sorted(self.known_sets, key=self.weight, reverse=True)
         along = self.errors.along(self.as_fitted(ranked[0]))
-        return Compared(normalised(self.by_names(), along), tuple(ranked), self.as_known(self.base))
+        return Compared(normalised(self.by_names(), along, self._inputs()), tuple(ranked), self.as_known(self.base))
 
     def as_known(self, scored: Scored) -> Scored:
         """The set as it is fitted by now: further on where its fit had used up its steps."""
@@ -396,6 +396,14 @@ class _Comparison:
             before = result.get(compared_set.names, (-np.inf, -np.inf))
             result[compared_set.names] = tuple(np.logaddexp(before, (compared_set.alone, compared_set.beside)).tolist())
         return result
+
+    def _inputs(self) -> dict[str, str]:
+        """What each effect that may act goes along with: the way poses were reached, the time, or where joints are."""
+        effects = {t.name: t.effect for t in (*self.known.terms, *self._named(self.base))}
+        return {
+            name: "history" if e.depends_on_history else "time" if e.needs_time or name in (SHIFT, HOMED) else "joints"
+            for name, e in effects.items()
+        }
 
     def _named(self, scored: Scored) -> list[Term]:
         """Effects of a fit that the catalogue has, and frames."""

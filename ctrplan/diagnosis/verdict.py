@@ -8,13 +8,14 @@ How probable a verdict is, a posterior over sets of effects says.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import combinations
 from typing import Any, Literal
 
 import numpy as np
-from scipy.special import logsumexp
+from scipy.special import gammaln, logsumexp
 
 from ctrplan.base.arrays import Array
 from ctrplan.calibration.fit_warnings import excused, is_strained, strained
@@ -180,6 +181,7 @@ def _disbelieved(t: Term) -> str:
 
 ACTS = 0.03  # prior probability that an effect of the catalogue acts: of some 20, one in every other robot
 UNKNOWN_ACTS = 0.1  # the same of something that the catalogue lacks
+DOES_ALIKE = 0.02  # prior probability that this does what effects of the catalogue do together: one cause of fifty
 NAMED = 0.99  # probability of what is named, or decided: one name in a hundred may be wrong
 
 
@@ -265,15 +267,40 @@ def shown(probability: float) -> str:
 
 
 def normalised(
-    evidence: Mapping[frozenset[str], tuple[float, float]], along: Mapping[str, float] | None = None
+    evidence: Mapping[frozenset[str], tuple[float, float]],
+    along: Mapping[str, float] | None = None,
+    inputs: Mapping[str, str] | None = None,
 ) -> Posterior:
-    """The posterior from log evidences of sets, without and with an unknown error; -inf where that was not asked."""
-    results = []
+    """The posterior from log evidences of sets, without and with an unknown error; -inf where that was not asked.
+
+    inputs: what each effect that may act goes along with. What effects of like inputs do together a single cause may
+    do that the catalogue lacks, whether more remains of it or not.
+    """
+    inputs, weights = inputs or {}, dict[tuple[frozenset[str], bool], float]()
+    otherwise = log_odds(UNKNOWN_ACTS) + (np.log1p(-DOES_ALIKE) if inputs else 0.0)
     for names, values in evidence.items():
-        for has_unknown, value in enumerate(values):
-            prior = len(names) * log_odds(ACTS) + has_unknown * log_odds(UNKNOWN_ACTS)
-            results.append(Hypothesis(names, bool(has_unknown), prior + value))
-    return Posterior(tuple(results), along or {})
+        own = (names, False, values[0]), (names, True, values[1] + otherwise)
+        either = float(np.logaddexp(*values)) - np.log(2) + log_odds(UNKNOWN_ACTS)
+        done = ((names - some, True, either + _does_alike(len(some), len(inputs))) for some in _alike(names, inputs))
+        for acting, has_unknown, value in (*own, *done):
+            known = weights.get((acting, has_unknown), -np.inf)
+            weights[acting, has_unknown] = float(np.logaddexp(known, value + len(acting) * log_odds(ACTS)))
+    return Posterior(tuple(Hypothesis(*key, weight) for key, weight in weights.items()), along or {})
+
+
+def _alike(names: Iterable[str], inputs: Mapping[str, str]) -> Iterator[frozenset[str]]:
+    """Those of some effects, one or several in all ways, that go along with the same."""
+    for kind in dict.fromkeys(inputs.values()):
+        some = sorted(name for name in names if inputs.get(name) == kind)
+        yield from (frozenset(few) for count in range(1, len(some) + 1) for few in combinations(some, count))
+
+
+def _does_alike(count: int, of: int) -> float:
+    """Logarithm of the prior probability that a cause, if it is unknown, does what `count` effects do, these `of` all.
+
+    Any number of effects is as probable as any other, and so is any choice of as many.
+    """
+    return float(np.log(DOES_ALIKE / of) + gammaln(count + 1) + gammaln(of - count + 1) - gammaln(of + 1))
 
 
 def log_odds(probability: float) -> float:

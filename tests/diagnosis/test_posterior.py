@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from copy import copy
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 import pytest
@@ -48,6 +49,30 @@ def test_equals_share_and_what_says_nothing_keeps_its_prior() -> None:
     assert told.of_effect("a") == pytest.approx(told.of_effect("b")) and 0.4 < told.of_effect("a") < 0.5
     silent = normalised({names: (0.0, 0.0) for names in (NONE, A, B, BOTH)})
     assert silent.of_effect("a") == pytest.approx(0.03) and silent.of_unknown == pytest.approx(0.1)
+
+
+ALIKE = dict.fromkeys("abcdefgh", "joints")
+
+
+@pytest.mark.parametrize(("acting", "is_told"), [("a", True), ("ab", True), ("abcd", False)])
+def test_what_many_effects_do_together_a_single_unknown_cause_may_do(acting: str, is_told: bool) -> None:
+    """Sets of which nothing less explains the poses: four at once are a coincidence, unless one cause does it all."""
+    told = normalised({NONE: (-90.0, -40.0), frozenset(acting): (0.0, -2.0)}, inputs=ALIKE)
+    assert told.probabilities.sum() == pytest.approx(1, abs=1e-12)
+    assert (told.of_effect("a") > 0.99) is is_told
+    assert normalised({frozenset(acting): (0.0, -2.0)}).of_effect("a") == pytest.approx(1)  # of no catalogue
+
+
+def test_effects_of_unlike_inputs_are_no_single_cause() -> None:
+    unlike = ALIKE | {"c": "history", "d": "time"}
+    told = normalised({NONE: (-90.0, -40.0), frozenset("abcd"): (0.0, -2.0)}, inputs=unlike)
+    assert min(told.of_effect(name) for name in "abcd") > 0.99
+
+
+def test_a_catalogue_whose_poses_say_nothing_keeps_the_priors() -> None:
+    sets = [frozenset(some) for count in range(4) for some in combinations("abc", count)]
+    silent = normalised(dict.fromkeys(sets, (0.0, 0.0)), inputs=dict.fromkeys("abc", "joints"))
+    assert silent.of_unknown == pytest.approx(0.1, rel=0.01) and silent.of_effect("a") == pytest.approx(0.03, rel=0.01)
 
 
 def test_certainty_is_never_said() -> None:
