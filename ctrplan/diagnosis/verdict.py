@@ -52,6 +52,7 @@ class Judgement:
     findings: tuple[Finding, ...]
     adequacy: Adequacy
     notes: tuple[str, ...] = ()
+    together: tuple[Term, ...] = ()  # what these do is done, by them or by a single cause that is unknown
 
 
 def judge(
@@ -192,6 +193,7 @@ class Hypothesis:
     names: frozenset[str]
     has_unknown: bool
     weight: float
+    done: frozenset[str] = frozenset()  # effects whose work something unknown does
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,6 +213,10 @@ class Posterior:
     def of_effect(self, *names: str) -> float:
         """That at least one of these effects acts."""
         return self._of(bool(hypothesis.names & set(names)) for hypothesis in self.hypotheses)
+
+    def of_work(self, name: str) -> float:
+        """That what an effect does is done, by it or by something unknown."""
+        return self._of(name in hypothesis.names | hypothesis.done for hypothesis in self.hypotheses)
 
     def of_one(self, name: str, among: Collection[str]) -> float:
         """That an effect acts and none of the others among some."""
@@ -247,7 +253,7 @@ class Posterior:
             "unknown": round(self.of_unknown, 4),
             "effects": {name: p for name, p in effects.items() if p > 0},
             "unknown_along": {name: round(p, 3) for name, p in self.along.items()},
-            "sets_compared": len(self.hypotheses),
+            "sets_compared": len({hypothesis.names | hypothesis.done for hypothesis in self.hypotheses}),
         }
 
     def _of(self, hits: Iterable[bool]) -> float:
@@ -276,16 +282,15 @@ def normalised(
     inputs: what each effect that may act goes along with. What effects of like inputs do together a single cause may
     do that the catalogue lacks, whether more remains of it or not.
     """
-    inputs, weights = inputs or {}, dict[tuple[frozenset[str], bool], float]()
+    inputs, results = inputs or {}, list[Hypothesis]()
     otherwise = log_odds(UNKNOWN_ACTS) + (np.log1p(-DOES_ALIKE) if inputs else 0.0)
     for names, values in evidence.items():
-        own = (names, False, values[0]), (names, True, values[1] + otherwise)
-        either = float(np.logaddexp(*values)) - np.log(2) + log_odds(UNKNOWN_ACTS)
-        done = ((names - some, True, either + _does_alike(len(some), len(inputs))) for some in _alike(names, inputs))
-        for acting, has_unknown, value in (*own, *done):
-            known = weights.get((acting, has_unknown), -np.inf)
-            weights[acting, has_unknown] = float(np.logaddexp(known, value + len(acting) * log_odds(ACTS)))
-    return Posterior(tuple(Hypothesis(*key, weight) for key, weight in weights.items()), along or {})
+        prior, either = len(names) * log_odds(ACTS), float(np.logaddexp(*values)) - np.log(2) + log_odds(UNKNOWN_ACTS)
+        results += [Hypothesis(names, False, prior + values[0]), Hypothesis(names, True, prior + values[1] + otherwise)]
+        for done in _alike(names, inputs):
+            weight = either + _does_alike(len(done), len(inputs)) + prior - len(done) * log_odds(ACTS)
+            results.append(Hypothesis(names - done, True, weight, done))
+    return Posterior(tuple(results), along or {})
 
 
 def _alike(names: Iterable[str], inputs: Mapping[str, str]) -> Iterator[frozenset[str]]:

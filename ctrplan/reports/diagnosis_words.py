@@ -112,6 +112,9 @@ def effect_lines(diagnosis: Diagnosis) -> list[str]:
         values = [f"{name} = {e.shown} ({e.shown_ci95})" for name, e in estimates(diagnosis.chosen.fit, t).items()]
         probable = f", {likely}" if (likely := probabilities(diagnosis, k)) else ""
         lines.append(f"{t.name}{probable} ({t.effect.stage}): {', '.join(values)}")
+    if diagnosis.together:
+        does = f"what {' and '.join(t.name for t in diagnosis.together)} do is done"
+        lines.append(f"{does}, by them or by a single cause that is unknown: it is in the robot file, and no name")
     effects = [*lines, *built_lines(diagnosis), *_free_frame_lines(diagnosis)]
     return [*_frame_lines(diagnosis), *effects, *([rest.sentence] if (rest := diagnosis.rest) else [])]
 
