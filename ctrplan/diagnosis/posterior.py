@@ -44,6 +44,7 @@ from ctrplan.diagnosis.workbench import (
     Workbench,
     linear,
 )
+from ctrplan.effects.effect import CATALOGUE
 from ctrplan.pipeline.term import Term
 
 MOST_EFFECTS = 4  # of a set
@@ -86,8 +87,7 @@ def _searched(
 ) -> _Comparison:
     """The sets that a search from one on comes to, before the neighbours of the best are weighed.
 
-    earlier: sets that were fitted beside other friction states or another rest, from where fits begin; rivals: those
-    of them that are compared anew in any case.
+    earlier: sets fitted beside other friction states or another rest, where fits begin; rivals: those compared anew.
     """
     base = begun if not begun.terms else bench.scored([], *_places(earlier, []), begun.fit, None)
     anew = [bench.scored(s.terms, s.fit) for s in rivals if not bench.stands(s) and s.terms != begun.terms]
@@ -412,8 +412,8 @@ class _Comparison:
         return result
 
     def _inputs(self) -> dict[str, str]:
-        """What each effect that may act goes along with: the way poses were reached, the time, or where joints are."""
-        effects = {t.name: t.effect for t in (*self.known.terms, *self._named(self.base))}
+        """What each effect, tested or not, goes along with: the way poses were reached, the time, or the joints."""
+        effects = {**CATALOGUE, **{t.name: t.effect for t in self.known.terms}}
         return {
             name: "history" if e.depends_on_history else "time" if e.needs_time or name in (SHIFT, HOMED) else "joints"
             for name, e in effects.items()

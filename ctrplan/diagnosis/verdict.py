@@ -182,7 +182,7 @@ def _disbelieved(t: Term) -> str:
 
 ACTS = 0.03  # prior probability that an effect of the catalogue acts: of some 20, one in every other robot
 UNKNOWN_ACTS = 0.1  # the same of something that the catalogue lacks
-DOES_ALIKE = 0.02  # prior probability that this does what effects of the catalogue do together: one cause of fifty
+DOES_ALIKE = 0.05  # prior probability that this does what effects of the catalogue do together: of twenty, one
 NAMED = 0.99  # probability of what is named, or decided: one name in a hundred may be wrong
 
 
@@ -279,8 +279,8 @@ def normalised(
 ) -> Posterior:
     """The posterior from log evidences of sets, without and with an unknown error; -inf where that was not asked.
 
-    inputs: what each effect that may act goes along with. What effects of like inputs do together a single cause may
-    do that the catalogue lacks, whether more remains of it or not.
+    inputs: what each effect of the catalogue goes along with. What effects of like inputs do together a single cause
+    may do that the catalogue lacks, whether more remains of it or not.
     """
     inputs, results = inputs or {}, list[Hypothesis]()
     otherwise = log_odds(UNKNOWN_ACTS) + (np.log1p(-DOES_ALIKE) if inputs else 0.0)

@@ -22,7 +22,7 @@ from ctrplan.diagnosis.linear_fit import Linear, widths_of
 from ctrplan.diagnosis.posterior import compared
 from ctrplan.diagnosis.unknown_errors import UnknownErrors, without_error
 from ctrplan.diagnosis.verdict import Hypothesis, Posterior, normalised, shown
-from ctrplan.diagnosis.workbench import Workbench, candidates
+from ctrplan.diagnosis.workbench import Teller, Workbench, candidates
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.pipeline.term import Term
 
@@ -51,7 +51,7 @@ def test_equals_share_and_what_says_nothing_keeps_its_prior() -> None:
     assert silent.of_effect("a") == pytest.approx(0.03) and silent.of_unknown == pytest.approx(0.1)
 
 
-ALIKE = dict.fromkeys("abcdefgh", "joints")
+ALIKE = dict.fromkeys("abcdefghijklmnopqrstuvwx", "joints")
 
 
 @pytest.mark.parametrize(("acting", "is_told"), [("a", True), ("ab", True), ("abcd", False)])
@@ -59,7 +59,7 @@ def test_what_many_effects_do_together_a_single_unknown_cause_may_do(acting: str
     """Sets of which nothing less explains the poses: four at once are a coincidence, unless one cause does it all."""
     told = normalised({NONE: (-90.0, -40.0), frozenset(acting): (0.0, -2.0)}, inputs=ALIKE)
     assert told.probabilities.sum() == pytest.approx(1, abs=1e-12)
-    assert (told.of_effect("a") > 0.99) is is_told
+    assert (told.of_effect("a") > 0.99) is is_told and told.of_work("a") > 0.99
     assert normalised({frozenset(acting): (0.0, -2.0)}).of_effect("a") == pytest.approx(1)  # of no catalogue
 
 
@@ -177,6 +177,20 @@ def test_sets_that_are_hopeless_are_as_hopeless_beside_everything_unknown(monkey
     for names in (*((name,) for name in QUICK), tuple(QUICK)):
         assert told[0].of_effect(*names) == pytest.approx(told[1].of_effect(*names), abs=1e-3)
     assert told[0].of_unknown == pytest.approx(told[1].of_unknown, abs=1e-3)
+
+
+def test_rivals_are_compared_anew_beside_another_noise() -> None:
+    bench, data = bench_of("pair")
+    nothing, (scale, *_) = (
+        candidates(ROBOT, data, {}),
+        candidates(ROBOT, data, {"joint_scale": CATALOGUE["joint_scale"]}).terms,
+    )
+    there = replace(bench, noise=bench.noise.scaled(1.1))
+    for rivals in ([], [bench.scored([scale])]):
+        comparison = posterior._searched(there, there.scored([]), nothing, Teller(), rivals=rivals)
+        assert [scored.fit.noise is there.noise for scored in comparison.known_sets if scored.terms] == [True] * len(
+            rivals
+        )
 
 
 def test_fewer_parameters_in_the_place_of_many_are_promised_what_these_cost() -> None:
