@@ -203,11 +203,13 @@ def left_by_names(bench: CorrelatedBench, chosen: Scored) -> Adequacy:
 
 
 def _by_name(bench: CorrelatedBench, chosen: Scored) -> tuple[CorrelatedBench, Scored]:
-    """The set without its built terms, on a bench whose discrepancy is all that these stand for."""
+    """The set without its built terms, on a bench whose discrepancy is all that these stand for, friction states as
+    the terms leave them.
+    """
     names = [t for t in chosen.terms if not is_built(t)]
     if len(names) == len(chosen.terms):
         return bench, chosen
-    return bench.corrected(bench.scored(names, chosen.fit))
+    return bench.corrected(bench.scored(names, chosen.fit), is_followed=False)
 
 
 def _memory(robot: Robot, data: Measurements, usable: NDArray[np.bool_], noise: Noise, begun: Fit | None) -> float:
