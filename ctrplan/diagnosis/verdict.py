@@ -182,7 +182,7 @@ def _disbelieved(t: Term) -> str:
 
 ACTS = 0.03  # prior probability that an effect of the catalogue acts: of some 20, one in every other robot
 UNKNOWN_ACTS = 0.1  # the same of something that the catalogue lacks
-DOES_ALIKE = 0.02  # prior probability that this does what effects of the catalogue do together: of fifty, one
+DOES_ALIKE = 0.05  # prior probability that this does what effects of the catalogue do together: of twenty, one
 NAMED = 0.99  # probability of what is named, or decided: one name in a hundred may be wrong
 
 

@@ -51,12 +51,12 @@ def test_equals_share_and_what_says_nothing_keeps_its_prior() -> None:
     assert silent.of_effect("a") == pytest.approx(0.03) and silent.of_unknown == pytest.approx(0.1)
 
 
-ALIKE = dict.fromkeys(CATALOGUE, "joints") | dict.fromkeys("abcd", "joints")
+ALIKE = dict.fromkeys([*"abcd", *list(CATALOGUE)[4:]], "joints")  # as many effects as there are
 
 
-@pytest.mark.parametrize(("acting", "is_told"), [("a", True), ("abc", True), ("abcd", False)])
+@pytest.mark.parametrize(("acting", "is_told"), [("a", True), ("ab", True), ("abc", False)])
 def test_what_many_effects_do_together_a_single_unknown_cause_may_do(acting: str, is_told: bool) -> None:
-    """Sets beside a rest of which nothing less explains the poses: many at once are a coincidence."""
+    """Sets beside a rest, of which nothing less explains the poses: three at once are a coincidence."""
     told = normalised({NONE: (-90.0, -60.0), frozenset(acting): (-40.0, 0.0)}, inputs=ALIKE)
     assert told.probabilities.sum() == pytest.approx(1, abs=1e-12)
     assert (told.of_effect("a") > 0.99) is is_told and told.of_work("a") > 0.99
