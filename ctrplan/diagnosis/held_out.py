@@ -222,9 +222,9 @@ def opened(answer: Conclusion, data: Measurements) -> Opened:
 def _harmful(outcome: Opened, data: Measurements) -> list[Term]:
     """Effects without which poses kept aside are predicted better."""
     part = outcome.answer.partial
-    if part is None or outcome.answer.interrupted or outcome.judgement.verdict != "partial":
-        return []
     listed = _handed_over(outcome.judgement)
+    if part is None or outcome.answer.interrupted or not listed:
+        return []
     kept, results, chosen = outcome.answer.split.held_out_set, list[Term](), outcome.answer.chosen
     aside, group, noise = data.subset(kept), outcome.answer.group[kept], outcome.answer.noise
     for t in (t for t in chosen.terms if t.key in listed):
@@ -246,7 +246,7 @@ def _without(answer: Conclusion, harmful: Sequence[Term]) -> Conclusion:
     assert answer.partial is not None
     gone = {t.key for t in harmful}
     findings = tuple(f for f in answer.judgement.findings if f.term.key not in gone)
-    together = tuple(t for t in answer.judgement.together if t.key not in gone and findings)
+    together = tuple(t for t in answer.judgement.together if t.key not in gone)
     rest = [t for t in answer.chosen.terms if t.key not in gone]
     bench, chosen = answer.partial.bench.corrected(answer.partial.bench.scored(rest, answer.chosen.fit))
     verdict: Verdict = "partial" if findings else "unexplained"
@@ -269,7 +269,7 @@ def _with_or_without_built(answer: Conclusion, data: Measurements) -> Opened:
     result, without = _opened(answer, data), _opened(replace(answer, chosen=answer.built.named, built=None), data)
     if result.gap.after.rms_m < without.gap.after.rms_m:
         return replace(result, named_gap=without.gap)
-    less = without if without.judgement.findings else _opened(answer.otherwise, data)
+    less = without if _handed_over(without.judgement) else _opened(answer.otherwise, data)
     note = "A term was built and taken back: the poses kept aside are not nearer with it."
     return replace(less, notes=(*less.notes, note))
 
@@ -288,7 +288,8 @@ def _opened(answer: Conclusion, data: Measurements) -> Opened:
 
     judgement, written, gap = handed_over(answer.judgement)
     place, notes = _place(answer, gap), list[str]()
-    if doubt := contradiction(judgement.verdict, gap, place) or _unlike(answer, judgement, written, gap):
+    verdict: Verdict = "partial" if _handed_over(judgement) and answer.partial else judgement.verdict
+    if doubt := contradiction(verdict, gap, place) or _unlike(answer, judgement, written, gap):
         judgement, written, gap = handed_over(replace(judgement, verdict="unexplained", findings=(), together=()))
         notes.append(doubt)
     settled = answer.chosen if answer.partial else answer.bench.sized(answer.chosen)

@@ -160,7 +160,7 @@ def most_probable(
     verdict: Verdict = "partial" if findings else "unexplained"
     told = {f.term.key for f in findings}
     alike = (t for t in here.terms if t.key not in told and not is_built(t))
-    together = tuple(t for t in alike if compared.posterior.of_work(t.name) >= NAMED) if findings else ()
+    together = tuple(t for t in alike if compared.posterior.of_work(t.name) >= NAMED)
     judgement = Judgement(verdict, findings, left_by_names(beside, named), together=together)
     rest = remainder_beside(beside, named, bench.plain)
     return PartialDiagnosis(bench, parts, block, base, here, judgement, rest, path, known, compared)
