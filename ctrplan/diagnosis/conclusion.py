@@ -67,7 +67,8 @@ def conclude(
     if is_explained or is_long:
         return result
     part = _beside_a_remainder(result, data, usable, noise, known, teller)
-    return _with_built(part, part if part.judgement.verdict == "partial" or part.interrupted else result, teller)
+    is_told = part.interrupted or part.judgement.findings or part.judgement.together
+    return _with_built(part, part if is_told else result, teller)
 
 
 def _with_built(part: Conclusion, otherwise: Conclusion, teller: Teller) -> Conclusion:

@@ -222,9 +222,9 @@ def opened(answer: Conclusion, data: Measurements) -> Opened:
 def _harmful(outcome: Opened, data: Measurements) -> list[Term]:
     """Effects without which poses kept aside are predicted better."""
     part = outcome.answer.partial
-    if part is None or outcome.answer.interrupted or outcome.judgement.verdict != "partial":
+    listed = _handed_over(outcome.judgement)
+    if part is None or outcome.answer.interrupted or not listed:
         return []
-    listed = {finding.term.key for finding in outcome.judgement.findings}
     kept, results, chosen = outcome.answer.split.held_out_set, list[Term](), outcome.answer.chosen
     aside, group, noise = data.subset(kept), outcome.answer.group[kept], outcome.answer.noise
     for t in (t for t in chosen.terms if t.key in listed):
@@ -236,15 +236,21 @@ def _harmful(outcome: Opened, data: Measurements) -> list[Term]:
     return results
 
 
+def _handed_over(judgement: Judgement) -> set[str]:
+    """Keys of the effects that the robot file has: those listed, and those whose work something unknown may do."""
+    return {t.key for t in (*(finding.term for finding in judgement.findings), *judgement.together)}
+
+
 def _without(answer: Conclusion, harmful: Sequence[Term]) -> Conclusion:
     """The answer without some of its effects."""
     assert answer.partial is not None
     gone = {t.key for t in harmful}
     findings = tuple(f for f in answer.judgement.findings if f.term.key not in gone)
+    together = tuple(t for t in answer.judgement.together if t.key not in gone)
     rest = [t for t in answer.chosen.terms if t.key not in gone]
     bench, chosen = answer.partial.bench.corrected(answer.partial.bench.scored(rest, answer.chosen.fit))
     verdict: Verdict = "partial" if findings else "unexplained"
-    judgement = replace(answer.judgement, verdict=verdict, findings=findings)
+    judgement = replace(answer.judgement, verdict=verdict, findings=findings, together=together)
     partial = replace(answer.partial, bench=bench, chosen=chosen, judgement=judgement)
     return replace(answer, bench=bench, partial=partial, chosen=chosen, judgement=judgement, built=None)
 
@@ -263,7 +269,7 @@ def _with_or_without_built(answer: Conclusion, data: Measurements) -> Opened:
     result, without = _opened(answer, data), _opened(replace(answer, chosen=answer.built.named, built=None), data)
     if result.gap.after.rms_m < without.gap.after.rms_m:
         return replace(result, named_gap=without.gap)
-    less = without if without.judgement.findings else _opened(answer.otherwise, data)
+    less = without if _handed_over(without.judgement) else _opened(answer.otherwise, data)
     note = "A term was built and taken back: the poses kept aside are not nearer with it."
     return replace(less, notes=(*less.notes, note))
 
@@ -282,8 +288,9 @@ def _opened(answer: Conclusion, data: Measurements) -> Opened:
 
     judgement, written, gap = handed_over(answer.judgement)
     place, notes = _place(answer, gap), list[str]()
-    if doubt := contradiction(judgement.verdict, gap, place) or _unlike(answer, judgement, written, gap):
-        judgement, written, gap = handed_over(replace(judgement, verdict="unexplained", findings=()))
+    verdict: Verdict = "partial" if _handed_over(judgement) and answer.partial else judgement.verdict
+    if doubt := contradiction(verdict, gap, place) or _unlike(answer, judgement, written, gap):
+        judgement, written, gap = handed_over(replace(judgement, verdict="unexplained", findings=(), together=()))
         notes.append(doubt)
     settled = answer.chosen if answer.partial else answer.bench.sized(answer.chosen)
     built = {t.name for t in settled.terms if is_built(t)}
@@ -314,7 +321,7 @@ def _written(answer: Conclusion, judgement: Judgement) -> Scored:
     """The model with the effects of the verdict alone, as large as the data say, in numbers a robot file may have."""
     bench, chosen = answer.bench, answer.chosen
     built = answer.built.terms if answer.built else ()
-    listed = {finding.term.key for finding in judgement.findings} | {t.key for t in built}
+    listed = _handed_over(judgement) | {t.key for t in built}
     kept = [t for t in chosen.terms if t.key in listed]
     if answer.partial and len(kept) == len(chosen.terms):
         return chosen

@@ -24,7 +24,7 @@ from ctrplan.diagnosis.posterior import Compared, settled
 from ctrplan.diagnosis.remainder import Remainder, localise, shares
 from ctrplan.diagnosis.term_pieces import is_built
 from ctrplan.diagnosis.usable_poses import block_split, blocks, on_one_branch, thinned, thinning
-from ctrplan.diagnosis.verdict import Judgement, Verdict, findings_of
+from ctrplan.diagnosis.verdict import NAMED, Judgement, Verdict, findings_of
 from ctrplan.diagnosis.workbench import Candidates, Scored, SelectionStep, Teller, Workbench, linear
 from ctrplan.measurement.measurements import Measurements, Split
 from ctrplan.pipeline.term import Term
@@ -158,7 +158,10 @@ def most_probable(
     findings = findings_of(bench, here, listed, known, compared.posterior, compared.sets)
     beside, named = _by_name(bench, here)
     verdict: Verdict = "partial" if findings else "unexplained"
-    judgement = Judgement(verdict, findings, left_by_names(beside, named))
+    told = {f.term.key for f in findings}
+    alike = (t for t in here.terms if t.key not in told and not is_built(t))
+    together = tuple(t for t in alike if compared.posterior.of_work(t.name) >= NAMED)
+    judgement = Judgement(verdict, findings, left_by_names(beside, named), together=together)
     rest = remainder_beside(beside, named, bench.plain)
     return PartialDiagnosis(bench, parts, block, base, here, judgement, rest, path, known, compared)
 
@@ -200,11 +203,13 @@ def left_by_names(bench: CorrelatedBench, chosen: Scored) -> Adequacy:
 
 
 def _by_name(bench: CorrelatedBench, chosen: Scored) -> tuple[CorrelatedBench, Scored]:
-    """The set without its built terms, on a bench whose discrepancy is all that these stand for."""
+    """The set without its built terms, on a bench whose discrepancy is all that these stand for, friction states as
+    the terms leave them.
+    """
     names = [t for t in chosen.terms if not is_built(t)]
     if len(names) == len(chosen.terms):
         return bench, chosen
-    return bench.corrected(bench.scored(names, chosen.fit))
+    return bench.corrected(bench.scored(names, chosen.fit), is_followed=False)
 
 
 def _memory(robot: Robot, data: Measurements, usable: NDArray[np.bool_], noise: Noise, begun: Fit | None) -> float:

@@ -28,11 +28,11 @@ from scipy.special import logsumexp
 
 from ctrplan.calibration.discrepancy import Linearised, Spectrum
 from ctrplan.calibration.least_squares import Fit
-from ctrplan.diagnosis.correlated_bench import FRAMES
+from ctrplan.diagnosis.correlated_bench import FRAMES, HOMED, SHIFT
 from ctrplan.diagnosis.linear_fit import STATED, Linear, Width, widths_of
 from ctrplan.diagnosis.term_pieces import is_built, pieces
 from ctrplan.diagnosis.unknown_errors import Peak, UnknownErrors, without_error
-from ctrplan.diagnosis.verdict import ACTS, UNKNOWN_ACTS, Posterior, log_odds, normalised
+from ctrplan.diagnosis.verdict import ACTS, NAMED, UNKNOWN_ACTS, Posterior, log_odds, normalised
 from ctrplan.diagnosis.workbench import (
     Bench,
     Candidates,
@@ -44,6 +44,7 @@ from ctrplan.diagnosis.workbench import (
     Workbench,
     linear,
 )
+from ctrplan.effects.effect import CATALOGUE
 from ctrplan.pipeline.term import Term
 
 MOST_EFFECTS = 4  # of a set
@@ -77,14 +78,20 @@ def compared(bench: Workbench, begun: Scored, known: Candidates) -> Compared:
 
 
 def _searched(
-    bench: Workbench, begun: Scored, known: Candidates, tell: Teller, earlier: Sequence[Scored] = ()
+    bench: Workbench,
+    begun: Scored,
+    known: Candidates,
+    tell: Teller,
+    earlier: Sequence[Scored] = (),
+    rivals: Sequence[Scored] = (),
 ) -> _Comparison:
     """The sets that a search from one on comes to, before the neighbours of the best are weighed.
 
-    earlier: sets that were fitted beside other friction states or another rest, from where fits begin.
+    earlier: sets fitted beside other friction states or another rest, where fits begin; rivals: those compared anew.
     """
     base = begun if not begun.terms else bench.scored([], *_places(earlier, []), begun.fit, None)
-    fitted = [base, *(scored for scored in earlier if bench.stands(scored))]
+    anew = [bench.scored(s.terms, s.fit) for s in rivals if not bench.stands(s) and s.terms != begun.terms]
+    fitted = [base, *(scored for scored in earlier if bench.stands(scored)), *anew]
     comparison = _Comparison(bench, known, base, begun, fitted, earlier)
     comparison.climb(tell)
     if comparison.best is not begun:  # poses count as they do in the most probable set
@@ -105,10 +112,10 @@ def settled(
     """The most probable set from one on, on a bench with what friction states and the rest are beside it, and the path
     taken.
     """
-    path, earlier = list[SelectionStep](), list[Scored]()
+    path, earlier, rivals = list[SelectionStep](), list[Scored](), list[Scored]()
     while True:
         tell("comparing sets of effects beside " + (", ".join(here.names) or "the calibrated robot"))
-        comparison, before = _searched(bench, here, known, tell, earlier), here
+        comparison, before = _searched(bench, here, known, tell, earlier, rivals), here
         best = comparison.best
         bench, here = bench.corrected(best)
         if _key(best.terms) == _key(before.terms):
@@ -119,6 +126,7 @@ def settled(
         if here is best or len(path) == ROUNDS:
             return bench, comparison.compared(before), here, tuple(path)
         earlier += comparison.known_sets
+        rivals = comparison.rivals
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,6 +181,12 @@ class _Comparison:
         return [scored for scored in self.known_sets if self.weight(scored) > highest - WINDOW]
 
     @property
+    def rivals(self) -> list[Scored]:
+        """Those probable enough to take a name from the most probable."""
+        highest = self.weight(self.best)
+        return [scored for scored in self.known_sets if self.weight(scored) > highest - log_odds(NAMED)]
+
+    @property
     def best(self) -> Scored:
         """The most probable of them."""
         return max(self.known_sets, key=self.weight)
@@ -184,7 +198,7 @@ class _Comparison:
                 self.compare_neighbours(here)
         ranked = sorted(self.known_sets, key=self.weight, reverse=True)
         along = self.errors.along(self.as_fitted(ranked[0]))
-        return Compared(normalised(self.by_names(), along), tuple(ranked), self.as_known(self.base))
+        return Compared(normalised(self.by_names(), along, self._inputs()), tuple(ranked), self.as_known(self.base))
 
     def as_known(self, scored: Scored) -> Scored:
         """The set as it is fitted by now: further on where its fit had used up its steps."""
@@ -396,6 +410,14 @@ class _Comparison:
             before = result.get(compared_set.names, (-np.inf, -np.inf))
             result[compared_set.names] = tuple(np.logaddexp(before, (compared_set.alone, compared_set.beside)).tolist())
         return result
+
+    def _inputs(self) -> dict[str, str]:
+        """What each effect, tested or not, goes along with: the way poses were reached, the time, or the joints."""
+        effects = {**CATALOGUE, **{t.name: t.effect for t in self.known.terms}}
+        return {
+            name: "history" if e.depends_on_history else "time" if e.needs_time or name in (SHIFT, HOMED) else "joints"
+            for name, e in effects.items()
+        }
 
     def _named(self, scored: Scored) -> list[Term]:
         """Effects of a fit that the catalogue has, and frames."""

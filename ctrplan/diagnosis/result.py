@@ -104,6 +104,11 @@ class Diagnosis:
         return tuple(finding.term for finding in self.judgement.findings)
 
     @property
+    def together(self) -> tuple[Term, ...]:
+        """What these do is done beside the effects of the verdict, by them or by a single cause that is unknown."""
+        return self.judgement.together
+
+    @property
     def verdict_probability(self) -> float | None:
         """How probable the verdict is; None where the search was interrupted."""
         return self.posterior.of_verdict(self.verdict, names_of(self.judgement)) if self.posterior else None
@@ -111,7 +116,7 @@ class Diagnosis:
     def robot_content(self) -> dict[str, Any]:
         """The content of the new robot file: calibrated, with the effects of the verdict and a free frame in it."""
         frame = [t for t in self.chosen.fit.chain.terms if t.name in FRAMES and t not in self.listed]
-        effects = [*self.listed, *self.built_terms, *frame]
+        effects = [*self.listed, *self.together, *self.built_terms, *frame]
         return calibrated_content(self.chosen.fit, effects, self.data, self.model_error_m)
 
     @property
@@ -139,6 +144,7 @@ class Diagnosis:
             "verdict_probability": None if self.posterior is None else round(self.verdict_probability or 0.0, 4),
             "posterior": self.posterior.to_json() if self.posterior else None,
             "effects": [self._effect(k) for k in range(len(self.judgement.findings))],
+            "together": [t.name for t in self.together],
             "gap": _gap(self.gap) | self._partial_gaps(),
             "where": self.place.sentence,
             "rest": self.partial.to_json() if self.partial else None,

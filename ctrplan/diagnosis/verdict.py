@@ -8,13 +8,14 @@ How probable a verdict is, a posterior over sets of effects says.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import combinations
 from typing import Any, Literal
 
 import numpy as np
-from scipy.special import logsumexp
+from scipy.special import gammaln, logsumexp
 
 from ctrplan.base.arrays import Array
 from ctrplan.calibration.fit_warnings import excused, is_strained, strained
@@ -51,6 +52,7 @@ class Judgement:
     findings: tuple[Finding, ...]
     adequacy: Adequacy
     notes: tuple[str, ...] = ()
+    together: tuple[Term, ...] = ()  # what these do is done, by them or by a single cause that is unknown
 
 
 def judge(
@@ -180,6 +182,7 @@ def _disbelieved(t: Term) -> str:
 
 ACTS = 0.03  # prior probability that an effect of the catalogue acts: of some 20, one in every other robot
 UNKNOWN_ACTS = 0.1  # the same of something that the catalogue lacks
+DOES_ALIKE = 0.05  # prior probability that this does what effects of the catalogue do together: of twenty, one
 NAMED = 0.99  # probability of what is named, or decided: one name in a hundred may be wrong
 
 
@@ -190,6 +193,7 @@ class Hypothesis:
     names: frozenset[str]
     has_unknown: bool
     weight: float
+    done: frozenset[str] = frozenset()  # effects whose work something unknown does
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,6 +213,10 @@ class Posterior:
     def of_effect(self, *names: str) -> float:
         """That at least one of these effects acts."""
         return self._of(bool(hypothesis.names & set(names)) for hypothesis in self.hypotheses)
+
+    def of_work(self, name: str) -> float:
+        """That what an effect does is done, by it or by something unknown."""
+        return self._of(name in hypothesis.names | hypothesis.done for hypothesis in self.hypotheses)
 
     def of_one(self, name: str, among: Collection[str]) -> float:
         """That an effect acts and none of the others among some."""
@@ -245,7 +253,7 @@ class Posterior:
             "unknown": round(self.of_unknown, 4),
             "effects": {name: p for name, p in effects.items() if p > 0},
             "unknown_along": {name: round(p, 3) for name, p in self.along.items()},
-            "sets_compared": len(self.hypotheses),
+            "sets_compared": len({hypothesis.names | hypothesis.done for hypothesis in self.hypotheses}),
         }
 
     def _of(self, hits: Iterable[bool]) -> float:
@@ -265,15 +273,39 @@ def shown(probability: float) -> str:
 
 
 def normalised(
-    evidence: Mapping[frozenset[str], tuple[float, float]], along: Mapping[str, float] | None = None
+    evidence: Mapping[frozenset[str], tuple[float, float]],
+    along: Mapping[str, float] | None = None,
+    inputs: Mapping[str, str] | None = None,
 ) -> Posterior:
-    """The posterior from log evidences of sets, without and with an unknown error; -inf where that was not asked."""
-    results = []
+    """The posterior from log evidences of sets, without and with an unknown error; -inf where that was not asked.
+
+    inputs: what each effect of the catalogue goes along with. What effects of like inputs do together a single cause
+    may do that the catalogue lacks, whether more remains of it or not.
+    """
+    inputs, results = inputs or {}, list[Hypothesis]()
+    otherwise = log_odds(UNKNOWN_ACTS) + (np.log1p(-DOES_ALIKE) if inputs else 0.0)
     for names, values in evidence.items():
-        for has_unknown, value in enumerate(values):
-            prior = len(names) * log_odds(ACTS) + has_unknown * log_odds(UNKNOWN_ACTS)
-            results.append(Hypothesis(names, bool(has_unknown), prior + value))
+        prior, either = len(names) * log_odds(ACTS), float(np.logaddexp(*values)) - np.log(2) + log_odds(UNKNOWN_ACTS)
+        results += [Hypothesis(names, False, prior + values[0]), Hypothesis(names, True, prior + values[1] + otherwise)]
+        for done in _alike(names, inputs):
+            weight = either + _does_alike(len(done), len(inputs)) + prior - len(done) * log_odds(ACTS)
+            results.append(Hypothesis(names - done, True, weight, done))
     return Posterior(tuple(results), along or {})
+
+
+def _alike(names: Iterable[str], inputs: Mapping[str, str]) -> Iterator[frozenset[str]]:
+    """Those of some effects, one or several in all ways, that go along with the same."""
+    for kind in dict.fromkeys(inputs.values()):
+        some = sorted(name for name in names if inputs.get(name) == kind)
+        yield from (frozenset(few) for count in range(1, len(some) + 1) for few in combinations(some, count))
+
+
+def _does_alike(count: int, of: int) -> float:
+    """Logarithm of the prior probability that a cause, if it is unknown, does what `count` effects do, these `of` all.
+
+    Any number of effects is as probable as any other, and so is any choice of as many.
+    """
+    return float(np.log(DOES_ALIKE / of) + gammaln(count + 1) + gammaln(of - count + 1) - gammaln(of + 1))
 
 
 def log_odds(probability: float) -> float:

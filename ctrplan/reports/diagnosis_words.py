@@ -80,6 +80,8 @@ def _verdict(diagnosis: Diagnosis) -> str:
     rest = f"what remains is {left:.1f} times the noise"
     if diagnosis.built:
         return f"Unexplained: nothing in the catalogue explains the measurements. {_built(diagnosis)}"
+    if diagnosis.together:
+        return f"Unexplained: {_together(diagnosis)}; that is in the robot file, no name is certain, {rest}."
     if names:
         return f"Unexplained: {names}; at work, but not alone, {rest}."
     if diagnosis.posterior and diagnosis.posterior.of_unknown < 1 / 2:
@@ -105,6 +107,14 @@ def _built(diagnosis: Diagnosis) -> str:
     return f"Built of the rest: {_count(diagnosis)} that {changes} {where}, whatever the cause."
 
 
+def _together(diagnosis: Diagnosis) -> str:
+    """That what some effects do is done, and how probable it is that they do it."""
+    terms, posterior = diagnosis.together, diagnosis.posterior
+    by, cause = ("it", "a cause") if len(terms) == 1 else ("them", "a single cause")
+    likely = f" ({shown(min(posterior.of_effect(t.name) for t in terms))})" if posterior else ""
+    return f"what {' and '.join(t.name for t in terms)} {'does' if by == 'it' else 'do'} is done, by {by}{likely} or by {cause} that is unknown"
+
+
 def effect_lines(diagnosis: Diagnosis) -> list[str]:
     """Per effect its parameters with intervals."""
     lines = []
@@ -112,6 +122,8 @@ def effect_lines(diagnosis: Diagnosis) -> list[str]:
         values = [f"{name} = {e.shown} ({e.shown_ci95})" for name, e in estimates(diagnosis.chosen.fit, t).items()]
         probable = f", {likely}" if (likely := probabilities(diagnosis, k)) else ""
         lines.append(f"{t.name}{probable} ({t.effect.stage}): {', '.join(values)}")
+    if diagnosis.together and lines:
+        lines.append(f"{_together(diagnosis)}: it is in the robot file, and no name")
     effects = [*lines, *built_lines(diagnosis), *_free_frame_lines(diagnosis)]
     return [*_frame_lines(diagnosis), *effects, *([rest.sentence] if (rest := diagnosis.rest) else [])]
 

@@ -33,7 +33,7 @@ from ctrplan.measurement.measurements import Measurements
 from ctrplan.pipeline.term import term
 from ctrplan.reports.diagnosis_figures import selection_errors
 from ctrplan.reports.diagnosis_page import diagnosis_report_html, gap_split, share_table
-from ctrplan.reports.diagnosis_words import effect_lines
+from ctrplan.reports.diagnosis_words import effect_lines, verdict_sentence
 
 ROBOT = pair_robot()
 PLAN, OTHERS = waypoints(ROBOT, 18), waypoints(ROBOT, 8, seed=5)
@@ -78,13 +78,33 @@ def test_what_is_handed_over_is_a_robot_with_the_effect_a_frame_and_an_honest_er
     assert robot_from_dict(content).effects["backlash"]["theta_2_deg"] == pytest.approx(8.0, abs=1.5)
 
 
-def test_an_effect_that_is_taken_back_leaves_figures_over_the_noise_alone() -> None:
+def contradicted() -> Measurements:
+    """What `partial()` was told of, with the backlash the other way round where poses are kept aside."""
     found, against = partial(), beside_a_rest({"backlash": {"theta_2_deg": -8.0}})
-    part = found.partial
+    assert found.partial is not None
+    position, tangent, aside = found.data.position_m.copy(), found.data.tangent.copy(), found.partial.split.held_out_set
+    position[aside], tangent[aside] = against.position_m[aside], against.tangent[aside]
+    return replace(found.data, position_m=position, tangent=tangent)
+
+
+def test_what_is_done_is_handed_over_without_a_name_unless_poses_kept_aside_contradict_it() -> None:
+    found, part = partial(), partial().partial
     assert part is not None
-    position, tangent, aside = found.data.position_m.copy(), found.data.tangent.copy(), part.split.held_out_set
-    position[aside], tangent[aside] = against.position_m[aside], against.tangent[aside]  # the other way round
-    asked = opened(answer_of(part), replace(found.data, position_m=position, tangent=tangent))
+    effects = tuple(finding.term for finding in part.judgement.findings)
+    unnamed = replace(part.judgement, verdict="unexplained", findings=(), together=effects)
+    answer = answer_of(replace(part, judgement=unnamed))
+    asked = opened(answer, found.data)
+    assert asked.judgement.verdict == "unexplained" and asked.judgement.together == effects
+    assert asked.gap.after.rms_m == pytest.approx(found.gap.after.rms_m, rel=1e-9)
+    told = replace(found, judgement=asked.judgement, partial=None)
+    assert "what backlash does is done" in verdict_sentence(told) and "backlash" in told.robot_content()["effects"]
+    assert not opened(answer, contradicted()).judgement.together
+
+
+def test_an_effect_that_is_taken_back_leaves_figures_over_the_noise_alone() -> None:
+    part = partial().partial
+    assert part is not None
+    asked = opened(answer_of(part), contradicted())
     assert asked.judgement.verdict == "unexplained" and not asked.judgement.findings
     left, beside = asked.judgement.adequacy, remains(part.bench, asked.written)  # the latter with a rest allowed for
     assert left.total.ratio > 1.2 * beside.total.ratio

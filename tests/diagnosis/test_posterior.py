@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from copy import copy
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 import pytest
@@ -21,7 +22,7 @@ from ctrplan.diagnosis.linear_fit import Linear, widths_of
 from ctrplan.diagnosis.posterior import compared
 from ctrplan.diagnosis.unknown_errors import UnknownErrors, without_error
 from ctrplan.diagnosis.verdict import Hypothesis, Posterior, normalised, shown
-from ctrplan.diagnosis.workbench import Workbench, candidates
+from ctrplan.diagnosis.workbench import Teller, Workbench, candidates
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.pipeline.term import Term
 
@@ -48,6 +49,30 @@ def test_equals_share_and_what_says_nothing_keeps_its_prior() -> None:
     assert told.of_effect("a") == pytest.approx(told.of_effect("b")) and 0.4 < told.of_effect("a") < 0.5
     silent = normalised({names: (0.0, 0.0) for names in (NONE, A, B, BOTH)})
     assert silent.of_effect("a") == pytest.approx(0.03) and silent.of_unknown == pytest.approx(0.1)
+
+
+ALIKE = dict.fromkeys([*"abcd", *list(CATALOGUE)[4:]], "joints")  # as many effects as there are
+
+
+@pytest.mark.parametrize(("acting", "is_told"), [("a", True), ("ab", True), ("abc", False)])
+def test_what_many_effects_do_together_a_single_unknown_cause_may_do(acting: str, is_told: bool) -> None:
+    """Sets beside a rest, of which nothing less explains the poses: three at once are a coincidence."""
+    told = normalised({NONE: (-90.0, -60.0), frozenset(acting): (-40.0, 0.0)}, inputs=ALIKE)
+    assert told.probabilities.sum() == pytest.approx(1, abs=1e-12)
+    assert (told.of_effect("a") > 0.99) is is_told and told.of_work("a") > 0.99
+    assert normalised({frozenset(acting): (0.0, -2.0)}).of_effect("a") == pytest.approx(1)  # of no catalogue
+
+
+def test_effects_of_unlike_inputs_are_no_single_cause() -> None:
+    unlike = ALIKE | {"c": "history", "d": "time"}
+    told = normalised({NONE: (-90.0, -40.0), frozenset("abcd"): (0.0, -2.0)}, inputs=unlike)
+    assert min(told.of_effect(name) for name in "abcd") > 0.99
+
+
+def test_a_catalogue_whose_poses_say_nothing_keeps_the_priors() -> None:
+    sets = [frozenset(some) for count in range(4) for some in combinations("abc", count)]
+    silent = normalised(dict.fromkeys(sets, (0.0, 0.0)), inputs=dict.fromkeys("abc", "joints"))
+    assert silent.of_unknown == pytest.approx(0.1, rel=0.01) and silent.of_effect("a") == pytest.approx(0.03, rel=0.01)
 
 
 def test_certainty_is_never_said() -> None:
@@ -152,6 +177,20 @@ def test_sets_that_are_hopeless_are_as_hopeless_beside_everything_unknown(monkey
     for names in (*((name,) for name in QUICK), tuple(QUICK)):
         assert told[0].of_effect(*names) == pytest.approx(told[1].of_effect(*names), abs=1e-3)
     assert told[0].of_unknown == pytest.approx(told[1].of_unknown, abs=1e-3)
+
+
+def test_rivals_are_compared_anew_beside_another_noise() -> None:
+    bench, data = bench_of("pair")
+    nothing, (scale, *_) = (
+        candidates(ROBOT, data, {}),
+        candidates(ROBOT, data, {"joint_scale": CATALOGUE["joint_scale"]}).terms,
+    )
+    there = replace(bench, noise=bench.noise.scaled(1.1))
+    for rivals in ([], [bench.scored([scale])]):
+        comparison = posterior._searched(there, there.scored([]), nothing, Teller(), rivals=rivals)
+        assert [scored.fit.noise is there.noise for scored in comparison.known_sets if scored.terms] == [True] * len(
+            rivals
+        )
 
 
 def test_fewer_parameters_in_the_place_of_many_are_promised_what_these_cost() -> None:
