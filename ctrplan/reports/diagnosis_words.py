@@ -110,9 +110,10 @@ def _built(diagnosis: Diagnosis) -> str:
 def _together(diagnosis: Diagnosis) -> str:
     """That what some effects do is done, and how probable it is that they do it."""
     terms, posterior = diagnosis.together, diagnosis.posterior
-    by, cause = ("it", "a cause") if len(terms) == 1 else ("them", "a single cause")
+    does, by, cause = ("does", "it", "a cause") if len(terms) == 1 else ("do", "them", "a single cause")
     likely = f" ({shown(min(posterior.of_effect(t.name) for t in terms))})" if posterior else ""
-    return f"what {' and '.join(t.name for t in terms)} {'does' if by == 'it' else 'do'} is done, by {by}{likely} or by {cause} that is unknown"
+    names = " and ".join(t.name for t in terms)
+    return f"what {names} {does} is done, by {by}{likely} or by {cause} that is unknown"
 
 
 def effect_lines(diagnosis: Diagnosis) -> list[str]:
