@@ -18,7 +18,7 @@ from ctrplan.motion.checker import MotionChecker
 from ctrplan.planning.compensate import CLOSE_M, aimed, brought_to_goal
 from ctrplan.planning.goal_states import goal_state
 from ctrplan.planning.search.path_model import NearPlaces, PathModel, _valleys, levels_of, slope_along
-from ctrplan.planning.search.polish import FOLLOWED_M, LEAST_GAIN_MM, Polish
+from ctrplan.planning.search.polish import FOLLOWED_M, LEAST_GAIN_MM, Polish, _end_m, _miss_m
 from ctrplan.scenario.joint_space import bare_scenario
 from ctrplan.scenario.prediction import TIP_TOLERANCE_M, predict_end, start_states
 from ctrplan.scenario.scenario import CostTerm, Goal, Scenario
@@ -355,7 +355,7 @@ def test_the_goal_follows_friction_at_the_end_of_the_path(case: Scenario, checke
     assert len(polished[True].trail) > 1 and polished[True].cost_mm < 0.9 * Polish(checker, moved, 0).cost_mm
     assert off_mm[True] <= FOLLOWED_M * MM_PER_M + LEAST_GAIN_MM and off_mm[True] < off_mm[False] / 2
     miss = Polish(checker, roundabout(), 0, is_aimed=True)
-    beyond_mm = max(0.0, float(np.linalg.norm(miss._miss_m(miss.corners))) - FOLLOWED_M) * MM_PER_M
+    beyond_mm = max(0.0, float(np.linalg.norm(_miss_m(checker.scenario, miss.corners))) - FOLLOWED_M) * MM_PER_M
     plain_mm = Polish(checker, roundabout(), 0).cost_mm
     assert miss.cost_mm - plain_mm == pytest.approx((case.cost.error_goal + case.cost.path) * beyond_mm)
 
@@ -367,7 +367,7 @@ def test_the_next_aim_is_nearer_to_where_friction_takes_it(case: Scenario, check
     polish = Polish(checker, roundabout(), 0, is_aimed=True)
     for other in (None, path):
         assert other is None or polish._takes(other)
-        end_m, miss_m = polish._end_m(polish.corners), polish._miss_m(polish.corners)
+        end_m, miss_m = _end_m(checker.scenario, polish.corners), _miss_m(checker.scenario, polish.corners)
         shift_m = polish._aim_m - end_m
         assert np.linalg.norm(miss_m) > 0.1e-3
         assert np.linalg.norm(shift_m) == pytest.approx(min(FOLLOWED_M, float(np.linalg.norm(miss_m))))

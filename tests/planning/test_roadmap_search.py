@@ -18,6 +18,7 @@ from ctrplan.files.scenario_file import load_scenario
 from ctrplan.motion.checker import MotionChecker, Stations
 from ctrplan.planning.compensate import aimed
 from ctrplan.planning.goal_states import descended, goal_state, goal_states
+from ctrplan.planning.reordering import as_given
 from ctrplan.planning.room import (
     LOSS_M,
     LOSS_MM,
@@ -31,8 +32,9 @@ from ctrplan.planning.search.polish import Race, Result
 from ctrplan.planning.search.proposals import Roadmap, least_cost_mm
 from ctrplan.planning.search.roadmap_search import RoadmapSearch
 from ctrplan.planning.search.stage_search import StageSearch
-from ctrplan.scenario.prediction import TIP_TOLERANCE_M
+from ctrplan.scenario.prediction import TIP_TOLERANCE_M, ball_centre, end_tips, start_states
 from ctrplan.scenario.scenario import anatomy_grid
+from ctrplan.scenario.tip_solver import target_in_robot_frame
 
 
 @pytest.fixture(scope="module")
@@ -409,4 +411,25 @@ def test_a_race_s_results_end_at_the_goal_and_cost_what_they_do_as_driven(vessel
         motion = there.along(result.driven)
         assert goal_state(vessel.without_reserve(), result.to_goal[-1]).tip_error_m < 0.1e-3
         assert motion.valid and there.cost_mm(motion, ends_at_goal=True) == pytest.approx(result.cost_mm)
-    assert results[0].cost_mm < race.cost_mm(search.best.corners)
+    assert results[0].cost_mm < race.cost_mm(search.best.corners, np.inf)
+
+
+def test_a_path_that_cannot_be_moved_costs_what_it_misses_and_another_order_is_priced_as_driven(
+    vessel: MotionChecker, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    goals = goal_states(vessel, np.random.default_rng(0))
+    clock = SearchClock(vessel.meter, timed=False, budget_s=2.0)
+    search = StageSearch(vessel, goals, 0, time.monotonic(), 2.0, clock, lambda _: None, threading.Event())
+    race = Race(search._first_path(), search._expanded, 0, is_compensated=True, moves_goal=True)
+    assert search.best is not None
+    path, scenario = search.best.corners, vessel.scenario
+    monkeypatch.setattr("ctrplan.planning.search.polish.aimed", lambda checker, corners: (checker, corners))
+    middle = ball_centre(end_tips(scenario.robot, path, start_states(scenario)))
+    miss_mm = 1e3 * np.linalg.norm(target_in_robot_frame(scenario) - middle)
+    assert miss_mm > 0.01
+    assert race.cost_mm(path, 100.0) == pytest.approx(100.0 + scenario.cost.error_goal * miss_mm)
+    other = as_given(vessel, np.vstack([path[:1], path[1] + 0.1 * (path[0] - path[1]), path[1:]]))
+    monkeypatch.setattr("ctrplan.planning.search.polish.least_error_order", lambda *_: other)
+    for driven_mm, taken in ((99.0, other.after), (101.0, path)):
+        monkeypatch.setattr(Race, "cost_mm", lambda *_, driven_mm=driven_mm: driven_mm)
+        assert np.array_equal(race.ordered(Result(path, path, 100.0), vessel, path).after, taken)

@@ -25,8 +25,10 @@ from ctrplan.motion.checker import ASTRAY_M, DEFINITE_COLLISION_M, MotionChecker
 from ctrplan.planning.compensate import aimed, brought_to_goal, frictionless_tips, offset_m
 from ctrplan.planning.goal_states import CORRECTIONS, FIRST_MM, LEAST_MM, LONGER, TIP_STEPS
 from ctrplan.planning.reach import SHORTER
+from ctrplan.planning.reordering import Reordered, as_given, least_error_order
 from ctrplan.planning.search.path_model import NearPlaces, PathModel, levels_of, slope_along
 from ctrplan.planning.search.roadmap_search import RoadmapSearch
+from ctrplan.scenario.scenario import Scenario
 from ctrplan.scenario.tip_solver import LEAST_DAMPING, TipSolver, TipTarget, angle_to, target_in_robot_frame, tip_target
 
 LEAST_GAIN_MM = 0.05  # of the cost: a step that gains less is not worth a walk
@@ -249,19 +251,9 @@ class Polish:
         It is an error at the goal, and motion that makes up for it.
         """
         weights = self.checker.scenario.cost
-        miss_m = float(np.linalg.norm(self._miss_m(corners)))
+        miss_m = float(np.linalg.norm(_miss_m(self.checker.scenario, corners)))
         left_mm = max(miss_m - FOLLOWED_M, 0.0) * MM_PER_M
         return (weights.error_goal + weights.path) * left_mm if np.isfinite(miss_m) else np.inf
-
-    def _miss_m(self, corners: Array) -> Array:
-        """(3,) from where the tip with friction ends on a path (K, m), in the middle, to the target."""
-        scenario = self.checker.scenario
-        return target_in_robot_frame(scenario) - self._end_m(corners) - offset_m(scenario, corners)
-
-    def _end_m(self, corners: Array) -> Array:
-        """(3,) the frictionless tip at the end of a path (K, m)."""
-        tip_m: Array = frictionless_tips(self.checker.scenario.robot, corners[-1:])[0][0]
-        return tip_m
 
     def _walked(self, corners: Array) -> PathSamples | None:
         """The walk of a path; None where limits or zero-clearance shapes along new legs refuse it."""
@@ -316,10 +308,24 @@ class Polish:
     @cached_property
     def _aim_m(self) -> Array:
         """(3,) where the frictionless tip goes next: to the target, or nearer to where friction will take it there."""
+        scenario = self.checker.scenario
         if not self.is_aimed:
-            return target_in_robot_frame(self.checker.scenario)
-        miss_m = self._miss_m(self.corners)
-        return self._end_m(self.corners) + miss_m * min(1.0, FOLLOWED_M / max(float(np.linalg.norm(miss_m)), 1e-12))
+            return target_in_robot_frame(scenario)
+        miss_m = _miss_m(scenario, self.corners)
+        return _end_m(scenario, self.corners) + miss_m * min(
+            1.0, FOLLOWED_M / max(float(np.linalg.norm(miss_m)), 1e-12)
+        )
+
+
+def _miss_m(scenario: Scenario, corners: Array) -> Array:
+    """(3,) from where the tip with friction ends on a path (K, m), in the middle, to the target."""
+    return target_in_robot_frame(scenario) - _end_m(scenario, corners) - offset_m(scenario, corners)
+
+
+def _end_m(scenario: Scenario, corners: Array) -> Array:
+    """(3,) the frictionless tip at the end of a path (K, m)."""
+    tip_m: Array = frictionless_tips(scenario.robot, corners[-1:])[0][0]
+    return tip_m
 
 
 class Result(NamedTuple):
@@ -359,10 +365,27 @@ class Race:
             if not is_over(until):
                 racer.run(partial(is_over, until))
 
-    def cost_mm(self, corners: Array) -> float:
-        """What a path (K, m) costs as it is driven; infinite where it can't be."""
-        driven = self._driven(self.roadmap.checker, corners)
-        return np.inf if driven is None else self._price_mm(*driven)
+    def cost_mm(self, corners: Array, unmoved_mm: float) -> float:
+        """What a path (K, m) costs as it is driven.
+
+        Where it can't be moved so that the tip arrives: unmoved_mm, and what it misses as an error at the goal.
+        """
+        scenario, driven = self.roadmap.checker.scenario, self._driven(self.roadmap.checker, corners)
+        price_mm = np.inf if driven is None else self._price_mm(*driven)
+        if np.isfinite(price_mm) or not self._is_aimed:
+            return price_mm if np.isfinite(price_mm) else unmoved_mm
+        miss_mm = MM_PER_M * float(np.linalg.norm(_miss_m(scenario, corners)))
+        return unmoved_mm + scenario.cost.error_goal * (miss_mm if np.isfinite(miss_mm) else 0.0)
+
+    def ordered(self, result: Result, checker: MotionChecker, corners: Array) -> Reordered:
+        """The corners (K, m) of a result in the order of least error, unless they cost more then as they are driven.
+
+        In another order friction leaves another offset, which may be out of reach.
+        """
+        other = least_error_order(checker, corners)
+        if np.array_equal(other.after, corners) or self.cost_mm(other.after, np.inf) <= result.cost_mm:
+            return other
+        return as_given(checker, corners)
 
     def results(self) -> Iterator[Result]:
         """Polished paths as they are driven, the cheapest first, all that led to a racer's last among them.

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -154,17 +154,17 @@ class StageSearch:
         if self.clock.timed:
             until = min(until, self.budget)
         race = Race(roadmap, self._expanded, self.seed, self.is_compensated, self.moves_goal)
-        driven_mm = np.inf
+        begun_mm = before.cost_mm
         with self._ending(until):
-            driven_mm = race.cost_mm(before.corners)
+            begun_mm = race.cost_mm(before.corners, before.cost_mm)
             race.run(self.clock.now, until, self._is_over)
-        begun_mm = driven_mm if np.isfinite(driven_mm) else before.cost_mm
         for result in race.results():
             gain_mm = begun_mm - result.cost_mm
             if self._is_enough() or not gain_mm > WORTH_A_CERTIFICATE * begun_mm:
                 break
             as_driven_mm = before.cost_mm - gain_mm if self.is_compensated else None
-            if not self._tidied(roadmap.checker, result.to_goal, ROADMAP, result.driven, as_driven_mm):
+            order = partial(race.ordered, result)
+            if not self._tidied(roadmap.checker, result.to_goal, ROADMAP, result.driven, as_driven_mm, order):
                 return True
             if self.clock.timed and self._is_over(self.budget):
                 break
@@ -384,6 +384,7 @@ class StageSearch:
         found_by: str,
         driven: Array | None = None,
         as_driven_mm: float | None = None,
+        order: Callable[[MotionChecker, Array], Reordered] = least_error_order,
     ) -> str:
         """Reorders and certifies a path (K, m), keeps it if it is the best; why it failed, empty if it did not.
 
@@ -391,7 +392,7 @@ class StageSearch:
         as it is.
         """
         found_s = time.monotonic() - self.began
-        result = least_error_order(checker, merge_legs(corners))
+        result = order(checker, merge_legs(corners))
         if self.best is not None and np.array_equal(result.after, self.best.corners):
             tidied = replace(self.best, reordered=result)
             self.certified = [tidied if candidate is self.best else candidate for candidate in self.certified]
