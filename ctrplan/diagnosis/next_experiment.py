@@ -32,7 +32,6 @@ CONFIGURATIONS = 32  # drawn in the measured range, and as many in the drive's t
 OFFSET_RAD = np.radians(90.0)
 PROPOSALS = 3
 SEPARATING_LOG_ODDS = 1.0  # expected log-odds of a pose below which it separates nothing
-CERTAIN_LOG_ODDS = 100.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,15 +42,6 @@ class Proposal:
     l_commanded: Array  # (n,) m
     log_odds: float
     between: tuple[str, str]
-
-    @property
-    def odds(self) -> str:
-        """The log-odds for a reader: beyond some size no noise matters, but what neither effect explains does."""
-        return _odds(self.log_odds)
-
-
-def _odds(log_odds: float) -> str:
-    return f"{log_odds:.1f}" if log_odds < CERTAIN_LOG_ODDS else f"above {CERTAIN_LOG_ODDS:g}"
 
 
 def proposals(name: str, chosen: Scored, other: Alternative, data: Measurements, noise: Noise) -> list[Proposal]:
@@ -226,7 +216,8 @@ def _separating(name: str, other: Alternative, results: Sequence[Proposal]) -> s
     places = ", ".join(f"{place:.1f}" for place in best.l_commanded * 1e3)
     return (
         f"To tell {name} from {other.term.name}, measure theta = ({angles}) deg, l = ({places}) mm from all directions "
-        f"of approach: expected log-odds {best.odds}, with {len(results)} such {_odds(whole)} (--propose writes them)."
+        f"of approach: expected log-odds {best.log_odds:.1f}, "
+        f"with {len(results)} such {whole:.1f} (--propose writes them)."
     )
 
 

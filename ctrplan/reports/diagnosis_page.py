@@ -159,4 +159,4 @@ def _proposed(proposal: Proposal) -> tuple[str, ...]:
     """A configuration that would separate what the data cannot."""
     theta = ", ".join(f"{x:.0f}" for x in np.degrees(proposal.theta_commanded))
     l = ", ".join(f"{x:.1f}" for x in proposal.l_commanded * 1e3)  # noqa: E741
-    return theta, l, " against ".join(proposal.between), proposal.odds
+    return theta, l, " against ".join(proposal.between), f"{proposal.log_odds:.1f}"
