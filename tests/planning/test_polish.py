@@ -374,6 +374,22 @@ def test_the_next_aim_is_nearer_to_where_friction_takes_it(case: Scenario, check
         assert np.linalg.norm(miss_m - shift_m) == pytest.approx(max(float(np.linalg.norm(miss_m)) - FOLLOWED_M, 0.0))
 
 
+def test_a_path_of_other_legs_is_aimed_anew_before_it_is_priced(
+    case: Scenario, checker: MotionChecker, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another last leg leaves other friction, which steps would follow too late; a small miss is left to them."""
+    path, offered = roundabout()[:-1], list[Array]()
+    path[-1] = GOAL
+    monkeypatch.setattr(Polish, "_takes", lambda _, corners: offered.append(corners))
+    for is_aimed, followed_m in ((False, 1e-4), (True, 1e-4), (True, 1.0)):
+        monkeypatch.setattr("ctrplan.planning.search.polish.FOLLOWED_M", followed_m)
+        Polish(checker, roundabout(), 0, is_aimed=is_aimed)._takes_aimed(path)
+    plain, anew, small = offered
+    np.testing.assert_array_equal(plain, path)
+    np.testing.assert_array_equal(small, path)
+    assert np.linalg.norm(_miss_m(case, anew)) < TIP_TOLERANCE_M < 1e-4 < np.linalg.norm(_miss_m(case, path))
+
+
 TURNED = CostTerm("turned", 100.0, lambda q: np.abs(q[:, 1]))
 WITHDRAWN = CostTerm("withdrawn", 1e4, lambda q: GOAL[3] - q[:, 3])
 

@@ -165,7 +165,7 @@ class Polish:
                 yield
                 corners = self.corners.copy()
                 corners[first:last, joints] = corners[beside, joints]
-                if self._takes(corners):
+                if self._takes_aimed(corners):
                     break
             else:
                 k += 1
@@ -190,7 +190,7 @@ class Polish:
             moves = a != b if is_end else b != c  # the joints whose motion is divided
             between = np.array([a, c] if is_end else [a, b])
             between[:, moves] = ((a + b if is_end else b + c) / 2)[moves]
-            self._takes(np.concatenate([self.corners[: first + 1], between, self.corners[first + 2 :]]))
+            self._takes_aimed(np.concatenate([self.corners[: first + 1], between, self.corners[first + 2 :]]))
 
     def _model(self) -> PathModel:
         """The model of the best path so far."""
@@ -205,6 +205,13 @@ class Polish:
             delta = (corners - before.corners) * self.space.weights_mm
             places += [place.moved(delta) for place in before.places]
         return PathModel(self.checker, corners, levels, places, along)
+
+    def _takes_aimed(self, corners: Array) -> bool:
+        """Whether a path of other legs costs less, aimed anew where friction takes the tip farther than steps do."""
+        scenario = self.checker.scenario
+        if self.is_aimed and self.space.allowed(corners) and np.linalg.norm(_miss_m(scenario, corners)) > FOLLOWED_M:
+            _, corners = aimed(self.checker, corners)
+        return self._takes(corners)
 
     def _takes_corrected(self, corners: Array | None) -> bool:
         """Whether a path, corrected where it comes too close, is valid and costs less; then it is the path."""
@@ -312,9 +319,8 @@ class Polish:
         if not self.is_aimed:
             return target_in_robot_frame(scenario)
         miss_m = _miss_m(scenario, self.corners)
-        return _end_m(scenario, self.corners) + miss_m * min(
-            1.0, FOLLOWED_M / max(float(np.linalg.norm(miss_m)), 1e-12)
-        )
+        share = min(1.0, FOLLOWED_M / max(float(np.linalg.norm(miss_m)), 1e-12))
+        return np.asarray(_end_m(scenario, self.corners) + share * miss_m)
 
 
 def _miss_m(scenario: Scenario, corners: Array) -> Array:
@@ -324,8 +330,7 @@ def _miss_m(scenario: Scenario, corners: Array) -> Array:
 
 def _end_m(scenario: Scenario, corners: Array) -> Array:
     """(3,) the frictionless tip at the end of a path (K, m)."""
-    tip_m: Array = frictionless_tips(scenario.robot, corners[-1:])[0][0]
-    return tip_m
+    return np.asarray(frictionless_tips(scenario.robot, corners[-1:])[0][0])
 
 
 class Result(NamedTuple):
