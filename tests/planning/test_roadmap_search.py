@@ -338,17 +338,22 @@ def test_what_a_search_has_solved_tells_which_states_are_valid() -> None:
     assert np.mean(is_expected == truly) > 0.95 > np.mean(is_guessed == truly)
 
 
-def test_only_what_can_be_compensated_is_polished(vessel: MotionChecker, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A cheap path that misses its target is none."""
+def stage_search(vessel: MotionChecker) -> StageSearch:
+    """A search of two counted seconds."""
     goals = goal_states(vessel, np.random.default_rng(0))
     clock = SearchClock(vessel.meter, timed=False, budget_s=2.0)
-    search = StageSearch(vessel, goals, 0, time.monotonic(), 2.0, clock, lambda _: None, threading.Event())
+    return StageSearch(vessel, goals, 0, time.monotonic(), 2.0, clock, lambda _: None, threading.Event())
+
+
+def test_only_what_can_be_compensated_is_polished(vessel: MotionChecker, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A cheap path that misses its target is none."""
+    search = stage_search(vessel)
     roadmap = search._first_path()
     for can_be_moved in (True, False):
         if not can_be_moved:
             monkeypatch.setattr("ctrplan.planning.search.polish.aimed", lambda checker, corners: (checker, corners))
         race = Race(roadmap, search._expanded, 0, is_compensated=True, moves_goal=True)
-        race.run(clock.now, clock.now() + 0.2, search._is_over)
+        race.run(search.clock.now, search.clock.now() + 0.2, search._is_over)
         assert bool(race.racers) == can_be_moved
         assert all(racer.is_aimed for racer in race.racers)
 
@@ -356,9 +361,7 @@ def test_only_what_can_be_compensated_is_polished(vessel: MotionChecker, monkeyp
 def test_a_path_whose_aimed_beginning_has_no_room_is_polished_from_where_it_is(
     vessel: MotionChecker, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    goals = goal_states(vessel, np.random.default_rng(0))
-    clock = SearchClock(vessel.meter, timed=False, budget_s=2.0)
-    search = StageSearch(vessel, goals, 0, time.monotonic(), 2.0, clock, lambda _: None, threading.Event())
+    search = stage_search(vessel)
     race = Race(search._first_path(), search._expanded, 0, is_compensated=True, moves_goal=True)
     assert search.best is not None
     path = search.best.corners
@@ -370,9 +373,7 @@ def test_a_path_whose_aimed_beginning_has_no_room_is_polished_from_where_it_is(
 
 def test_results_are_the_cheapest_as_driven(vessel: MotionChecker) -> None:
     """All paths that polish came by are offered by that, whatever they promised; but those that can't be driven."""
-    goals = goal_states(vessel, np.random.default_rng(0))
-    clock = SearchClock(vessel.meter, timed=False, budget_s=2.0)
-    search = StageSearch(vessel, goals, 0, time.monotonic(), 2.0, clock, lambda _: None, threading.Event())
+    search = stage_search(vessel)
     race, rng = Race(search._first_path(), search._expanded, 0, is_compensated=True, moves_goal=True), search._rng
     for _ in range(20):
         dearer_mm = rng.exponential(2.0, size=9) * rng.integers(0, 2, size=9)
@@ -392,11 +393,9 @@ def test_results_are_the_cheapest_as_driven(vessel: MotionChecker) -> None:
 
 def test_a_race_s_results_end_at_the_goal_and_cost_what_they_do_as_driven(vessel: MotionChecker) -> None:
     """Where compensation leads from there, by the race's own word and anew."""
-    goals = goal_states(vessel, np.random.default_rng(0))
-    clock = SearchClock(vessel.meter, timed=False, budget_s=2.0)
-    search = StageSearch(vessel, goals, 0, time.monotonic(), 2.0, clock, lambda _: None, threading.Event())
+    search = stage_search(vessel)
     race = Race(search._first_path(), search._expanded, 0, is_compensated=True, moves_goal=True)
-    race.run(clock.now, clock.now() + 0.3, search._is_over)
+    race.run(search.clock.now, search.clock.now() + 0.3, search._is_over)
     results = list(race.results())
     assert results and search.best is not None
     for result in results:
@@ -417,9 +416,7 @@ def test_a_race_s_results_end_at_the_goal_and_cost_what_they_do_as_driven(vessel
 def test_a_path_that_cannot_be_moved_costs_what_it_misses_and_another_order_is_priced_as_driven(
     vessel: MotionChecker, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    goals = goal_states(vessel, np.random.default_rng(0))
-    clock = SearchClock(vessel.meter, timed=False, budget_s=2.0)
-    search = StageSearch(vessel, goals, 0, time.monotonic(), 2.0, clock, lambda _: None, threading.Event())
+    search = stage_search(vessel)
     race = Race(search._first_path(), search._expanded, 0, is_compensated=True, moves_goal=True)
     assert search.best is not None
     path, scenario = search.best.corners, vessel.scenario
