@@ -194,11 +194,12 @@ def walk_pieces(
 
     def walk(leg_way: tuple[int, Array]) -> Piece:
         leg, way = leg_way
-        same = memory.get((way.tobytes(), variants.large, accuracy))
-        piece = replace(same, leg=leg) if same else walked(variants, space, leg, way, accuracy)
-        if piece.motion_m.max() > LEAP_M and piece.samples.status[-1] < Status.UNSTABLE:  # or only the mesh's nodes do
+        keys = [(way.tobytes(), variants.large, mesh) for mesh in (accuracy, "certificate")]
+        piece = next(filter(None, map(memory.get, keys)), None) or walked(variants, space, leg, way, accuracy)
+        leaps = piece.motion_m.max() > LEAP_M and piece.samples.status[-1] < Status.UNSTABLE
+        if leaps and piece.accuracy != "certificate":  # whose nodes are others: on one mesh these may leap alone
             return walked(variants, space, leg, way, "certificate")
-        return piece
+        return replace(piece, leg=leg)
 
     pieces: list[Piece] = []
     with ThreadPoolExecutor(cores()) as pool:

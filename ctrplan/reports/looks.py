@@ -121,6 +121,11 @@ def view_box(points_m: Array, anatomy_m: Array) -> tuple[Array, Array]:
     return lower - rim, upper + rim
 
 
+def most_ticks(sides: Array) -> list[int]:
+    """How many ticks axes (3,) of such lengths have at most: few where one is short, for labels meet at corners."""
+    return [3 if side < sides.max() else 6 for side in sides]
+
+
 def side_azimuth_rad(points_m: Array) -> float:
     """From where points (K, 3) spread widest to left and right; not along an axis, where a scene looks flat."""
     spread = np.cov((points_m - points_m.mean(axis=0))[:, :2].T)

@@ -247,10 +247,10 @@ def draw_shape(ax: Any, shape: Shape, others: Sequence[Shape] = ()) -> None:
     every = np.concatenate([line for line in points if len(line)]) if any(map(len, points)) else np.zeros((1, 3))
     lower, upper = (corner * MM_PER_M for corner in looks.view_box(every, np.empty((0, 3))))
     sides = upper - lower
-    for name, low, high in zip("xyz", lower, upper, strict=True):
+    for name, low, high, ticks in zip("xyz", lower, upper, looks.most_ticks(sides), strict=True):
         getattr(ax, f"set_{name}lim")(low, high)
         getattr(ax, f"set_{name}label")(f"{name} (mm)", fontsize=8)
-        getattr(ax, f"{name}axis").set_major_locator(MaxNLocator(3 if high - low < sides.max() else 6))
+        getattr(ax, f"{name}axis").set_major_locator(MaxNLocator(ticks))
     ax.tick_params(labelsize=8, pad=0)
     ax.set_box_aspect(sides)
     azimuth = looks.side_azimuth_rad(every) if len(every) > 3 else 0.6

@@ -190,9 +190,9 @@ def _frame(ax: Axes3D, points_m: Array, anatomy_m: Array, frame: Frame | None) -
     ax.set_box_aspect(tuple(upper - lower), zoom=1.04)
     ax.set_proj_type("ortho")
     ax.view_init(elev=ELEVATION_DEG, azim=float(np.degrees(side_azimuth_rad(points_m))))
-    sides = upper - lower
+    ticks = looks.most_ticks(upper - lower)
     for k, axis in enumerate((ax.xaxis, ax.yaxis, ax.zaxis)):
-        axis.set_major_locator(MaxNLocator(3 if sides[k] < sides.max() else 6))  # labels of short axes meet at a corner
+        axis.set_major_locator(MaxNLocator(ticks[k]))
         axis.set_pane_color((0.975, 0.98, 0.985, 1.0))
         axis.set_tick_params(labelsize=9, colors=looks.MUTED)
         axis.set_label_text(f"{axis_label(k, frame)} (mm)")

@@ -345,6 +345,13 @@ def stage_search(vessel: MotionChecker) -> StageSearch:
     return StageSearch(vessel, goals, 0, time.monotonic(), 2.0, clock, lambda _: None, threading.Event())
 
 
+def race_begun(search: StageSearch) -> tuple[Race, Array]:
+    """A race on the roadmap that has a first path, and this path (K, m)."""
+    race = Race(search._first_path(), search._expanded, 0, is_compensated=True, moves_goal=True)
+    assert search.best is not None
+    return race, search.best.corners
+
+
 def test_only_what_can_be_compensated_is_polished(vessel: MotionChecker, monkeypatch: pytest.MonkeyPatch) -> None:
     """A cheap path that misses its target is none."""
     search = stage_search(vessel)
@@ -362,9 +369,7 @@ def test_a_path_whose_aimed_beginning_has_no_room_is_polished_from_where_it_is(
     vessel: MotionChecker, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     search = stage_search(vessel)
-    race = Race(search._first_path(), search._expanded, 0, is_compensated=True, moves_goal=True)
-    assert search.best is not None
-    path = search.best.corners
+    race, path = race_begun(search)
     monkeypatch.setattr("ctrplan.planning.search.polish.aimed", lambda checker, q: (checker.without_reserve(), q + 1.0))
     racer = race._begun(path)
     assert racer is not None and racer is race.racers[0]
@@ -374,7 +379,7 @@ def test_a_path_whose_aimed_beginning_has_no_room_is_polished_from_where_it_is(
 def test_results_are_the_cheapest_as_driven(vessel: MotionChecker) -> None:
     """All paths that polish came by are offered by that, whatever they promised; but those that can't be driven."""
     search = stage_search(vessel)
-    race, rng = Race(search._first_path(), search._expanded, 0, is_compensated=True, moves_goal=True), search._rng
+    (race, _), rng = race_begun(search), search._rng
     for _ in range(20):
         dearer_mm = rng.exponential(2.0, size=9) * rng.integers(0, 2, size=9)
         promised = np.sort(rng.uniform(100.0, 110.0, size=9))[::-1]
@@ -394,10 +399,10 @@ def test_results_are_the_cheapest_as_driven(vessel: MotionChecker) -> None:
 def test_a_race_s_results_end_at_the_goal_and_cost_what_they_do_as_driven(vessel: MotionChecker) -> None:
     """Where compensation leads from there, by the race's own word and anew."""
     search = stage_search(vessel)
-    race = Race(search._first_path(), search._expanded, 0, is_compensated=True, moves_goal=True)
+    race, path = race_begun(search)
     race.run(search.clock.now, search.clock.now() + 0.3, search._is_over)
     results = list(race.results())
-    assert results and search.best is not None
+    assert results
     for result in results:
         there, _ = aimed(vessel.without_reserve(), result.to_goal)
         off = (
@@ -410,16 +415,14 @@ def test_a_race_s_results_end_at_the_goal_and_cost_what_they_do_as_driven(vessel
         motion = there.along(result.driven)
         assert goal_state(vessel.without_reserve(), result.to_goal[-1]).tip_error_m < 0.1e-3
         assert motion.valid and there.cost_mm(motion, ends_at_goal=True) == pytest.approx(result.cost_mm)
-    assert results[0].cost_mm < race.cost_mm(search.best.corners, np.inf)
+    assert results[0].cost_mm < race.cost_mm(path, np.inf)
 
 
 def test_a_path_that_cannot_be_moved_costs_what_it_misses_and_another_order_is_priced_as_driven(
     vessel: MotionChecker, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     search = stage_search(vessel)
-    race = Race(search._first_path(), search._expanded, 0, is_compensated=True, moves_goal=True)
-    assert search.best is not None
-    path, scenario = search.best.corners, vessel.scenario
+    (race, path), scenario = race_begun(search), vessel.scenario
     monkeypatch.setattr("ctrplan.planning.search.polish.aimed", lambda checker, corners: (checker, corners))
     middle = ball_centre(end_tips(scenario.robot, path, start_states(scenario)))
     miss_mm = 1e3 * np.linalg.norm(target_in_robot_frame(scenario) - middle)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -63,10 +64,25 @@ def test_what_leaps_on_the_search_mesh_alone_was_followed() -> None:
     assert not walk.problems and piece.accuracy == "certificate" and piece.motion_m.max() < walked_piece.LEAP_M
 
 
-def test_what_leaps_on_both_meshes_is_refused() -> None:
+def test_what_leaps_on_both_meshes_is_refused_and_walked_once_on_each(monkeypatch: pytest.MonkeyPatch) -> None:
     """A corner of the paper's robot loses its equilibrium 15 mm from the next one."""
+    begun, walk = list[str](), walked_piece.walked
+
+    def walked(*asked: Any) -> walked_piece.Piece:
+        begun.append(asked[4])
+        return walk(*asked)
+
     robot = load_robot(ROBOTS / "three_tube.toml")
     ends = ([-81.2347, -4.1948, 152.0806, -68.9908], [83.7843, -89.5933, -110.3702, -58.4198])  # deg, mm
     way = np.array(ends) * [joint.si_per_unit for joint in robot.drive.joints]
-    problems = walk_legs(replace(bare_scenario(robot), start=way[0]), way).problems
-    assert any("leaps by 15" in problem for problem in problems)
+    scenario = replace(bare_scenario(robot), start=way[0])
+    monkeypatch.setattr(walked_piece, "walked", walked)
+    failed = walk_legs(scenario, way)
+    assert any("leaps by 15" in problem for problem in failed.problems)
+    leaps = sum(piece.accuracy == "certificate" for piece in failed.pieces)
+    assert leaps > 0 and sorted(begun) == ["certificate"] * leaps + ["search"] * len(failed.pieces)
+    begun.clear()
+    walk_legs(scenario, way, failed=failed)
+    assert not begun
+    walk_legs(scenario, way, accuracy="certificate")
+    assert begun == ["certificate"] * len(failed.pieces)

@@ -376,11 +376,10 @@ class Race:
         Where it can't be moved so that the tip arrives: unmoved_mm, and what it misses as an error at the goal.
         """
         scenario, driven = self.roadmap.checker.scenario, self._driven(self.roadmap.checker, corners)
-        price_mm = np.inf if driven is None else self._price_mm(*driven)
-        if np.isfinite(price_mm) or not self._is_aimed:
-            return price_mm if np.isfinite(price_mm) else unmoved_mm
-        miss_mm = MM_PER_M * float(np.linalg.norm(_miss_m(scenario, corners)))
-        return unmoved_mm + scenario.cost.error_goal * (miss_mm if np.isfinite(miss_mm) else 0.0)
+        if driven is not None and np.isfinite(price_mm := self._price_mm(*driven)):
+            return price_mm
+        miss_m = _miss_m(scenario, corners) if self._is_aimed else np.zeros(3)
+        return unmoved_mm + scenario.cost.error_goal * MM_PER_M * float(np.nan_to_num(np.linalg.norm(miss_m)))
 
     def ordered(self, result: Result, checker: MotionChecker, corners: Array) -> Reordered:
         """The corners (K, m) of a result in the order of least error, unless they cost more then as they are driven.

@@ -213,9 +213,8 @@ def likely_insertions(
         solved[k][place] = is_valid(ways[k].joints[place], float(ways[k].room_m[place]))
         if solved[k][place]:
             heapq.heappush(queue, doubt(k))
-    doubtful_yet = sorted(doubt(k) for _, k, _ in queue)
-    likely = [k for doubtful, k, _ in doubtful_yet if doubtful < 1 / 2]
-    return [ways[k] for k in [*result, *likely]]
+    others = sorted(doubt(k) for _, k, _ in queue) if result and enough else ()
+    return [ways[k] for k in [*result, *(k for doubtful, k, _ in others if doubtful < 1 / 2)]]
 
 
 def least_cost_mm(checker: MotionChecker, delta: Array) -> Array:
