@@ -188,7 +188,7 @@ def likely_insertions(
 ) -> list[TurnedInsertion]:
     """Those whose places are all likelier valid than not, the likeliest first: where that is in doubt, it is solved.
 
-    share_valid: the probability (S,) that each of the places (S, m) with such rooms (S,) is valid, by all that was
+    share_valid: the probability (S,) that each of the places (S, m) with such rooms (S,) [m] is valid, by all that was
     solved so far; is_valid: solves one of them. Where a doubt is enough, solving ends with the first way of which no
     place is in more doubt than that; others join it that are likely by then.
     """
