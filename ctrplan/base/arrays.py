@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import copy
 import hashlib
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from decimal import Decimal
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,6 +27,49 @@ def read_only(values: ArrayLike) -> NDArray[Any]:
     array = np.array(values)
     array.setflags(write=False)
     return array
+
+
+def frozen_content(value: Any) -> Any:
+    """A copy of a file's content, tables and lists in one another, that nobody can change."""
+    if isinstance(value, (FrozenTable, FrozenList)):
+        return value
+    if isinstance(value, Mapping):
+        return FrozenTable({key: frozen_content(entry) for key, entry in value.items()})
+    return FrozenList(map(frozen_content, value)) if isinstance(value, (list, tuple)) else value
+
+
+def _refuse_change(*_: Any, **__: Any) -> NoReturn:
+    raise TypeError("The content of a robot or a scenario cannot be changed in place: with_(...) makes another one.")
+
+
+class FrozenTable(dict[str, Any]):
+    """A table that refuses changes, which would have no effect on what was read from it. A deep copy can be changed."""
+
+    __setitem__ = __delitem__ = __ior__ = _refuse_change
+    clear = pop = popitem = setdefault = update = _refuse_change
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> dict[str, Any]:
+        """An ordinary dict."""
+        return {key: copy.deepcopy(value, memo) for key, value in self.items()}
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """What it is made of again where it is unpickled."""
+        return FrozenTable, (dict(self),)
+
+
+class FrozenList(list[Any]):
+    """A list that refuses changes. A deep copy can be changed."""
+
+    __setitem__ = __delitem__ = __iadd__ = __imul__ = _refuse_change
+    append = clear = extend = insert = pop = remove = reverse = sort = _refuse_change
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> list[Any]:
+        """An ordinary list."""
+        return [copy.deepcopy(value, memo) for value in self]
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """What it is made of again where it is unpickled."""
+        return FrozenList, (list(self),)
 
 
 def lengths(vectors: Array) -> Array:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ctrplan.base.arguments import rows_of
-from ctrplan.base.arrays import ROUNDING_M, Array, content_sha256, numbers, read_only, warn_of_degrees
+from ctrplan.base.arrays import ROUNDING_M, Array, content_sha256, frozen_content, numbers, read_only, warn_of_degrees
 from ctrplan.base.package import shown, warn_caller
 from ctrplan.drive.drive import Drive
 from ctrplan.errors import InputError
@@ -149,6 +149,8 @@ class Robot:
             raise InputError(rule, key="contacts", value=len(self.contacts))
         if not self.content:
             _as_in_a_file(self)
+        object.__setattr__(self, "content", frozen_content(self.content))
+        object.__setattr__(self, "effects", frozen_content(self.effects))
 
     @cached_property
     def sha256_of(self) -> dict[str, str]:

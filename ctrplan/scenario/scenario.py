@@ -21,7 +21,18 @@ from numpy.typing import ArrayLike
 
 from ctrplan.anatomy.clearance_grid import SignedDistanceField, anatomy_field, field_bounds, shared_spacing_m
 from ctrplan.base.arguments import LONGEST_MM, PROGRESS, Limited, Text, checked, require, rows_of
-from ctrplan.base.arrays import MILLIMETRE, MM_PER_M, ORIGIN, Array, content_sha256, numbers, read_only, unit, vector
+from ctrplan.base.arrays import (
+    MILLIMETRE,
+    MM_PER_M,
+    ORIGIN,
+    Array,
+    content_sha256,
+    frozen_content,
+    numbers,
+    read_only,
+    unit,
+    vector,
+)
 from ctrplan.base.catalogue import AbstractStruct, Catalogue
 from ctrplan.base.package import shown
 from ctrplan.errors import InputError
@@ -284,6 +295,7 @@ class Scenario:
             for name in ("content", "warnings", "goal", "via"):
                 object.__setattr__(self, name, getattr(read, name))
             warn_of_doubts([text for text in read.warnings if text not in self.robot.warnings])
+        object.__setattr__(self, "content", frozen_content(self.content))
 
     def with_(self, *overrides: str, **changes: Any) -> Scenario:
         """The scenario with fields changed, and keys of its file by `overrides`, "planner.time_s=2"; checked.

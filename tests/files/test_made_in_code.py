@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import copy
 import math
+import operator
 import pickle
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -197,3 +200,30 @@ def test_a_path_where_an_object_is_expected_is_told_who_reads_it() -> None:
         ctrplan.plan(str(SCENARIOS / "vessel.toml"))  # type: ignore[arg-type]
     with pytest.raises(ctrplan.InputError, match=r"ctrplan\.load_measurements reads one from a file"):
         ctrplan.diagnose(ctrplan.load_robot(ROBOTS / "three_tube.toml"), Path("measured.csv"))  # type: ignore[arg-type]
+
+
+CHANGES: list[Callable[[Any], Any]] = [
+    lambda content: content.update(name="x"),
+    lambda content: content.pop("name"),
+    lambda content: content["tube"][0].update(poisson_ratio=0.1),
+    lambda content: content["tube"][0].__setitem__("poisson_ratio", 0.1),
+    lambda content: content["tube"].append({}),
+    lambda content: content["tube"].pop(),
+    lambda content: content["tube"][0]["section"].clear(),
+    lambda content: operator.ior(content, {"name": "x"}),
+    lambda content: operator.iadd(content["tube"], [{}]),
+]
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_content_refuses_changes_that_would_change_nothing(change: Callable[[Any], Any]) -> None:
+    made = scenario()
+    for robot in (pair(), ctrplan.load_robot(ROBOTS / "three_tube.toml"), made.robot):
+        with pytest.raises(TypeError, match=r"with_\(\.\.\.\) makes another one"):
+            change(robot.content)
+        change(copy.deepcopy(robot.content))  # which is one's own
+        assert pickle.loads(pickle.dumps(robot)).content == robot.content
+    with pytest.raises(TypeError, match="changed in place"):
+        made.content["start"] = {}
+    with pytest.raises(TypeError, match="changed in place"):
+        pair(effects={"backlash": {"theta_2_deg": 1.0}}).effects["backlash"]["theta_2_deg"] = 2.0  # type: ignore[index]
