@@ -270,7 +270,7 @@ def _build(document: Document, for_robot: Sequence[str], allow_outside: bool, ma
         )
     refuse_targets_outside_images(anatomy, goals, document)
     base_m = read_only(np.multiply(entry.base.position_mm, 1e-3))
-    doubts = _refuse_wrong_units(robot, goals, base_m, anatomy, document)
+    doubts = _refuse_wrong_units((robot, goals, base_m, anatomy), document, in_code=made is not None)
     fixtures = (
         ()
         if made is not None
@@ -301,11 +301,12 @@ def _build(document: Document, for_robot: Sequence[str], allow_outside: bool, ma
     )
 
 
-def _refuse_wrong_units(
-    robot: Robot, goals: Sequence[Goal], base_m: Array, anatomy: Sequence[AnatomyPart], document: Document
-) -> tuple[str, ...]:
+_Sized = tuple[Robot, Sequence[Goal], Array, Sequence[AnatomyPart]]  # the base at (3,) [m]
+
+
+def _refuse_wrong_units(given: _Sized, document: Document, *, in_code: bool) -> tuple[str, ...]:
     """A sentence about what may be in another unit. Raises InputError for what surely is."""
-    doubts = list(_size_doubts(robot, goals, base_m, anatomy, document))
+    doubts = list(_size_doubts(given, document, in_code=in_code))
     for doubt, fault in doubts:
         if doubt.is_sure:
             raise fault
@@ -316,21 +317,27 @@ def doubtful_sizes(scenario: Scenario) -> list[str]:
     """A sentence for each number of a scenario's file, besides its robot's, that may be in another unit."""
     document = Document(dict(scenario.content), scenario.path)
     given = scenario.robot, scenario.targets, scenario.base_position_m, scenario.anatomy
-    return [str(fault) for _, fault in _size_doubts(*given, document)] if scenario.content else []
+    return [str(fault) for _, fault in _size_doubts(given, document)] if scenario.content else []
 
 
 def _size_doubts(
-    robot: Robot, goals: Sequence[Goal], base_m: Array, anatomy: Sequence[AnatomyPart], document: Document
+    given: _Sized, document: Document, *, in_code: bool = False
 ) -> Iterator[tuple[sizes.SizeDoubt, InputError]]:
+    """Doubts, and what they are refused with: places made in code by the names that they have there, in metres."""
+    robot, goals, base_m, anatomy = given
+    read_in = "m" if in_code else "mm"
+
+    def fault(rule: str, steps: Sequence[Step], field: str, place_m: Array) -> InputError:
+        return InputError(rule, key=field, value=place_m.tolist()) if in_code else document.fault(rule, *steps)
+
     aims = [goal for goal in goals if goal.tip_m is not None]
     tips = [goal.tip_m for goal in aims if goal.tip_m is not None]
-    base = sizes.base_doubt(robot, tips, base_m)
-    if base:
-        yield base, document.fault(base.rule, "base", "position_mm")
+    if base := sizes.base_doubt(robot, tips, base_m, read_in):
+        yield base, fault(base.rule, ("base", "position_mm"), "base_position_m", base_m)
     for goal, tip in zip(aims, tips, strict=True) if not base else ():
-        if doubt := sizes.place_doubt(robot, tip, base_m, "mm", anatomy):
+        if doubt := sizes.place_doubt(robot, tip, base_m, read_in, anatomy):
             steps = [int(step) - 1 if step.isdecimal() else step for step in f"{goal.table}.{goal.tip_key}".split(".")]
-            yield doubt, document.fault(doubt.rule, *steps)
+            yield doubt, fault(doubt.rule, steps, f"{goal.table}.tip_m", tip)
             break
     in_parts = list(sizes.part_doubts(robot, anatomy, tips, base_m))
     for k, doubt in in_parts or sizes.scene_doubts(robot, anatomy, tips, base_m):
@@ -354,15 +361,8 @@ def _size_doubts(
 
 
 BODIES = ("anatomy", "fixture")
-WITHIN = (
-    "tolerance_mm",
-    "margin_mm",
-    "radius_mm",
-    "max_error_goal_mm",
-    "position_sigma_mm",
-    "rotation_sigma_deg",
-    "direction_tolerance_deg",
-)
+WITHIN_MM = ["tolerance_mm", "margin_mm", "radius_mm", "max_error_goal_mm", "position_sigma_mm"]
+WITHIN = *WITHIN_MM, "rotation_sigma_deg", "direction_tolerance_deg"
 
 
 def _table(content: Any, place: Sequence[Step]) -> dict[str, Any]:

@@ -106,8 +106,8 @@ def joint_doubts(robot: Robot, values: Mapping[str, object]) -> Iterator[tuple[s
         yield max(ways, key=lambda name: abs(ways[name])), SizeDoubt(rule, False)
 
 
-def base_doubt(robot: Robot, tips_m: Sequence[Array], base_m: Array) -> SizeDoubt | None:
-    """What speaks against the unit [mm] of a base's position (3,) [m] whose goals (3,) [m] are all beyond reach."""
+def base_doubt(robot: Robot, tips_m: Sequence[Array], base_m: Array, read_in: str = "mm") -> SizeDoubt | None:
+    """What speaks against the unit of a base's position (3,) [m] whose goals (3,) [m] are all beyond reach."""
     length = reach_m(robot)
     offset = float(np.linalg.norm(base_m))
     if 0 < offset < FINE_M and PLAUSIBLE[0] * length <= offset * UNITS_M["m"] / UNITS_M["mm"] <= USUAL_PART[1] * length:
@@ -118,8 +118,8 @@ def base_doubt(robot: Robot, tips_m: Sequence[Array], base_m: Array) -> SizeDoub
         return None
     units = [
         unit
-        for unit in _others("mm")
-        for moved in [[float(np.linalg.norm(tip - base_m * UNITS_M[unit] / UNITS_M["mm"])) for tip in tips_m]]
+        for unit in _others(read_in)
+        for moved in [[float(np.linalg.norm(tip - base_m * UNITS_M[unit] / UNITS_M[read_in])) for tip in tips_m]]
         if all(PLAUSIBLE[0] * length <= one <= PLAUSIBLE[1] * length for one in moved)
     ]
     return SizeDoubt(_away(min(away), length, f"is the base in {in_words(units)}?")) if units else None

@@ -227,3 +227,15 @@ def test_content_refuses_changes_that_would_change_nothing(change: Callable[[Any
         made.content["start"] = {}
     with pytest.raises(TypeError, match="changed in place"):
         pair(effects={"backlash": {"theta_2_deg": 1.0}}).effects["backlash"]["theta_2_deg"] = 2.0  # type: ignore[index]
+
+
+@pytest.mark.parametrize(
+    ("changes", "rule"),
+    [
+        ({"base_position_m": [0, 0, 50]}, r"^base_position_m = .* is the base in millimetres"),
+        ({"goal": ctrplan.Goal(tip_m=[0, 10, 60])}, r"^goal.tip_m = .* are these in millimetres"),  # type: ignore[arg-type]
+    ],
+)
+def test_millimetres_given_for_metres_are_called_so(changes: dict[str, Any], rule: str) -> None:
+    with pytest.raises(InputError, match=rule):
+        scenario(**{"goal": ctrplan.Goal(tip_m=[0, 0.01, 0.06])} | changes)  # type: ignore[arg-type]
