@@ -49,6 +49,7 @@ from ctrplan.storage.toml_document import (
     checked_overrides,
     chosen,
     file_inside,
+    in_si,
     metres,
     read_document,
 )
@@ -323,32 +324,31 @@ def doubtful_sizes(scenario: Scenario) -> list[str]:
 def _size_doubts(
     given: _Sized, document: Document, *, in_code: bool = False
 ) -> Iterator[tuple[sizes.SizeDoubt, InputError]]:
-    """Doubts, and what they are refused with: places made in code by the names that they have there, in metres."""
+    """Doubts, and what they are refused with: what was made in code in the units that it has there."""
     robot, goals, base_m, anatomy = given
     read_in = "m" if in_code else "mm"
 
-    def fault(rule: str, steps: Sequence[Step], field: str, place_m: Array) -> InputError:
-        return InputError(rule, key=field, value=place_m.tolist()) if in_code else document.fault(rule, *steps)
+    def fault(rule: str, *steps: Step) -> InputError:
+        return in_si(document.fault(rule, *steps)) if in_code else document.fault(rule, *steps)
 
     aims = [goal for goal in goals if goal.tip_m is not None]
     tips = [goal.tip_m for goal in aims if goal.tip_m is not None]
     if base := sizes.base_doubt(robot, tips, base_m, read_in):
-        yield base, fault(base.rule, ("base", "position_mm"), "base_position_m", base_m)
+        yield base, fault(base.rule, "base", "position_mm")
     for goal, tip in zip(aims, tips, strict=True) if not base else ():
         if doubt := sizes.place_doubt(robot, tip, base_m, read_in, anatomy):
             steps = [int(step) - 1 if step.isdecimal() else step for step in f"{goal.table}.{goal.tip_key}".split(".")]
-            yield doubt, fault(doubt.rule, steps, f"{goal.table}.tip_m", tip)
+            yield doubt, fault(doubt.rule, *steps)
             break
     in_parts = list(sizes.part_doubts(robot, anatomy, tips, base_m))
     for k, doubt in in_parts or sizes.scene_doubts(robot, anatomy, tips, base_m):
-        yield doubt, document.fault(doubt.rule, "anatomy", k, doubt.key)
-    content = document.content
-    for doubt in sizes.turn_doubts(_table(content, ("base",))):
-        yield doubt, document.fault(doubt.rule, "base", doubt.key)
+        yield doubt, fault(doubt.rule, "anatomy", k, doubt.key)
+    for doubt in sizes.turn_doubts(_table(content := document.content, ("base",))):
+        yield doubt, fault(doubt.rule, "base", doubt.key)
     targets: list[tuple[Step, ...]] = [("target", k) for k in range(len(content.get("target", ())))]
     for place in [("start",), ("goal", "joints"), *((*target, "joints") for target in targets)]:
         for name, doubt in sizes.joint_doubts(robot, _table(content, place)):
-            yield doubt, document.fault(doubt.rule, *place, name)
+            yield doubt, fault(doubt.rule, *place, name)
     bodies: list[tuple[Step, ...]] = [(kind, k) for kind in BODIES for k in range(len(content.get(kind, ())))]
     within = {
         (*place, key): float(_table(content, place)[key])
@@ -356,8 +356,8 @@ def _size_doubts(
         for key in WITHIN
         if key in _table(content, place)
     }
-    for where, doubt in sizes.tolerance_doubts(robot, within):
-        yield doubt, document.fault(doubt.rule, *where)
+    for where, doubt in sizes.tolerance_doubts(robot, within, read_in):
+        yield doubt, fault(doubt.rule, *where)
 
 
 BODIES = ("anatomy", "fixture")

@@ -220,11 +220,11 @@ def scene_doubts(
 
 
 def tolerance_doubts(
-    robot: Robot, values: Mapping[tuple[str | int, ...], float]
+    robot: Robot, values: Mapping[tuple[str | int, ...], float], read_in: str = "mm"
 ) -> Iterator[tuple[tuple[str | int, ...], SizeDoubt]]:
     """Tolerances, margins and deviations, in mm or deg by the end of their keys, that are most likely in another unit.
 
-    Those that are 0 are exact, and in no doubt.
+    Lengths were written in `read_in`. Those that are 0 are exact, and in no doubt.
     """
     most = WITHIN * reach_m(robot) / UNITS_M["mm"]
     for key, value in values.items():
@@ -237,7 +237,8 @@ def tolerance_doubts(
                 yield key, SizeDoubt("is a whole part of a turn in radians: is it in radians?", False)
             continue
         is_fine = value < WITHIN_M[0] / UNITS_M["mm"]
-        units = [unit for unit in _others("mm") if WITHIN_M[1] <= value * UNITS_M[unit] <= WITHIN_M[2]]
+        number = value * UNITS_M["mm"] / UNITS_M[read_in]
+        units = [unit for unit in _others(read_in) if WITHIN_M[1] <= number * UNITS_M[unit] <= WITHIN_M[2]]
         is_coarse = value > most and key[-1] != "radius_mm"
         if units and is_fine or is_coarse and (units or key[-1] == "tolerance_mm"):
             rule = "is finer than any tracker sees" if is_fine else "is more than a fifth of the robot's length"

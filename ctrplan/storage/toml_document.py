@@ -353,6 +353,19 @@ class TomlTable:
         return _inside(name, self.document, self.allow_outside, Path.exists, *self.path, *path)
 
 
+def in_si(fault: InputError) -> InputError:
+    """The fault of what was made in code: its quantity in metres or radians, by the name that ends so."""
+    name, _, unit = (fault.key or "").rpartition("_")
+    if unit not in SI_OF or fault.value is ...:
+        return fault
+    (si, factor), value = SI_OF[unit], fault.value
+    value = [factor * x for x in value] if isinstance(value, (list, tuple)) else factor * value
+    return InputError(fault.rule, file=fault.file, key=f"{name}_{si}", value=value, unit=fault.unit and si)
+
+
+SI_OF = {"mm": ("m", 1e-3), "deg": ("rad", math.radians(1))}  # units that keys end with
+
+
 def file_inside(name: str, document: Document, allow_outside: bool, *path: Step) -> Path:
     """The file that key `path` names, relative to the document's folder.
 

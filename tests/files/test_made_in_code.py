@@ -6,6 +6,8 @@ import copy
 import math
 import operator
 import pickle
+import re
+import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -232,10 +234,20 @@ def test_content_refuses_changes_that_would_change_nothing(change: Callable[[Any
 @pytest.mark.parametrize(
     ("changes", "rule"),
     [
-        ({"base_position_m": [0, 0, 50]}, r"^base_position_m = .* is the base in millimetres"),
+        ({"base_position_m": [0, 0, 50]}, r"^base.position_m = .* is the base in millimetres"),
         ({"goal": ctrplan.Goal(tip_m=[0, 10, 60])}, r"^goal.tip_m = .* are these in millimetres"),  # type: ignore[arg-type]
+        ({"goal": ctrplan.Goal(tip_m=[0, 0.01, 0.06], tolerance_m=1)}, r"^goal.tolerance_m = 1.0 m: .* in millimetres"),  # type: ignore[arg-type]
+        ({"registration": ctrplan.Registration(1, 0)}, r"^base.position_sigma_m = 1.0 m: .* in millimetres"),
     ],
 )
 def test_millimetres_given_for_metres_are_called_so(changes: dict[str, Any], rule: str) -> None:
-    with pytest.raises(InputError, match=rule):
-        scenario(**{"goal": ctrplan.Goal(tip_m=[0, 0.01, 0.06])} | changes)  # type: ignore[arg-type]
+    """Those that nothing else explains are refused, the others doubted."""
+    given = {"goal": ctrplan.Goal(tip_m=[0, 0.01, 0.06])} | changes  # type: ignore[arg-type]
+    with warnings.catch_warnings(record=True) as doubts:
+        warnings.simplefilter("always")
+        try:
+            scenario(**given)
+            sentence = str(doubts[0].message)
+        except InputError as error:
+            sentence = str(error)
+    assert re.match(rule, sentence)
