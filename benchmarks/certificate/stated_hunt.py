@@ -3,7 +3,9 @@
     python benchmarks/run.py stated_hunt [--scenes 300] [--first 0] [--seed 1] [--only N] [KIND ...]
 
 Kinds: parameters, registration, play, drive terms, late drives, and all of these mixed. Scene by scene: two or three
-tubes, a path of one to three legs between random configurations, one obstacle (ball, needle or plate of triangles).
+tubes, a path of one to three legs between random configurations, one obstacle (ball, needle, plate or rough stone of
+triangles). Of four scenes one is plain; in one the obstacle moves through three phases, in one the path was edited by
+hand (corners anywhere beside it, all joints at once), in one its middle is a target on the way, certified as a tour.
 The path is driven by many robots that the file allows: parameters, play and friction at all corners of their intervals
 (the most corners that are driven are CORNERS, at random), and inside; the base moved and turned so that each point
 comes nearest; late joints in time; at places 2 mm of body motion apart. None of that is the certificate's code: robots
@@ -22,6 +24,7 @@ import copy
 import itertools
 import json
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -31,8 +34,9 @@ import trimesh
 from common import ROBOTS, ROOT, table
 from scipy.spatial import cKDTree
 
+import ctrplan
 from ctrplan import Capsule, CtrplanError, Mesh, Registration, Robot, Scenario, Sphere, Status, robot_from_dict
-from ctrplan.anatomy.parts import AnatomyPart
+from ctrplan.anatomy.parts import AnatomyPart, Phases
 from ctrplan.anatomy.shape import PartShape
 from ctrplan.audit.body import RawAnatomy
 from ctrplan.base.arrays import Array
@@ -43,6 +47,7 @@ from ctrplan.storage.toml_document import read_document
 
 RESULTS = ROOT / "build" / "stated_hunt.jsonl"
 KINDS = ("parameters", "registration", "play", "drive terms", "late drives", "mixed")
+SETTINGS = ("plain", "moving", "edited", "tour")
 ROBOTS_USED = ("three_tube", "three_tube", "table_5_pair", "three_tube_insertion")
 APART_M = 2e-3  # motion of the tip between places that are looked at
 MOST_PLACES, CORNERS, INSIDE = 60, 128, 10
@@ -146,6 +151,13 @@ def path(space: JointSpace, robot: Robot, rng: np.random.Generator) -> Array | N
     return None
 
 
+def edited(way: Array, space: JointSpace, rng: np.random.Generator) -> Array:
+    """The path (K, m) with a corner beside every leg's middle, off by 3 deg and 2 mm at a time (one sigma)."""
+    off = np.where(space.drive.is_rotation, np.radians(3), 2e-3) * rng.standard_normal((len(way) - 1, way.shape[1]))
+    middles = space.projected((way[:-1] + way[1:]) / 2 + off, fallback=(way[:-1] + way[1:]) / 2)
+    return np.insert(way, range(1, len(way)), middles, axis=0)
+
+
 def driven(w: World, robot: Robot, corners: Array) -> Array:
     """(R, m) joints along the path as the drive has them in time."""
     if not any(w.delays_s):
@@ -201,18 +213,31 @@ def draws(w: World, rng: np.random.Generator) -> list[Draw]:
 
 
 def obstacle(center: Array, outward: Array, rng: np.random.Generator) -> PartShape:
-    """A ball, a needle or a plate whose nearest point to what comes from -outward is `center`."""
-    kind, across = rng.integers(3), np.cross(outward, rng.standard_normal(3))
+    """A ball, a stone, a needle or a plate whose nearest point to what comes from -outward is about `center`."""
+    kind, across = rng.integers(4), np.cross(outward, rng.standard_normal(3))
     across /= np.linalg.norm(across)
+    radius = rng.uniform(0.3e-3, 4e-3)
     if kind == 0:
-        radius = rng.uniform(0.3e-3, 4e-3)
         return Sphere(center + radius * outward, radius)
+    if kind == 3:
+        ball = trimesh.creation.icosphere(subdivisions=1, radius=radius)
+        rough = ball.vertices * rng.uniform(0.6, 1.2, (len(ball.vertices), 1))
+        return Mesh(rough + center + radius * outward, np.array(ball.faces))
     if kind == 1:
         middle, half = center + 0.1e-3 * outward, rng.uniform(1e-3, 30e-3)
         return Capsule(middle - half * across, middle + half * across, 0.1e-3)
     box = trimesh.creation.box(extents=[8e-3, 8e-3, 1e-3])
     axes = np.stack([across, np.cross(outward, across), outward], axis=1)
     return Mesh(box.vertices @ axes.T + center + 0.5e-3 * outward, np.array(box.faces))
+
+
+def moving(center: Array, outward: Array, rng: np.random.Generator) -> PartShape:
+    """The obstacle in three phases, 3 mm apart (one sigma)."""
+    steps, state, phases = np.vstack([np.zeros(3), 3e-3 * rng.standard_normal((2, 3))]), rng.bit_generator.state, []
+    for step in steps:
+        rng.bit_generator.state = state
+        phases.append(obstacle(center + step, outward, rng))
+    return Phases(tuple(phases), "avoid", 0.0)
 
 
 def scene(number: int, seed: int, kinds: tuple[str, ...]) -> dict[str, Any]:
@@ -228,9 +253,12 @@ def scene(number: int, seed: int, kinds: tuple[str, ...]) -> dict[str, Any]:
     except CtrplanError as error:
         return skipped(str(error))
     bare = replace(bare_scenario(robot), registration=w.registration)
-    corners = path(JointSpace.of(bare), robot, rng)
+    corners, setting = path(space := JointSpace.of(bare), robot, rng), str(rng.choice(SETTINGS))
     if corners is None:
         return skipped("no path")
+    setting = "plain" if setting == "tour" and any(w.delays_s) else setting  # late drives' tours are refused by name
+    if setting in ("edited", "tour"):
+        corners = edited(corners, space, rng)
     rows = places(robot, driven(w, robot, corners))
     bodies, radii, owner = [], [], []
     every = draws(w, rng)
@@ -246,18 +274,23 @@ def scene(number: int, seed: int, kinds: tuple[str, ...]) -> dict[str, Any]:
             radii.append(radius)
             owner.append(np.full((len(body), 2), (k, d)))
     cloud, radius, own = np.concatenate(bodies), np.concatenate(radii), np.concatenate(owner)
-    placed = _placed(w, cloud, radius, own, rng)
+    placed = _placed(w, cloud, radius, own, rng, moving if setting == "moving" else obstacle)
     if placed is None:
         return skipped("no place beside the bodies")
     is_clear, shape = placed
     part = AnatomyPart(shape, "avoid", 0.0)
     case = replace(bare, start=corners[0], goal=replace(bare.goal, joints=corners[-1], tip_m=None), anatomy=(part,))
     began = time.process_time()
-    certificate = certify(case, corners, restart=False)
+    if setting == "tour":
+        middle = replace(case.goal, joints=corners[len(corners) // 2], table="target.1")
+        certificate = ctrplan.certify(replace(case, via=(middle,)), corners)
+    else:
+        certificate = certify(case, corners, restart=False)
     spent_s = time.process_time() - began
     least, draw, joints = _nearest(w, case, rows, every, cloud, radius, own)
     result = {
-        "number": number, "kind": kind, "clear": is_clear, "certified": certificate.valid, "spent_s": spent_s,
+        "number": number, "kind": kind, "setting": setting, "spent_s": spent_s,
+        "clear": is_clear, "certified": certificate.valid,
         "stated_mm": 1e3 * certificate.min_clearance_m, "brute_mm": 1e3 * least,
         "problem": next(iter(certificate.problems), ""), "shape": shape.kind,
     }  # fmt: skip
@@ -270,7 +303,7 @@ def scene(number: int, seed: int, kinds: tuple[str, ...]) -> dict[str, Any]:
 
 
 def _placed(
-    w: World, cloud: Array, radius: Array, own: Array, rng: np.random.Generator
+    w: World, cloud: Array, radius: Array, own: Array, rng: np.random.Generator, made: Callable[..., PartShape]
 ) -> tuple[bool, PartShape] | None:
     """An obstacle beside what comes far out; whether the cloud is left 1 mm, else it is hit."""
     middle = cloud[own[:, 1] == 0]  # of the file's robot
@@ -290,7 +323,7 @@ def _placed(
         for _ in range(24):
             at = (low + high) / 2
             rng.bit_generator.state = state
-            shape = obstacle(cloud[k] + (radius[k] + at) * outward, outward, rng)
+            shape = made(cloud[k] + (radius[k] + at) * outward, outward, rng)
             near = tree.query_ball_point(cloud[k] + (radius[k] + at) * outward, 45e-3)
             room = _room(shape, cloud[near], w) - radius[near]
             if room.min(initial=np.inf) < wanted:
@@ -395,8 +428,8 @@ def main() -> None:
         known.append({**result, "seed": given.seed})
         common.keep(RESULTS, known[-1])
     rows = []
-    for kind in kinds:
-        own = [row for row in known if row["kind"] == kind and "skipped" not in row]
+    for kind in (*kinds, *SETTINGS):
+        own = [row for row in known if kind in (row["kind"], row.get("setting")) and "skipped" not in row]
         certified = [row for row in own if row["certified"]]
         hit = [row for row in certified if min(row["brute_mm"], row["descended_mm"]) < -1e3 * HIT_M]
         clear = [row for row in own if row["clear"] and row.get("leap_mm", 0.0) < SNAPS_MM]
