@@ -77,19 +77,20 @@ np.savez(sys.argv[2], kernel=kernel_name(), tips=tips, stability=bodies.stabilit
 @pytest.mark.skipif(kernel_name() != "avx512", reason="this CPU solves four friction states side by side at most")
 @pytest.mark.parametrize("n", [3, 4, 5])
 def test_eight_friction_states_side_by_side_are_solved_as_four_are(n: int, tmp_path: Path) -> None:
-    """Thirteen states with friction: eight, then five of eight."""
+    """Thirteen states with friction: eight, then five of eight. Modes are those of the last factors, a step apart."""
     theta_b, l_b = (values.tolist() for values in anywhere(n, 3))
     phi = np.random.default_rng(n).uniform(-1, 1, (13, n - 1)).tolist()
     (tmp_path / "in.json").write_text(json.dumps([content(n), theta_b, l_b, phi]))
     results = []
     for kernel in ("avx2", ""):
-        command = [sys.executable, "-c", SIDE_BY_SIDE, str(tmp_path / "in.json"), str(tmp_path / "out.npz")]
+        out = tmp_path / f"out{kernel}.npz"
+        command = [sys.executable, "-c", SIDE_BY_SIDE, str(tmp_path / "in.json"), str(out)]
         subprocess.run(command, env={**os.environ, "CTRPLAN_KERNEL": kernel}, cwd=tmp_path, check=True)
-        results.append(np.load(tmp_path / "out.npz"))
+        results.append(np.load(out))
     narrow, wide = results
     assert (narrow["kernel"], wide["kernel"]) == ("avx2", "avx512")
     np.testing.assert_allclose(wide["tips"], narrow["tips"], rtol=0, atol=1e-9)
-    np.testing.assert_allclose(wide["stability"], narrow["stability"], rtol=1e-6)
+    np.testing.assert_allclose(wide["stability"], narrow["stability"], rtol=1e-4)
 
 
 def test_all_corners_of_more_than_ten_tubes_are_refused_in_a_sentence_and_extremes_are_not() -> None:
