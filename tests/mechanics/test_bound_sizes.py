@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import os
 import subprocess
 import sys
 import time
@@ -13,11 +15,12 @@ import pytest
 
 from ctrplan.errors import InputError
 from ctrplan.files.robot_file import robot_from_dict
+from ctrplan.mechanics.core import kernel_name
 from ctrplan.mechanics.shapes import Status
 from ctrplan.robot.robot import Robot
 
 
-def nested(n: int, friction: float = 0.2, poisson_ratio: float = 0.3, bend: float = 5.0) -> Robot:
+def content(n: int, friction: float = 0.2, poisson_ratio: float = 0.3, bend: float = 5.0) -> dict[str, Any]:
     tubes: list[dict[str, Any]] = [
         {
             "outer_diameter_mm": 1.0 + 0.5 * (n - 1 - i),
@@ -31,7 +34,11 @@ def nested(n: int, friction: float = 0.2, poisson_ratio: float = 0.3, bend: floa
         }
         for i in range(n)
     ]
-    return robot_from_dict({"tube": tubes, "contact": [{"friction_coefficient": friction}] * (n - 1)})
+    return {"tube": tubes, "contact": [{"friction_coefficient": friction}] * (n - 1)}
+
+
+def nested(n: int, friction: float = 0.2, poisson_ratio: float = 0.3, bend: float = 5.0) -> Robot:
+    return robot_from_dict(content(n, friction, poisson_ratio, bend))
 
 
 def anywhere(n: int, seed: int) -> tuple[Any, Any]:
@@ -52,6 +59,38 @@ def test_extreme_corners_give_the_bound_of_all_corners(n: int) -> None:
         known = {tuple(phi): shape.tip_m for phi, shape in zip(whole.corner_phi, whole.corners, strict=True)}
         for phi, shape in zip(part.corner_phi, part.corners, strict=True):
             np.testing.assert_allclose(shape.tip_m, known[tuple(phi)], rtol=0, atol=1e-7)
+
+
+SIDE_BY_SIDE = """
+import json, sys
+import numpy as np
+from ctrplan.files.robot_file import robot_from_dict
+from ctrplan.mechanics.core import kernel_name
+content, theta_b, l_b, phi = json.load(open(sys.argv[1]))
+robot = robot_from_dict(content)
+bound, bodies = robot.bound(theta_b, l_b), robot.mechanics.friction_bodies(theta_b, l_b, phi)
+tips = [shape.tip_m for shape in bound.corners] + list(bodies.point_m[:, -1])
+np.savez(sys.argv[2], kernel=kernel_name(), tips=tips, stability=bodies.stability)
+"""
+
+
+@pytest.mark.skipif(kernel_name() != "avx512", reason="this CPU solves four friction states side by side at most")
+@pytest.mark.parametrize("n", [3, 4, 5])
+def test_eight_friction_states_side_by_side_are_solved_as_four_are(n: int, tmp_path: Path) -> None:
+    """Thirteen states with friction: eight, then five of eight. Modes are those of the last factors, a step apart."""
+    theta_b, l_b = (values.tolist() for values in anywhere(n, 3))
+    phi = np.random.default_rng(n).uniform(-1, 1, (13, n - 1)).tolist()
+    (tmp_path / "in.json").write_text(json.dumps([content(n), theta_b, l_b, phi]))
+    results = []
+    for kernel in ("avx2", ""):
+        out = tmp_path / f"out{kernel}.npz"
+        command = [sys.executable, "-c", SIDE_BY_SIDE, str(tmp_path / "in.json"), str(out)]
+        subprocess.run(command, env={**os.environ, "CTRPLAN_KERNEL": kernel}, cwd=tmp_path, check=True)
+        results.append(np.load(out))
+    narrow, wide = results
+    assert (narrow["kernel"], wide["kernel"]) == ("avx2", "avx512")
+    np.testing.assert_allclose(wide["tips"], narrow["tips"], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(wide["stability"], narrow["stability"], rtol=1e-4)
 
 
 def test_all_corners_of_more_than_ten_tubes_are_refused_in_a_sentence_and_extremes_are_not() -> None:

@@ -94,8 +94,8 @@ class BoundSolver {
         if (!signs_.empty()) return signs_[static_cast<std::size_t>(corner) * pairs_ + pair];
         return (corner >> (pairs_ - 1 - pair)) & 1 ? -1 : 1;
     }
-    const LaneState& corner_state(int corner) const { return *batches_[corner / kLanes]; }
-    int corner_lane(int corner) const { return corner % kLanes; }
+    const LaneState& corner_state(int corner) const { return *batches_[corner / lanes_]; }
+    int corner_lane(int corner) const { return corner % lanes_; }
     const LaneState& frictionless_state() const { return frictionless_; }
     const Convergence& frictionless() const { return frictionless_convergence_; }
     const Convergence& corner(int k) const { return corner_convergence_[k]; }
@@ -128,7 +128,7 @@ class BoundSolver {
     void solve_frictionless();
     void solve_corners();
     void lay_out(int corners);
-    bool shares_steps() const { return batches_.size() > 4; }  // memory counts from six tubes on: factors of the last batch alone
+    bool shares_steps() const { return corners_ > 16; }  // memory counts from six tubes on: factors of the last batch alone
     void grant_far_steps(double share);
     void reach_far(LaneState& state, double level, Convergence& result);
     void reach_corner(std::size_t batch, int lane);
@@ -149,7 +149,7 @@ class BoundSolver {
     FrictionSolver solver_;
     BackboneTracer tracer_;
     ZeroClearance zero_;
-    int pairs_, corners_;
+    int pairs_, corners_, lanes_ = kLanes;  // lanes_: of a batch of corners
     std::vector<signed char> signs_;  // empty: all corners
     int far_steps_ = 0;               // left for corners that are hard to reach
     bool took_long_ = false;          // to reach one of them

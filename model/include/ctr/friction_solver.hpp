@@ -144,7 +144,7 @@ class FrictionSolver {
     double base_l_ = 0;
     double tolerance_ = 1e-8;  // of the residual
     std::unique_ptr<LoadMoments> loads_;  // null without loads
-    std::array<double, kLanes> load_change_{};  // per lane, the last one of the moments of the loads, over their size
+    std::array<double, kMostLanes> load_change_{};  // per lane, the last one of the moments of the loads, over their size
     std::vector<double> load_begun_, load_step_, load_step_before_;  // of converge_load_moments()
     LaneState kept_;  // of slide() and ease(): the iterate to go back to, and the anchor
     LaneState begun_, slid_;  // of reach(): where it began, and where a slide stopped short

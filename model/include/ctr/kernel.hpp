@@ -10,10 +10,13 @@
 // makes 5 m. At a collar the new tube lies on the axis, so that d_{m-1} simply turns into the offset of a pair.
 #pragma once
 
+#include <cstddef>
+
 namespace ctr {
 
 constexpr int kMaxTubes = 12;
 constexpr int kLanes = 4;      // friction states solved side by side
+constexpr int kMostLanes = 8;  // of those, where there are so many and the CPU has registers for them
 constexpr int kAlignment = 64; // bytes, of every lane array
 
 // How a tube bends where it is not linear and round: with k = u - u_hat as a curvature vector along the tube's oval axes and
@@ -118,7 +121,9 @@ struct KernelTable {
 
 const KernelTable& baseline_kernel(int lanes);
 const KernelTable& avx2_kernel(int lanes);
-const KernelTable& kernel(int lanes);  // the best this CPU runs; CTRPLAN_KERNEL=baseline forces the baseline
+const KernelTable& avx512_kernel();    // of kMostLanes
+const KernelTable& kernel(int lanes);  // the best this CPU runs; CTRPLAN_KERNEL=baseline or avx2 forces a lesser one
+int lanes_for(std::size_t states);     // kLanes, or kMostLanes if that takes fewer batches and this CPU has such a kernel
 const char* kernel_name();
 
 }  // namespace ctr

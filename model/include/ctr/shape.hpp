@@ -79,7 +79,7 @@ class BackboneTracer {
     void follow(const FrictionSolver& solver, const LaneState& state, int lane, double base_l, Backbone& out) const;
 
     AlignedArray innermost_;  // [element][Gauss point][2][lane] 1/m
-    alignas(kAlignment) double strain_square_[kLanes] = {};
+    alignas(kAlignment) double strain_square_[kMostLanes] = {};
     int lanes_ = 1;
 };
 

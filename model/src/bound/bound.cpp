@@ -37,9 +37,10 @@ void BoundSolver::visit_corners(std::vector<signed char> signs) {
 
 void BoundSolver::lay_out(int corners) {
     corners_ = corners;
+    lanes_ = lanes_for(corners);
     have_solution_ = false;
-    const std::size_t batches = std::max(1, (corners_ + kLanes - 1) / kLanes);
-    corner_convergence_.assign(batches * kLanes, {});
+    const std::size_t batches = std::max(1, (corners_ + lanes_ - 1) / lanes_);
+    corner_convergence_.assign(batches * lanes_, {});
     batches_.resize(std::min(batches, batches_.size()));
     while (batches_.size() < batches) batches_.push_back(std::make_unique<LaneState>());
     if (shares_steps())
@@ -82,8 +83,8 @@ void BoundSolver::solve_frictionless() {
 }
 
 void BoundSolver::set_corner_phi(std::size_t batch) {
-    for (int lane = 0; lane < kLanes; ++lane) {
-        const int corner = std::min(static_cast<int>(batch) * kLanes + lane, corners_ - 1);  // spare lanes repeat the last
+    for (int lane = 0; lane < lanes_; ++lane) {
+        const int corner = std::min(static_cast<int>(batch) * lanes_ + lane, corners_ - 1);  // spare lanes repeat the last
         for (int pair = 0; pair < pairs_; ++pair) phi_[pair] = sign(corner, pair);
         batches_[batch]->set_phi(solver_.robot(), solver_.mesh().problem(), lane, phi_.data());
     }
@@ -109,12 +110,12 @@ void BoundSolver::solve_corners() {
     for (std::size_t b = 0; b < batches_.size(); ++b) {
         Watch::tell(static_cast<double>(b) / static_cast<double>(batches_.size()));
         LaneState& state = *batches_[b];
-        state.resize(pb, kLanes);
+        state.resize(pb, lanes_);
         set_corner_phi(b);
-        Convergence* result = &corner_convergence_[b * kLanes];
+        Convergence* result = &corner_convergence_[b * lanes_];
         const BarrierPath path = set_out(state);
         solver_.solve(state, path, result);
-        for (int lane = 0; lane < kLanes; ++lane)
+        for (int lane = 0; lane < lanes_; ++lane)
             if (!result[lane].converged) reach_corner(b, lane);
     }
     if (!all_converged() && frictionless_convergence_.converged) reach_rest();
@@ -135,7 +136,7 @@ void BoundSolver::reach_far(LaneState& state, double level, Convergence& result)
 
 // Where friction leaves no equilibrium near the frictionless one, or Newton's method does not find it.
 void BoundSolver::reach_corner(std::size_t batch, int lane) {
-    const int corner = static_cast<int>(batch) * kLanes + lane;
+    const int corner = static_cast<int>(batch) * lanes_ + lane;
     if (corner >= corners_) {  // spare lanes repeat the last corner
         corner_convergence_[corner] = corner_convergence_[corners_ - 1];
         return;
@@ -144,7 +145,7 @@ void BoundSolver::reach_corner(std::size_t batch, int lane) {
     set_trial(corner);
     const BarrierPath path = set_out(trial_);
     Convergence& result = corner_convergence_[corner];
-    const bool is_among_many = batches_.size() > 1, tries = took_long_ || is_among_many;
+    const bool is_among_many = corners_ > kLanes, tries = took_long_ || is_among_many;
     if (!tries || !reach_from_neighbour(corner, result, !took_long_)) {
         if (tries) set_out(trial_);
         reach_far(trial_, path.first, result);
@@ -163,8 +164,8 @@ void BoundSolver::set_trial(int corner) {
 
 // As the solution of a corner; spare lanes repeat the last one.
 void BoundSolver::keep_trial(int corner) {
-    LaneState& batch = *batches_[corner / kLanes];
-    const int lane = corner % kLanes, lanes = corner < corners_ - 1 ? lane + 1 : kLanes;
+    LaneState& batch = *batches_[corner / lanes_];
+    const int lane = corner % lanes_, lanes = corner < corners_ - 1 ? lane + 1 : lanes_;
     for (int k = lane; k < lanes; ++k) {
         solver_.copy(trial_, batch, k);
         corner_convergence_[corner - lane + k] = corner_convergence_[corner];
@@ -224,7 +225,7 @@ bool BoundSolver::reach_from_neighbours() {
         if (!reach_from_neighbour(corner, result)) continue;
         any = true;
         corner_convergence_[corner] = result;
-        unfactored_[corner / kLanes] = true;
+        unfactored_[corner / lanes_] = true;
         keep_trial(corner);
     }
     return any;
@@ -288,9 +289,9 @@ bool BoundSolver::follow_from(bool predicted) {
     frictionless_.set_phi(solver_.robot(), pb, 0, phi_.data());
     if (!advance(0, frictionless_, predicted, &frictionless_convergence_)) return false;
     for (std::size_t b = 0; b < batches_.size(); ++b) {
-        batches_[b]->resize(pb, kLanes);
+        batches_[b]->resize(pb, lanes_);
         set_corner_phi(b);
-        if (!advance(b + 1, *batches_[b], predicted, &corner_convergence_[b * kLanes])) return false;
+        if (!advance(b + 1, *batches_[b], predicted, &corner_convergence_[b * lanes_])) return false;
     }
     return true;
 }
@@ -308,11 +309,11 @@ void BoundSolver::follow(const Configuration& q, const Accuracy& accuracy, bool 
 
 std::vector<double> BoundSolver::shape_stabilities() {
     std::vector<double> found{stability_};
-    double stability[kLanes];
+    double stability[kMostLanes];
     for (std::size_t b = 0; b < batches_.size(); ++b) {
         if (unfactored_[b]) solver_.factorise(*batches_[b]);
         solver_.stabilities(*batches_[b], stability);
-        for (int lane = 0; lane < kLanes && static_cast<int>(found.size()) <= corners_; ++lane) found.push_back(stability[lane]);
+        for (int lane = 0; lane < lanes_ && static_cast<int>(found.size()) <= corners_; ++lane) found.push_back(stability[lane]);
     }
     return found;
 }
@@ -346,8 +347,8 @@ int BoundSolver::iterations() const {
 
 void BoundSolver::measure() {
     tracer_.trace(solver_, frictionless_, 0, 1, q_.l.back(), &backbone);
-    for (int k = 0; k < corners_; k += kLanes)
-        tracer_.trace(solver_, corner_state(k), 0, std::min(kLanes, corners_ - k), q_.l.back(), &corner_backbones[k]);
+    for (int k = 0; k < corners_; k += lanes_)
+        tracer_.trace(solver_, corner_state(k), 0, std::min(lanes_, corners_ - k), q_.l.back(), &corner_backbones[k]);
     const std::size_t nodes = backbone.frame.size();
     envelope.assign(nodes, 0.0);
     position = tangent = 0;

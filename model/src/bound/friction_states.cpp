@@ -89,14 +89,16 @@ void BoundSolver::solve_states(const FrictionlessStart& start, const FrictionSta
         }
     };
     grant_far_steps(1);
-    Convergence result[kLanes];
-    Backbone shapes[kLanes];
-    double stability[kLanes];
-    for (std::size_t first = 0; first < with_friction.size(); first += kLanes) {
-        const int count = static_cast<int>(std::min<std::size_t>(kLanes, with_friction.size() - first));
+    Convergence result[kMostLanes];
+    Backbone shapes[kMostLanes];
+    double stability[kMostLanes];
+    for (std::size_t first = 0, next; first < with_friction.size(); first = next) {
+        const int lanes = lanes_for(with_friction.size() - first);
+        next = std::min(first + lanes, with_friction.size());
+        const int count = static_cast<int>(next - first);
         auto row_of = [&](int lane) { return with_friction[first + std::min(lane, count - 1)]; };  // spare lanes repeat the last
-        state.resize(pb, kLanes);
-        for (int lane = 0; lane < kLanes; ++lane) set_phi(state, lane, row_of(lane));
+        state.resize(pb, lanes);
+        for (int lane = 0; lane < lanes; ++lane) set_phi(state, lane, row_of(lane));
         const BarrierPath path = set_out(state);
         solver_.solve(state, path, result);
         solver_.stabilities(state, stability);
@@ -126,16 +128,18 @@ void BoundSolver::solve_from(const Configuration& q, const Accuracy& accuracy, c
     LaneState& state = *batches_.front();
     const BarrierPath path = BarrierPath::cold(solver_.last_barrier());
     Configuration turned = q;
-    Convergence result[kLanes];
-    Backbone shapes[kLanes];
-    double stability[kLanes], level[kLanes];
-    for (std::size_t first = 0; first < given.rows; first += kLanes) {
-        const int count = static_cast<int>(std::min<std::size_t>(kLanes, given.rows - first));
-        state.resize(pb, kLanes);
+    Convergence result[kMostLanes];
+    Backbone shapes[kMostLanes];
+    double stability[kMostLanes], level[kMostLanes];
+    for (std::size_t first = 0, next; first < given.rows; first = next) {
+        const int lanes = lanes_for(given.rows - first);
+        next = std::min(first + lanes, given.rows);
+        const int count = static_cast<int>(next - first);
+        state.resize(pb, lanes);
         const auto angles = [&](int lane) {
             return GivenAngles{given.s, given.theta + (first + lane) * (pairs_ + 1) * given.count, given.count};
         };
-        for (int lane = 0; lane < kLanes; ++lane) {
+        for (int lane = 0; lane < lanes; ++lane) {
             const int own = std::min(lane, count - 1);  // spare lanes repeat the last
             state.set_phi(solver_.robot(), pb, lane, given.phi + (first + own) * pairs_);
             std::copy_n(given.base + (first + own) * (pairs_ + 1), pairs_ + 1, turned.theta.begin());

@@ -31,14 +31,14 @@ std::vector<double> BoundSolver::corners_apart(const Configuration& q, const Acc
     if (!all_converged()) return std::vector<double>(corners_, std::numeric_limits<double>::infinity());
     const KernelProblem& pb = solver_.mesh().problem();
     LaneState other;
-    Convergence result[kLanes];
-    Backbone shapes[kLanes];
-    double stability[kLanes];
+    Convergence result[kMostLanes];
+    Backbone shapes[kMostLanes];
+    double stability[kMostLanes];
     for (int turned = 1; turned < corners_; ++turned)
         for (std::size_t b = 0; b < batches_.size(); ++b) {
-            other.resize(pb, kLanes);
-            for (int lane = 0; lane < kLanes; ++lane) {
-                const int corner = std::min(static_cast<int>(b) * kLanes + lane, corners_ - 1), from = corner ^ turned;
+            other.resize(pb, lanes_);
+            for (int lane = 0; lane < lanes_; ++lane) {
+                const int corner = std::min(static_cast<int>(b) * lanes_ + lane, corners_ - 1), from = corner ^ turned;
                 for (int pair = 0; pair < pairs_; ++pair) phi_[pair] = sign(corner, pair);
                 other.set_phi(solver_.robot(), pb, lane, phi_.data());
                 other.copy_lane(corner_state(from), corner_lane(from), lane, pb);
@@ -46,10 +46,10 @@ std::vector<double> BoundSolver::corners_apart(const Configuration& q, const Acc
             const BarrierPath path = BarrierPath::parted(solver_.last_barrier());
             solver_.recentre(other, path.first);
             solver_.solve(other, path, result);
-            tracer_.trace(solver_, other, 0, kLanes, q.l.back(), shapes);
+            tracer_.trace(solver_, other, 0, lanes_, q.l.back(), shapes);
             bool is_weighed = false;  // which nobody needs where every corner is where it was
-            for (int lane = 0; lane < kLanes; ++lane) {
-                const std::size_t corner = b * kLanes + lane;
+            for (int lane = 0; lane < lanes_; ++lane) {
+                const std::size_t corner = b * lanes_ + lane;
                 if (corner >= apart.size() || !result[lane].converged) continue;
                 const double distance = largest_distance(shapes[lane], corner_backbones[corner]);
                 if (distance > kSame && !is_weighed) {

@@ -81,9 +81,9 @@ void FrictionSolver::stabilities(LaneState& state, double* stability) {
     const std::size_t size = static_cast<std::size_t>(pb.nodes) * n;
     std::vector<double> basis(lanes * (kMostModes + 1) * size), mass(size);
     auto vector = [&](int lane, int mode) { return &basis[(static_cast<std::size_t>(lane) * (kMostModes + 1) + mode) * size]; };
-    Hessenberg matrix[kLanes] = {};
-    double value[kLanes];
-    bool found[kLanes] = {};
+    Hessenberg matrix[kMostLanes] = {};
+    double value[kMostLanes];
+    bool found[kMostLanes] = {};
     auto norm = [&](const double* x) {
         weigh_angles(pb, x, mass.data());
         return std::sqrt(std::max(inner_product(x, mass.data(), size), 0.0));

@@ -79,8 +79,8 @@ void FrictionSolver::converge_load_moments(LaneState& state) {
     constexpr int kMost = 100;
     constexpr double kLeast = 0.02, kLongest = 20;
     const std::size_t lanes = state.lanes(), count = state.load_moment_count();
-    double share[kLanes];
-    std::fill(share, share + kLanes, 1.0);
+    double share[kMostLanes];
+    std::fill(share, share + kMostLanes, 1.0);
     for (int k = 0; loads_ && k < kMost; ++k) {
         load_begun_.assign(state.load_moments(), state.load_moments() + count);
         weigh(state);

@@ -27,9 +27,9 @@ void FrictionSolver::solve(LaneState& state, const BarrierPath& path, Convergenc
     if (is_exact_ && !state.is_exact()) state.begin_exact(pb);
     const int lanes = state.lanes();
     const KernelTable& run = kernel(lanes);
-    alignas(kAlignment) double level[kLanes], primal[kLanes], dual[kLanes], moment[kLanes], gap[kLanes];
-    double bend_error[kLanes] = {};
-    bool done[kLanes] = {};
+    alignas(kAlignment) double level[kMostLanes], primal[kMostLanes], dual[kMostLanes], moment[kMostLanes], gap[kMostLanes];
+    double bend_error[kMostLanes] = {};
+    bool done[kMostLanes] = {};
     const double last = path.last * barrier_unit_;
     for (int lane = 0; lane < lanes; ++lane) {
         level[lane] = (first ? first[lane] : path.first) * barrier_unit_;
@@ -104,8 +104,8 @@ void FrictionSolver::find_levels(LaneState& state, const BarrierPath& path, doub
         other->resize(pb, lanes);
         for (int lane = 0; lane < lanes; ++lane) other->copy_lane(state, lane, lane, pb);
     }
-    alignas(kAlignment) double barrier[kLanes], damping[kLanes], primal[kLanes], dual[kLanes];
-    double least[kLanes];
+    alignas(kAlignment) double barrier[kMostLanes], damping[kMostLanes], primal[kMostLanes], dual[kMostLanes];
+    double least[kMostLanes];
     std::fill(damping, damping + lanes, kMostDamping);
     std::fill(least, least + lanes, std::numeric_limits<double>::infinity());
     std::fill(level, level + lanes, path.first);
@@ -155,8 +155,8 @@ void FrictionSolver::finish(LaneState& state, Convergence& result) {
 void FrictionSolver::lengthen(LaneState& state, double* primal, double* dual) {
     const KernelProblem& pb = mesh_.problem();
     const KernelTable& run = kernel(state.lanes());
-    alignas(kAlignment) double further[kLanes], dual_further[kLanes];
-    bool take[kLanes];
+    alignas(kAlignment) double further[kMostLanes], dual_further[kMostLanes];
+    bool take[kMostLanes];
     run.correct(pb, state.view(), state.corrected_view());
     run.step_length(pb, state.corrected_view(), kKeep, further, dual_further);
     for (int lane = 0; lane < state.lanes(); ++lane) {
@@ -189,8 +189,8 @@ double FrictionSolver::imbalance(LaneState& state) {
 }
 
 void FrictionSolver::factorise(LaneState& state) {
-    alignas(kAlignment) double level[kLanes], damping[kLanes] = {};
-    std::fill(level, level + kLanes, last_level());
+    alignas(kAlignment) double level[kMostLanes], damping[kMostLanes] = {};
+    std::fill(level, level + kMostLanes, last_level());
     weigh(state);
     kernel(state.lanes()).newton(mesh_.problem(), state.view(), level, damping);
 }

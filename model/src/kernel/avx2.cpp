@@ -5,5 +5,5 @@ namespace ctr {
 namespace {
 #include "kernel/body.hpp"
 }
-const KernelTable& avx2_kernel(int lanes) { return lanes == 1 ? kScalar : kVector; }
+const KernelTable& avx2_kernel(int lanes) { return lanes == 1 ? table_of<double> : table_of<V4>; }
 }  // namespace ctr

@@ -78,10 +78,10 @@ void recover_multipliers(const KernelProblem& pb, const KernelState& st, const V
     for (int e = 0; e < pb.elements; ++e)
         each_batch<V>(pb, e, [&](int k, int count) __attribute__((always_inline)) {
             const PointBatch<V> at = read_points<V>(pb, st, k, count, x + e * ld, x + (e + 1) * ld);
-            const V4 w = Points<V>::state(slack + k, count, 1);
-            V4 move[2];
+            const typename Points<V>::Values w = Points<V>::state(slack + k, count, 1);
+            typename Points<V>::Values move[2];
             offset_at(at.shape, pb.contact_pair[k], step + e * ld, step + (e + 1) * ld, move);
-            const V4 wider = at.gap - w - (at.d[0] * move[0] + at.d[1] * move[1]);
+            const auto wider = at.gap - w - (at.d[0] * move[0] + at.d[1] * move[1]);
             Points<V>::store(slack_change + k, wider);
             Points<V>::store(change + k, (level[0] * at.scale - at.lambda * wider) / w - at.lambda);
         });
@@ -156,11 +156,11 @@ void correct(const KernelProblem& pb, const KernelState& st, const KernelState& 
         each_batch<V>(pb, e, [&](int k, int points) __attribute__((always_inline)) {
             const int here = e * stride, next = here + stride, p = pb.contact_pair[k];
             const PointBatch<V> at = read_points<V>(pb, st, k, points, x + here, x + next);
-            const V4 dw = Points<V>::state(wider + k, points, 0), dlambda = Points<V>::state(change + k, points, 0);
-            V4 first[2], second[2];
+            const auto dw = Points<V>::state(wider + k, points, 0), dlambda = Points<V>::state(change + k, points, 0);
+            typename Points<V>::Values first[2], second[2];
             offset_at(at.shape, p, step + here, step + next, first);
             offset_at(at.shape, p, more + here, more + next, second);
-            const V4 further = -(at.d[0] * second[0] + at.d[1] * second[1]) - 0.5 * (first[0] * first[0] + first[1] * first[1]);
+            const auto further = -(at.d[0] * second[0] + at.d[1] * second[1]) - 0.5 * (first[0] * first[0] + first[1] * first[1]);
             Points<V>::store(new_wider + k, dw + further);
             Points<V>::store(new_change + k, dlambda - (dlambda * dw + at.lambda * further) / Points<V>::state(slack + k, points, 1));
         });
@@ -175,7 +175,7 @@ void residual(const KernelProblem& pb, const KernelState& st, const double* leve
     V* r = lanes<V>(st.rhs);
     start_residual<V>(pb, st);
     V worst = zero_of(V{});
-    V4 gap_error = zero_of(V4{});
+    auto gap_error = zero_of(typename Points<V>::Values{});
     for (int e = 0; e < pb.elements; ++e) {
         const ElementView<V> el = view<V>(pb, st, e);
         add_element<V, false>(pb, st, e, el, &level, nullptr);
@@ -184,7 +184,7 @@ void residual(const KernelProblem& pb, const KernelState& st, const double* leve
         for (int i = 0; i < P; ++i) worst = larger(worst, (i % 5 == 1 || i % 5 == 2) ? h * magnitude(el.r[0][i]) : magnitude(el.r[0][i]));
         each_batch<V>(pb, e, [&](int k, int count) __attribute__((always_inline)) {
             const PointBatch<V> at = read_points<V>(pb, st, k, count, el.x[0], el.x[1]);
-            const V4 eps = level * at.scale;
+            const auto eps = level * at.scale;
             gap_error = larger(gap_error, among_points<V>(magnitude(at.lambda * at.gap - eps) / eps, count));
         });
     }
@@ -268,5 +268,5 @@ void bending(const KernelProblem& pb, const double* unknowns, double* innermost,
     for (int lane = 0; lane < Lane<V>::count; ++lane) strain_square[lane] = Lane<V>::at(largest, lane);
 }
 
-const KernelTable kScalar = {newton<double>, step_length<double>, advance<double>, residual<double>, solve<double>, correct<double>, bending<double>};
-const KernelTable kVector = {newton<V4>, step_length<V4>, advance<V4>, residual<V4>, solve<V4>, correct<V4>, bending<V4>};
+template <class V>
+constexpr KernelTable table_of = {newton<V>, step_length<V>, advance<V>, residual<V>, solve<V>, correct<V>, bending<V>};

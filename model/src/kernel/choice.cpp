@@ -1,4 +1,4 @@
-// Picks the kernel once, at first use.
+// Picks the kernels once, at first use.
 #include <cstdlib>
 #include <cstring>
 
@@ -7,29 +7,40 @@
 namespace ctr {
 namespace {
 
-bool use_avx2() {
+enum Width { baseline, avx2, avx512 };
+
+Width widest() {
 #ifdef CTR_HAVE_AVX2
     const char* forced = std::getenv("CTRPLAN_KERNEL");
-    if (forced && std::strcmp(forced, "baseline") == 0) return false;
-    return __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma");
+    const auto may = [&](const char* name) { return !forced || std::strcmp(forced, name) != 0; };
+    if (!may("baseline") || !__builtin_cpu_supports("avx2") || !__builtin_cpu_supports("fma")) return baseline;
+    const bool is_wide = __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512vl");
+    return may("avx2") && is_wide ? avx512 : avx2;
 #else
-    return false;
+    return baseline;
 #endif
+}
+
+Width width() {
+    static const Width chosen = widest();
+    return chosen;
 }
 
 }  // namespace
 
 const KernelTable& kernel(int lanes) {
 #ifdef CTR_HAVE_AVX2
-    static const bool wide = use_avx2();
-    if (wide) return avx2_kernel(lanes);
+    if (lanes > kLanes) return avx512_kernel();
+    if (width() != baseline) return avx2_kernel(lanes);
 #endif
     return baseline_kernel(lanes);
 }
 
+int lanes_for(std::size_t states) { return width() == avx512 && states > kLanes ? kMostLanes : kLanes; }
+
 const char* kernel_name() {
-    static const bool wide = use_avx2();
-    return wide ? "avx2" : "baseline";
+    constexpr const char* names[] = {"baseline", "avx2", "avx512"};
+    return names[width()];
 }
 
 }  // namespace ctr

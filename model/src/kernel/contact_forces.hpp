@@ -14,28 +14,30 @@ struct PairSums {
 // slide around the bore in one step; `value` is the iterate's multiplier for the true residual, and in a Newton step what
 // eliminating multiplier and slack leaves of it. The primal-dual derivative follows if MATRIX.
 template <class V, bool MATRIX>
-inline void sum_contacts(const PointBatch<V>& at, V4 slack, V4 level, bool rubs, PairSums<V4>& sums) {
-    V4 value = at.lambda, ratio = zero_of(V4{});
+inline void sum_contacts(const PointBatch<V>& at, typename Points<V>::Values slack, typename Points<V>::Values level, bool rubs,
+                         PairSums<typename Points<V>::Values>& sums) {
+    typedef typename Points<V>::Values W;
+    W value = at.lambda, ratio = zero_of(W{});
     if (MATRIX) {
-        const V4 inverse_slack = 1.0 / slack;
+        const W inverse_slack = 1.0 / slack;
         ratio = at.lambda * inverse_slack;
         value = level * at.scale * inverse_slack + ratio * (slack - at.gap);
     }
-    const V4 g[2] = {at.d[0] - at.friction * at.d[1], at.d[1] + at.friction * at.d[0]};  // (I + phi mu J) d
+    const W g[2] = {at.d[0] - at.friction * at.d[1], at.d[1] + at.friction * at.d[0]};  // (I + phi mu J) d
     CTR_UNROLL
     for (int plane = 0; plane < 2; ++plane) {
-        const V4 force = value * g[plane];
+        const W force = value * g[plane];
         CTR_UNROLL
         for (int a = 0; a < 4; ++a) sums.force[a][plane] += at.shape[a] * force;
     }
-    const V4 square = at.d[0] * at.d[0] + at.d[1] * at.d[1];
+    const W square = at.d[0] * at.d[0] + at.d[1] * at.d[1];
     if (rubs) {
-        const V4 torque = at.friction * value * square;
+        const W torque = at.friction * value * square;
         CTR_UNROLL
         for (int a = 0; a < 2; ++a) sums.torque[a] += at.linear[a] * torque;
     }
     if (!MATRIX) return;
-    const V4 T[2][2] = {{at.lambda + ratio * g[0] * at.d[0], ratio * g[0] * at.d[1] - at.lambda * at.friction},
+    const W T[2][2] = {{at.lambda + ratio * g[0] * at.d[0], ratio * g[0] * at.d[1] - at.lambda * at.friction},
                         {ratio * g[1] * at.d[0] + at.lambda * at.friction, at.lambda + ratio * g[1] * at.d[1]}};
     int ab = 0;
     CTR_UNROLL
@@ -49,13 +51,13 @@ inline void sum_contacts(const PointBatch<V>& at, V4 slack, V4 level, bool rubs,
                 for (int plane = 0; plane < 2; ++plane) sums.tangent[ab][row][plane] += product * T[row][plane];
         }
     if (!rubs) return;
-    const V4 torque_slope = at.friction * (ratio * square + 2.0 * at.lambda);
+    const W torque_slope = at.friction * (ratio * square + 2.0 * at.lambda);
     CTR_UNROLL
     for (int plane = 0; plane < 2; ++plane) {
-        const V4 slope = torque_slope * at.d[plane];
+        const W slope = torque_slope * at.d[plane];
         CTR_UNROLL
         for (int b = 0; b < 4; ++b) {
-            const V4 s = at.shape[b] * slope;
+            const W s = at.shape[b] * slope;
             CTR_UNROLL
             for (int a = 0; a < 2; ++a) sums.slope[a][b][plane] += at.linear[a] * s;
         }
@@ -63,8 +65,10 @@ inline void sum_contacts(const PointBatch<V>& at, V4 slack, V4 level, bool rubs,
 }
 
 // Sums over the points of batches, where a batch has several.
-template <bool MATRIX>
-inline const PairSums<V4>& summed(const PairSums<V4>& sums, bool, PairSums<V4>&) { return sums; }
+template <bool MATRIX, class V>
+inline const PairSums<V>& summed(const PairSums<V>& sums, bool, PairSums<V>&) {
+    return sums;
+}
 template <bool MATRIX>
 inline const PairSums<double>& summed(const PairSums<V4>& sums, bool rubs, PairSums<double>& out) {
     sum_lanes(&sums.force[0][0], 8, &out.force[0][0]);
@@ -79,7 +83,8 @@ inline const PairSums<double>& summed(const PairSums<V4>& sums, bool rubs, PairS
 constexpr int place(int a, int b) { return a <= b ? a * 4 - a * (a - 1) / 2 + b - a : place(b, a); }
 
 // Row `row` of function a (2 node + 0 offset, 1 slope) of sum N_a N_b T, with both functions b of a node, is added to `to`.
-inline void add_tangent_row(const PairSums<V4>& sums, int a, int node, int row, V4* to) {
+template <class V>
+inline void add_tangent_row(const PairSums<V>& sums, int a, int node, int row, V* to) {
     CTR_UNROLL
     for (int b = 0; b < 2; ++b)
         CTR_UNROLL
@@ -91,7 +96,8 @@ inline void add_tangent_row(const PairSums<double>& sums, int a, int node, int r
 }
 
 // Adds factor times the four values of a pair's offsets and slopes at a node.
-inline void add_quad(double factor, const V4* values, V4* to) {
+template <class V>
+inline void add_quad(double factor, const V* values, V* to) {
     CTR_UNROLL
     for (int i = 0; i < 4; ++i) to[i] += factor * values[i];
 }
@@ -127,15 +133,16 @@ inline void spread_contacts(const KernelProblem& pb, int p, bool rubs, const Ele
 // Spreads what `add` sums up of the batches of an element, pair by pair; it says whether there is friction.
 template <class V, bool MATRIX, class Add>
 __attribute__((always_inline)) inline void spread_pairs(const KernelProblem& pb, int e, const ElementView<V>& el, const Add& add) {
-    constexpr int used = MATRIX ? sizeof(PairSums<V4>) / sizeof(V4) : 10;
+    typedef typename Points<V>::Values W;
+    constexpr int used = MATRIX ? sizeof(PairSums<W>) / sizeof(W) : 10;
     static_assert(__builtin_offsetof(PairSums<V4>, tangent) == 10 * sizeof(V4));
     const int end = pb.contact_begin[e + 1];
     PairSums<V> total;
     for (int k = pb.contact_begin[e]; k < end;) {
         const int pair = pb.contact_pair[k];
         bool rubbing = false;
-        PairSums<V4> sums;
-        clear(reinterpret_cast<V4*>(&sums), used);
+        PairSums<W> sums;
+        clear(reinterpret_cast<W*>(&sums), used);
         while (k < end && pb.contact_pair[k] == pair) {
             const int count = batch_size<V>(pb, k, end);
             if (add(k, count, sums)) rubbing = true;
@@ -147,10 +154,11 @@ __attribute__((always_inline)) inline void spread_pairs(const KernelProblem& pb,
 
 template <class V, bool MATRIX>
 inline void add_contacts(const KernelProblem& pb, const KernelState& st, int e, const ElementView<V>& el, const V* level) {
-    spread_pairs<V, MATRIX>(pb, e, el, [&](int k, int count, PairSums<V4>& sums) __attribute__((always_inline)) {
+    typedef typename Points<V>::Values W;
+    spread_pairs<V, MATRIX>(pb, e, el, [&](int k, int count, PairSums<W>& sums) __attribute__((always_inline)) {
         const PointBatch<V> at = read_points<V>(pb, st, k, count, el.x[0], el.x[1]);
         const bool rubbing = rubs(at);
-        sum_contacts<V, MATRIX>(at, Points<V>::state(lanes<V>(st.slack) + k, count, 1), zero_of(V4{}) + level[0], rubbing, sums);
+        sum_contacts<V, MATRIX>(at, Points<V>::state(lanes<V>(st.slack) + k, count, 1), zero_of(W{}) + level[0], rubbing, sums);
         return rubbing;
     });
 }
@@ -161,21 +169,22 @@ template <class V>
 inline void add_second_order(const KernelProblem& pb, const KernelState& st, int e, const ElementView<V>& el) {
     const int ld = pb.stride;
     const V* step = lanes<V>(st.step) + e * ld;
-    spread_pairs<V, false>(pb, e, el, [&](int k, int count, PairSums<V4>& sums) __attribute__((always_inline)) {
+    typedef typename Points<V>::Values W;
+    spread_pairs<V, false>(pb, e, el, [&](int k, int count, PairSums<W>& sums) __attribute__((always_inline)) {
         const PointBatch<V> at = read_points<V>(pb, st, k, count, el.x[0], el.x[1]);
-        const V4 slack = Points<V>::state(lanes<V>(st.slack) + k, count, 1), wider = Points<V>::state(lanes<V>(st.slack_step) + k, count, 0);
-        const V4 change = Points<V>::state(lanes<V>(st.multiplier_step) + k, count, 0);
-        V4 move[2], push[2];
+        const W slack = Points<V>::state(lanes<V>(st.slack) + k, count, 1), wider = Points<V>::state(lanes<V>(st.slack_step) + k, count, 0);
+        const W change = Points<V>::state(lanes<V>(st.multiplier_step) + k, count, 0);
+        W move[2], push[2];
         offset_at(at.shape, pb.contact_pair[k], step, step + ld, move);
-        const V4 moved = move[0] * move[0] + move[1] * move[1];
-        const V4 value = (0.5 * at.lambda * moved - change * wider) / slack;
+        const W moved = move[0] * move[0] + move[1] * move[1];
+        const W value = (0.5 * at.lambda * moved - change * wider) / slack;
         for (int plane = 0; plane < 2; ++plane) push[plane] = value * at.d[plane] + change * move[plane];
-        const V4 force[2] = {push[0] - at.friction * push[1], push[1] + at.friction * push[0]};
+        const W force[2] = {push[0] - at.friction * push[1], push[1] + at.friction * push[0]};
         CTR_UNROLL
         for (int a = 0; a < 4; ++a)
             for (int plane = 0; plane < 2; ++plane) sums.force[a][plane] += at.shape[a] * force[plane];
         if (!rubs(at)) return false;
-        const V4 torque = at.friction * (value * (at.d[0] * at.d[0] + at.d[1] * at.d[1]) + at.lambda * moved +
+        const W torque = at.friction * (value * (at.d[0] * at.d[0] + at.d[1] * at.d[1]) + at.lambda * moved +
                                          2.0 * change * (at.d[0] * move[0] + at.d[1] * move[1]));
         for (int a = 0; a < 2; ++a) sums.torque[a] += at.linear[a] * torque;
         return true;

@@ -1,4 +1,4 @@
-// Contact points of an element, four values at a time.
+// Contact points of an element, a register at a time.
 // Part of the kernels (kernel/body.hpp): included inside an anonymous namespace, no std::, no Eigen.
 
 template <class V>
@@ -29,29 +29,28 @@ inline ContactPoint<V> contact_point(const KernelProblem& pb, const KernelState&
     return point;
 }
 
-// Contact points are treated four values at a time: one point in four friction states, or four points of one pair in a
+// Contact points are treated a register at a time: one point in several friction states, or four points of one pair in a
 // single state. Then what belongs to the mesh has four values too, and points beyond the last of the pair carry nothing.
 template <class V>
-struct Points;
-
-template <>
-struct Points<V4> {
+struct Points {
+    typedef V Values;
     static constexpr int width = 1;
     typedef double Real;  // a value of the mesh
     static double real(const double* values, int) { return values[0]; }
-    static V4 state(const V4* values, int, double) { return values[0]; }
+    static V state(const V* values, int, double) { return values[0]; }
     static void read_shapes(const double* shapes, int, double* shape) {
         for (int a = 0; a < 4; ++a) shape[a] = shapes[a];
     }
-    static void read_shift(const V4* values, V4* shift) {
+    static void read_shift(const V* values, V* shift) {
         for (int plane = 0; plane < 2; ++plane) shift[plane] = values[plane];
     }
-    static void store(V4* values, V4 value) { values[0] = value; }
+    static void store(V* values, V value) { values[0] = value; }
 };
 
 // Arrays over contacts have room for four values from every contact on (kernel.hpp).
 template <>
 struct Points<double> {
+    typedef V4 Values;
     static constexpr int width = 4;
     typedef V4 Real;
     static V4 read(const double* values) {
@@ -83,14 +82,14 @@ struct Points<double> {
 template <class V>
 struct PointBatch {
     typename Points<V>::Real shape[4], linear[2], scale;  // scale: barrier level to eps
-    V4 d[2], gap, lambda, friction;
+    typename Points<V>::Values d[2], gap, lambda, friction;
 };
 
 // Offset that the values at the nodes of an element amount to at contact points of pair p.
-template <class Real, class V>
-inline void offset_at(const Real* shape, int p, const V* proximal, const V* distal, V4* d) {
+template <class Real, class V, class Values>
+inline void offset_at(const Real* shape, int p, const V* proximal, const V* distal, Values* d) {
     for (int plane = 0; plane < 2; ++plane)
-        d[plane] = zero_of(V4{}) + shape[0] * proximal[offset_index(p, plane)] + shape[1] * proximal[slope_index(p, plane)] +
+        d[plane] = zero_of(Values{}) + shape[0] * proximal[offset_index(p, plane)] + shape[1] * proximal[slope_index(p, plane)] +
                    shape[2] * distal[offset_index(p, plane)] + shape[3] * distal[slope_index(p, plane)];
 }
 
@@ -107,7 +106,7 @@ inline PointBatch<V> read_points(const KernelProblem& pb, const KernelState& st,
     at.friction = Read::state(lanes<V>(st.phi_mu) + k, count, 0);
     offset_at(at.shape, p, proximal, distal, at.d);
     if (st.shift) {
-        V4 shift[2];
+        typename Read::Values shift[2];
         Read::read_shift(reinterpret_cast<const V*>(st.shift) + 2 * k, shift);
         for (int plane = 0; plane < 2; ++plane) at.d[plane] += shift[plane];
     }
@@ -130,22 +129,25 @@ __attribute__((always_inline)) inline void each_batch(const KernelProblem& pb, i
     for (int k = pb.contact_begin[e], count; k < end; k += count) work(k, count = batch_size<V>(pb, k, end));
 }
 
-// Whether any of a batch has friction; four states differ in that.
-inline bool rubs(const PointBatch<V4>&) { return true; }
+// Whether any of a batch has friction; several states differ in that.
+template <class V>
+inline bool rubs(const PointBatch<V>&) {
+    return true;
+}
 inline bool rubs(const PointBatch<double>& at) {
     return at.friction[0] != 0 || at.friction[1] != 0 || at.friction[2] != 0 || at.friction[3] != 0;
 }
 
 // Of errors at the points of a batch: those that there are, and the largest in a lane.
 template <class V>
-inline V4 among_points(V4 values, int count);
-template <>
-inline V4 among_points<V4>(V4 values, int) { return values; }
+inline typename Points<V>::Values among_points(typename Points<V>::Values values, int) {
+    return values;
+}
 template <>
 inline V4 among_points<double>(V4 values, int count) { return Points<double>::among(values, count, 0); }
 template <class V>
-inline double largest_of(V4 values, int lane);
-template <>
-inline double largest_of<V4>(V4 values, int lane) { return values[lane]; }
+inline double largest_of(typename Points<V>::Values values, int lane) {
+    return values[lane];
+}
 template <>
 inline double largest_of<double>(V4 values, int) { return larger(larger(values[0], values[1]), larger(values[2], values[3])); }

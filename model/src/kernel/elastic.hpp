@@ -30,18 +30,15 @@ __attribute__((always_inline)) inline void add_torsion(const KernelProblem& pb, 
 }
 
 // What belongs to the two offsets and two slopes of a pair at a node, which are neighbours among the unknowns: four values
-// of four states, or one register of a single state. Factor: a number for the offsets and one for the slopes.
+// of several states, or one register of a single state. Factor: a number for the offsets and one for the slopes.
 template <class V>
-struct Quad;
-
-template <>
-struct Quad<V4> {
+struct Quad {
     struct Factor {
         double offset, slope;
     };
-    V4 value[4];
+    V value[4];
     static Factor factor(double offset, double slope) { return {offset, slope}; }
-    static Quad of(const V4 (&plane)[2]) { return {{plane[0], plane[1], plane[0], plane[1]}}; }
+    static Quad of(const V (&plane)[2]) { return {{plane[0], plane[1], plane[0], plane[1]}}; }
     static Quad sum(const Factor (&f)[2], const Quad (&q)[2]) {
         Quad s;
         CTR_UNROLL
@@ -49,16 +46,16 @@ struct Quad<V4> {
             s.value[i] = (i < 2 ? f[0].offset : f[0].slope) * q[0].value[i] + (i < 2 ? f[1].offset : f[1].slope) * q[1].value[i];
         return s;
     }
-    void add_to_row(V4* row) const {
+    void add_to_row(V* row) const {
         CTR_UNROLL
         for (int i = 0; i < 4; ++i) row[i] += value[i];
     }
-    void add_to_column(V4* column, int ld) const {
+    void add_to_column(V* column, int ld) const {
         CTR_UNROLL
         for (int i = 0; i < 4; ++i) column[i * ld] += value[i];
     }
     // The diagonals that one Hermite function has with the offsets and with the slopes of both planes.
-    static void add_planes(V4* rows, int ld, const Factor& f, double stiffness) {
+    static void add_planes(V* rows, int ld, const Factor& f, double stiffness) {
         CTR_UNROLL
         for (int plane = 0; plane < 2; ++plane) {
             rows[plane * ld + plane] += stiffness * f.offset;
@@ -92,7 +89,8 @@ struct Quad<double> {
 };
 
 // Sines and cosines of angles; those of a single state four at a time, up to the next multiple of four.
-inline void sines_cosines(int count, const V4* angle, V4* sine, V4* cosine) {
+template <class V>
+inline void sines_cosines(int count, const V* angle, V* sine, V* cosine) {
     for (int i = 0; i < count; ++i) sine_cosine(angle[i], sine[i], cosine[i]);
 }
 inline void sines_cosines(int count, const double* angle, double* sine, double* cosine) {

@@ -3,15 +3,15 @@
 
 // Rows of the blocks are handled in chunks that fill a register: one entry of all lanes, or four entries of a single lane.
 template <class V>
-struct Chunk;
-template <>
-struct Chunk<V4> {
+struct Chunk {
+    typedef V Register;
     static constexpr int width = 1;
-    static V4 load(const V4* p) { return *p; }
-    static void store(V4* p, V4 v) { *p = v; }
+    static V load(const V* p) { return *p; }
+    static void store(V* p, V v) { *p = v; }
 };
 template <>
 struct Chunk<double> {
+    typedef V4 Register;
     static constexpr int width = 4;
     static V4 load(const double* p) {
         V4 v;
@@ -38,15 +38,15 @@ struct Each {
 };
 
 // LU of the leading P x P part of A in place, pivots inverted. No pivoting: the blocks are elastic stiffnesses plus contact
-// terms; a bad pivot shows in the residual, which is checked afterwards. Four lanes: row by row, each in registers meanwhile.
-template <int P>
-__attribute__((noinline)) void factorise_rows(V4* A, int ld) {
+// terms; a bad pivot shows in the residual, which is checked afterwards. Several lanes: row by row, each in registers meanwhile.
+template <int P, class V>
+__attribute__((noinline)) void factorise_rows(V* A, int ld) {
     Each<P>::run([&](auto row_index) __attribute__((always_inline)) {
         constexpr int i = row_index.value;
-        V4 row[P];
+        V row[P];
         Each<P>::run([&](auto j) __attribute__((always_inline)) { row[j.value] = A[i * ld + j.value]; });
         Each<i>::run([&](auto k) __attribute__((always_inline)) {
-            const V4* above = A + k.value * ld;
+            const V* above = A + k.value * ld;
             row[k.value] *= above[k.value];
             for (int j = k.value + 1; j < P; ++j) row[j] -= row[k.value] * above[j];
         });
@@ -109,10 +109,8 @@ inline void factorise(V* A, int ld, int P) {
 
 // Of a row of a block and a vector.
 template <class V>
-inline V product(const V* row, const V* vector, int count);
-template <>
-inline V4 product<V4>(const V4* row, const V4* vector, int count) {
-    V4 sum = zero_of(V4{});
+inline V product(const V* row, const V* vector, int count) {
+    V sum = zero_of(V{});
     for (int j = 0; j < count; ++j) sum += row[j] * vector[j];
     return sum;
 }
@@ -128,8 +126,9 @@ inline double product<double>(const double* row, const double* vector, int count
 
 // to -= M x for a block of `rows` rows, of which `count` entries are in use. A single lane takes four rows at a time and whole
 // registers of each: the rest of a row is zero, and x is finite beyond its end (kernel.hpp).
-inline void subtract_product(const V4* M, const V4* x, V4* to, int ld, int rows, int count) {
-    for (int i = 0; i < rows; ++i) to[i] -= product<V4>(M + i * ld, x, count);
+template <class V>
+inline void subtract_product(const V* M, const V* x, V* to, int ld, int rows, int count) {
+    for (int i = 0; i < rows; ++i) to[i] -= product<V>(M + i * ld, x, count);
 }
 inline V4 four_products(const double* M, const double* x, int ld, int count) {
     V4 sum[4] = {zero_of(V4{}), zero_of(V4{}), zero_of(V4{}), zero_of(V4{})}, column[4];
@@ -199,7 +198,7 @@ constexpr int kRegisters = 12;
 
 // row -= sum over k in [from, to) of factors[k] * rows[k]; the row's C chunks stay in registers meanwhile.
 template <class V, int C>
-__attribute__((always_inline)) inline void subtract(V4 (&kept)[C], const V* factors, const V* rows, int ld, int from, int to) {
+__attribute__((always_inline)) inline void subtract(typename Chunk<V>::Register (&kept)[C], const V* factors, const V* rows, int ld, int from, int to) {
     for (int k = from; k < to; ++k) {
         const V factor = factors[k];
         for (int c = 0; c < C; ++c) kept[c] -= factor * Chunk<V>::load(rows + k * ld + c * Chunk<V>::width);
@@ -207,19 +206,19 @@ __attribute__((always_inline)) inline void subtract(V4 (&kept)[C], const V* fact
 }
 
 template <class V, int C>
-__attribute__((always_inline)) inline void read(V4 (&kept)[C], const V* row) {
+__attribute__((always_inline)) inline void read(typename Chunk<V>::Register (&kept)[C], const V* row) {
     for (int c = 0; c < C; ++c) kept[c] = Chunk<V>::load(row + c * Chunk<V>::width);
 }
 
 template <class V, int C>
-__attribute__((always_inline)) inline void write(V* row, const V4 (&kept)[C]) {
+__attribute__((always_inline)) inline void write(V* row, const typename Chunk<V>::Register (&kept)[C]) {
     for (int c = 0; c < C; ++c) Chunk<V>::store(row + c * Chunk<V>::width, kept[c]);
 }
 
 // C chunks of columns of a node of P unknowns, factored: U := A^-1 U, next -= L U (L has Q rows).
 template <class V, int C>
 __attribute__((always_inline)) inline void eliminate_chunks(const V* A, V* U, const V* L, V* next, int ld, int P, int Q) {
-    V4 kept[C];
+    typename Chunk<V>::Register kept[C];
     for (int i = 1; i < P; ++i) {
         read<V, C>(kept, U + i * ld);
         subtract<V, C>(kept, A + i * ld, U, ld, 0, i);

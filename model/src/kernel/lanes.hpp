@@ -1,4 +1,4 @@
-// Values of one or four lanes: arithmetic, square roots, sines and cosines.
+// Values of one, four or eight lanes: arithmetic, square roots, sines and cosines.
 // Part of the kernels (kernel/body.hpp): included inside an anonymous namespace, no std::, no Eigen.
 
 // Loops of known length over members of small arrays: their indices should be constants, so that values stay in registers.
@@ -10,7 +10,7 @@
 
 typedef double V4 __attribute__((vector_size(32)));
 
-// The lanes of a value: a double has one, a V4 four.
+// The lanes of a value: a double has one, a vector as many as it has entries.
 template <class V>
 struct Lane {
     static constexpr int count = sizeof(V) / sizeof(double);
@@ -18,26 +18,32 @@ struct Lane {
     static double at(const V& v, int lane) { return reinterpret_cast<const double*>(&v)[lane]; }
 };
 
-inline double zero_of(double) { return 0.0; }
-inline V4 zero_of(V4) { return V4{0, 0, 0, 0}; }
+template <class V>
+inline V zero_of(V) {
+    return V{};
+}
 template <class V>
 inline V broadcast(double value) {
     return zero_of(V{}) + value;
 }
 inline double root(double v) { return __builtin_sqrt(v); }
-inline V4 root(V4 v) {
-    return V4{__builtin_sqrt(v[0]), __builtin_sqrt(v[1]), __builtin_sqrt(v[2]), __builtin_sqrt(v[3])};
+template <class V>
+inline V root(V v) {
+    CTR_UNROLL
+    for (int lane = 0; lane < Lane<V>::count; ++lane) v[lane] = __builtin_sqrt(v[lane]);
+    return v;
 }
-inline double larger(double a, double b) { return a > b ? a : b; }
-inline V4 larger(V4 a, V4 b) { return a > b ? a : b; }
-inline double smaller(double a, double b) { return a < b ? a : b; }
-inline V4 smaller(V4 a, V4 b) { return a < b ? a : b; }
+template <class V>
+inline V larger(V a, V b) {
+    return a > b ? a : b;
+}
 template <class V>
 inline V magnitude(V v) {
     return larger(v, -v);
 }
 inline double nearest(double v) { return __builtin_rint(v); }
-inline V4 nearest(V4 v) {
+template <class V>
+inline V nearest(V v) {
     const double shift = 6755399441055744.0;  // 1.5 * 2^52: adding it rounds to an integer
     return (v + shift) - shift;
 }
