@@ -76,7 +76,9 @@ class Diagnosis:
     reading: tuple[Reading, ...] = ()  # how the columns should be read, where the file does not mean what it says
     decisions: tuple[Decision, ...] = ()  # between explanations, by poses measured to decide
     posterior: Posterior | None = None  # of effects and verdict; None where the search was interrupted
-    slip: Slip | None = None  # from where on a collar stands elsewhere; `data` has another homing from there
+    slip: Slip | None = (
+        None  # from where on a collar or the tracker stands elsewhere; `data` has another homing or frame from there
+    )
 
     def headline(self) -> str:
         """The verdict and its effects, as it shows itself."""
@@ -105,7 +107,7 @@ class Diagnosis:
 
     @property
     def together(self) -> tuple[Term, ...]:
-        """What these do is done beside the effects of the verdict, by them or by a single cause that is unknown."""
+        """What these do is done beside the effects of the verdict, by them or by another cause."""
         return self.judgement.together
 
     @property
@@ -139,7 +141,7 @@ class Diagnosis:
         return {
             "reading": [reading.to_json() for reading in self.reading],
             "other_tubes": self.other_tubes,
-            "slip": None if self.slip is None else {"row": self.slip.row, "joint": self.slip.joint.rsplit("_", 2)[0]},
+            "slip": None if self.slip is None else {"row": self.slip.row, "joint": self.slip.joint},
             "verdict": self.verdict,
             "verdict_probability": None if self.posterior is None else round(self.verdict_probability or 0.0, 4),
             "posterior": self.posterior.to_json() if self.posterior else None,

@@ -29,6 +29,7 @@ from ctrplan.diagnosis.verdict import names_of
 from ctrplan.diagnosis.workbench import HELD_OUT_SHARE, Candidates, Teller, candidates, reduced
 from ctrplan.effects.drive.homing_shift import HomingShift
 from ctrplan.effects.effect import CATALOGUE, Effect
+from ctrplan.effects.sensor.frame_shift import FrameShift
 from ctrplan.errors import InputError
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.robot.robot import Robot
@@ -36,7 +37,7 @@ from ctrplan.robot.robot import Robot
 
 @dataclass(frozen=True, eq=False)
 class Concluded:
-    """What was found in measurements as they are, or with another homing from a slip on."""
+    """What was found in measurements as they are, or with another homing or frame from a slip on."""
 
     data: Measurements
     slip: Slip | None
@@ -46,10 +47,14 @@ class Concluded:
     @property
     def has_slip(self) -> bool:
         """Whether zeros that changed then are among what is told: the instant was only a place to look."""
-        return self.result.interrupted or any(HomingShift.name in names for names in names_of(self.result.judgement))
+        names = names_of(self.result.judgement)
+        return self.result.interrupted or self.slip is None or any(self.slip.effect in group for group in names)
 
 
-AFTER_SLIP = "tighten that collar, home the drive and measure some of the first poses again"
+AFTER_SLIP = {
+    HomingShift: "tighten that collar, home the drive and measure some of the first poses again",
+    FrameShift: "fasten the tracker and the robot's base and measure some of the first poses again",
+}
 
 
 @checked(
@@ -89,20 +94,20 @@ def diagnose(
     checked_split(data, usable)  # before anything is asked
 
     def conclude_from(data: Measurements, slip: Slip | None = None) -> Concluded:
-        known = candidates(robot, data, allowed, {HomingShift.name: slip.instants} if slip else {})
+        known = candidates(robot, data, allowed, {slip.effect: slip.instants} if slip else {})
         return Concluded(data, slip, known, conclude(robot, data, usable, noise, known, teller))
 
     def after(slip: Slip | None) -> Concluded | None:
-        concluded = conclude_from(after_slip(data, slip), slip) if slip and HomingShift.name in allowed else None
+        concluded = conclude_from(after_slip(data, slip), slip) if slip else None
         if concluded is None or concluded.has_slip:
             return concluded
         needs_none = concluded.result.partial is None  # it was asked as any effect, and acts in no fit that is told
         return Concluded(data, None, candidates(robot, data, allowed), concluded.result) if needs_none else None
 
-    concluded = after(found_slip(robot, data, noise)) or conclude_from(data)
+    concluded = after(found_slip(robot, data, noise, among=allowed)) or conclude_from(data)
     found = concluded.result
     if concluded.slip is None and found.judgement.verdict in ("partial", "unexplained") and found.compared:
-        concluded = after(found_slip(robot, data, noise, found.compared.sets[0].terms)) or concluded
+        concluded = after(found_slip(robot, data, noise, found.compared.sets[0].terms, allowed)) or concluded
     data, slip, known, result = concluded.data, concluded.slip, concluded.known, concluded.result
 
     def tell(step: str) -> None:
@@ -118,7 +123,8 @@ def diagnose(
     stated = replace(result.noise, discrepancy=None)
     sentence, proposed = next_experiment(result.chosen, judgement, result.bench.data, stated, list(known.not_testable))
     if slip:
-        sentence = sentence.replace(HomingShift.experiment, AFTER_SLIP)
+        for effect, remedy in AFTER_SLIP.items():
+            sentence = sentence.replace(effect.experiment, remedy)
     return Diagnosis(
         verdict=judgement.verdict,
         judgement=judgement,

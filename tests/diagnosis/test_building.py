@@ -20,6 +20,7 @@ from ctrplan.calibration.observed_noise import noise_floor
 from ctrplan.calibration.residuals import Noise
 from ctrplan.diagnosis import CATALOGUE, Diagnosis, diagnose, held_out
 from ctrplan.diagnosis import built_term as term_building
+from ctrplan.diagnosis.confirmation import confirm
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
 from ctrplan.diagnosis.held_out import Gap
 from ctrplan.diagnosis.partial_diagnosis import diagnose_partially
@@ -162,6 +163,25 @@ def test_a_sensor_that_drifts_with_the_temperature_is_told_from_the_drive() -> N
     term = diagnose(ROBOT, warmed(), catalogue={}).built
     assert term is not None and [t.name for t in term.terms] == ["learned_sensor"]
     assert list(term.terms[0].effect.inputs) == ["temperature_C"]  # type: ignore[attr-defined]
+
+
+def test_what_goes_with_a_time_that_no_column_tells_is_built_in_time_and_is_over_in_other_runs() -> None:
+    data = warmed()
+    diagnosis = diagnose(ROBOT, replace(data, more={}, time_s=3.0 * np.arange(len(data.sequence))), catalogue={})
+    assert diagnosis.built is not None and [t.name for t in diagnosis.built.terms] == ["learned_sensor"]
+    assert list(diagnosis.built.terms[0].effect.inputs) == ["time"]  # type: ignore[attr-defined]
+    rest = [np.sqrt(max(e.rms_m**2 - diagnosis.gap.floor_m**2, 0)) for e in (diagnosis.gap.before, diagnosis.gap.after)]
+    assert rest[1] < rest[0] / 2
+    later = confirm(diagnosis, measured(ROBOT, PLAN, seed=9))
+    assert not later.effects and later.after.rms_m < 1.2 * diagnosis.gap.floor_m
+
+
+def test_time_is_an_input_only_where_what_remains_goes_along_with_it() -> None:
+    timed = replace(PLAN, time_s=3.0 * np.arange(len(PLAN.sequence)))
+    assert not any("time" in part for piece in pieces(ROBOT, timed) for part in piece.parts)
+    swings = {part for piece in pieces(ROBOT, timed, in_time=True) for part in piece.parts if "time" in part}
+    assert {"sin_1_over_time", "cos_9_over_time"} <= swings
+    assert pieces(ROBOT, PLAN, in_time=True) == pieces(ROBOT, PLAN)
 
 
 def test_a_piece_acts_as_the_effect_that_is_made_of_it() -> None:
