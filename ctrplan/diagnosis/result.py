@@ -22,15 +22,32 @@ from ctrplan.diagnosis.held_out import Gap
 from ctrplan.diagnosis.next_experiment import Decision, Proposal
 from ctrplan.diagnosis.partial_diagnosis import PartialDiagnosis
 from ctrplan.diagnosis.remainder import Place, Remainder
-from ctrplan.diagnosis.slips import Slip
 from ctrplan.diagnosis.verdict import Judgement, Posterior, Verdict, names_of
 from ctrplan.diagnosis.workbench import Scored, SelectionStep
+from ctrplan.effects.drive.homing_shift import HomingShift
 from ctrplan.effects.learned.learned import Learned
+from ctrplan.effects.sensor.frame_shift import FrameShift
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.pipeline.term import Term
 from ctrplan.robot.robot import Robot
 
 SCHEMA_VERSION = 1
+TRACKER = "tracker"  # in the place of a joint that slipped
+
+
+@dataclass(frozen=True)
+class Slip:
+    """From the measured pose with a number on, in the order of the file, a joint's zero or the frame is another one."""
+
+    pose: int  # from 0
+    row: int  # of the file's waypoints, from 1
+    joint: str  # "theta_2", or "tracker"
+    instants: int = 1  # of which it is one, each as probable a priori
+
+    @property
+    def effect(self) -> str:
+        """Name of the effect that treats it so."""
+        return FrameShift.name if self.joint == TRACKER else HomingShift.name
 
 
 class ConfirmationResult(Protocol):

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from hidden_effects.effects import TRUTH_NAME, UNKNOWN
+from hidden_effects.effects import NAMED_SINCE, UNKNOWN
 
 SEPARABLE_FROM = 1.0  # times the noise, left after recalibration
 BINS = ((0.5, 0.8), (0.8, 0.95), (0.95, 0.99), (0.99, 1.0))  # of probabilities, whose share that is right is counted
@@ -84,8 +84,8 @@ class Trial:
         hidden = [name for name, _ in case["hidden"]]
         of_release = {"friction"} if "translation_release" in hidden else set()
         names = {"homing_offset" if name.startswith("homing") else name for name in hidden if name not in UNKNOWN}
-        of_once = {TRUTH_NAME[name] for name in hidden if name in ("collar_slip", "tracker_jump")}
-        return (names | of_release | of_once) - {case.get("left_out")}
+        named_since = {NAMED_SINCE[name] for name in hidden if name in NAMED_SINCE}
+        return (names | of_release | named_since) - {case.get("left_out")}
 
     @property
     def probabilities(self) -> list[tuple[float, bool]]:
