@@ -24,7 +24,7 @@ from ctrplan.diagnosis.posterior import Compared, settled
 from ctrplan.diagnosis.remainder import Remainder, localise, shares
 from ctrplan.diagnosis.term_pieces import is_built
 from ctrplan.diagnosis.usable_poses import block_split, blocks, on_one_branch, thinned, thinning
-from ctrplan.diagnosis.verdict import Judgement, Verdict, done_by, findings_of
+from ctrplan.diagnosis.verdict import Judgement, Verdict, done_by, findings_of, without_shared
 from ctrplan.diagnosis.workbench import Candidates, Scored, SelectionStep, Teller, Workbench, linear
 from ctrplan.measurement.measurements import Measurements, Split
 from ctrplan.pipeline.term import Term
@@ -155,7 +155,8 @@ def most_probable(
     testable = {SHIFT, HOMED, *(t.name for t in known.terms)}  # set-ups and homings are no matter of the catalogue
     free = [t for t in frames_beside(bench.robot, bench.data, here.terms) if t.name in testable]
     listed = [*free, *(t for t in here.terms if not is_built(t))]
-    findings = findings_of(bench, here, listed, known, compared.posterior, compared.sets)
+    every = findings_of(bench, here, listed, known, compared.posterior, compared.sets)
+    findings, _ = without_shared(bench, here, every)
     beside, named = _by_name(bench, here)
     verdict: Verdict = "partial" if findings else "unexplained"
     told = {f.term.key for f in findings}

@@ -75,10 +75,10 @@ def judge(
         return Judgement("unexplained", (), left, (_open(posterior),), done_by(chosen, chosen.terms, posterior))
     if _is_strained(bench, chosen):
         return Judgement("unexplained", (), left)
-    shared = [f for f in findings if not f.alternatives and _is_shared(bench, chosen, f.term)]
+    findings, shared = without_shared(bench, chosen, findings)
     if shared:
-        rest = tuple(f for f in findings if f not in shared)
-        return Judgement("unexplained", rest, left, tuple(_disbelieved(f.term) for f in shared))
+        notes, done = tuple(map(_disbelieved, shared)), done_by(chosen, shared, posterior)
+        return Judgement("unexplained", findings, left, notes, done)
     verdict: Verdict = "ambiguous" if any(f.alternatives for f in findings) else "named"
     return Judgement(verdict, findings, left)
 
@@ -168,6 +168,14 @@ def _is_enlarged(bench: Workbench) -> bool:
     """Whether the noise was taken for larger than stated, so that it may hide what an effect does not explain."""
     stated = bench.robot.measurement
     return stated is not None and bench.noise.position_m > stated.position_sigma_m
+
+
+def without_shared(
+    bench: Workbench, chosen: Scored, findings: Sequence[Finding]
+) -> tuple[tuple[Finding, ...], list[Term]]:
+    """The findings, and effects of others that a part by which other causes act as well explains alone."""
+    shared = [f for f in findings if not f.alternatives and _is_shared(bench, chosen, f.term)]
+    return tuple(f for f in findings if f not in shared), [f.term for f in shared]
 
 
 def _is_shared(bench: Workbench, chosen: Scored, t: Term) -> bool:

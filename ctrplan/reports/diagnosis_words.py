@@ -11,12 +11,18 @@ from ctrplan.calibration.least_squares import Fit
 from ctrplan.diagnosis.correlated_bench import FRAME, SHIFT
 from ctrplan.diagnosis.held_out import LARGEST_REST, times_noise
 from ctrplan.diagnosis.result import Diagnosis
-from ctrplan.diagnosis.unknown_errors import IN_WORDS
 from ctrplan.diagnosis.verdict import Posterior, shown
 from ctrplan.measurement.measurements import MOST_ROWS
 from ctrplan.pipeline.term import Term
 
 WORTH_TELLING = 0.9  # of the error without them, which frames have to undercut
+
+IN_WORDS = {
+    "configuration": "belongs to the configuration",
+    "joints": "goes along with the joints",
+    "time": "goes along with the time",
+    "history": "goes along with the way poses were reached",
+}
 
 
 def verdict_sentence(diagnosis: Diagnosis) -> str:

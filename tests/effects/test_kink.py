@@ -77,16 +77,24 @@ def test_a_cell_that_is_none_is_refused() -> None:
 @pytest.mark.parametrize("place", [2, 4])
 def test_a_kink_is_named_with_its_place(place: int) -> None:
     """Made by the effect: a file with a tube that is bent there gives the same tips."""
-    data = measured(ROBOT, waypoints(ROBOT, 24), {"kink": {f"x_2_2_{place}_deg": 4.0}})
+    data = measured(ROBOT, waypoints(ROBOT, 24), {"kink": {f"across_2_2_{place}_deg": 4.0}})
     diagnosis = diagnose(ROBOT, data)
     assert diagnosis.verdict == "named" and [t.name for t in diagnosis.listed] == ["kink"]
-    assert diagnosis.listed[0].parameters[0].name.startswith(f"x_2_2_{place}")
+    assert diagnosis.listed[0].parameters[0].name.endswith(f"_2_2_{place}_deg")
     content = diagnosis.robot_content()
-    low, high = content["effects"]["kink"]["ci95"][f"x_2_2_{place}_deg"]
+    low, high = content["effects"]["kink"]["ci95"][f"across_2_2_{place}_deg"]
     assert low - (high - low) / 2 < 4.0 < high + (high - low) / 2 and robot_from_dict(content).effects["kink"]
 
 
 def test_every_cell_is_a_variant_and_a_straight_section_has_none() -> None:
     variants = CATALOGUE["kink"].variants(ROBOT, waypoints(ROBOT, 2))
     places = [f"1_1_{c}" for c in range(1, 5)] + [f"2_2_{c}" for c in range(1, 6)]
-    assert variants == [[f"x_{place}_deg", f"y_{place}_deg"] for place in places]
+    assert variants == [[f"along_{place}_deg", f"across_{place}_deg"] for place in places]
+
+
+def test_a_bend_within_the_drawn_plane_has_no_name() -> None:
+    """A precurvature that varies along its section does the same."""
+    data = measured(ROBOT, waypoints(ROBOT, 24), {"kink": {"along_2_2_4_deg": 6.0}})
+    diagnosis = diagnose(ROBOT, data, without=["varying_precurvature"])
+    assert not diagnosis.listed and [t.name for t in diagnosis.together] == ["kink"]
+    assert diagnosis.gap.after.rms_m < 1.2 * diagnosis.gap.floor_m < diagnosis.gap.before.rms_m / 1.5

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 
+import numpy as np
+
 from ctrplan.effects.effect import (
     DEGREE,
     Clauses,
@@ -21,9 +23,9 @@ from ctrplan.robot.robot import Robot
 
 @register
 class Kink(Effect):
-    """`x_I_K_C_deg`, `y_I_K_C_deg`: by how much cell C of section K of tube I is bent about the tube's own axes.
+    """`along_I_K_C_deg`, `across_I_K_C_deg`: by how much cell C of section K of tube I is bent besides.
 
-    Cells are equal parts of a curved section, 15 mm long at most. One of them is bent.
+    Along the drawn precurvature, and out of its plane. Cells are equal parts of a curved section, 15 mm long at most.
     """
 
     name = "kink"
@@ -51,11 +53,18 @@ class Kink(Effect):
     def variants(self, robot: Robot, data: Measurements) -> Sequence[Sequence[str]]:
         return [_names(*place) for place in _cells(robot)]
 
+    def shared(self, names: Sequence[str]) -> Sequence[str]:
+        """Within its plane: a precurvature that varies along its section in any other way acts so, too."""
+        return [name for name in names if name.startswith("along")]
+
     def mechanics(self, values: Values, robot: Robot) -> Mapping[str, float]:
-        changed = {}
-        for name, angle in values.items():
-            i, k, c = _place(name)
-            changed[f"tube.{i}.section.{k}.cell.{c}.{name[0]}_rad"] = angle
+        changed: dict[str, float] = {}
+        for i, k, c in sorted({_place(name) for name in values}):
+            section = robot.tubes[i - 1].sections[k - 1]
+            x, y = np.array([section.curvature_x_per_m, section.curvature_y_per_m]) / section.curvature_per_m
+            along, across = (values.get(name, 0.0) for name in _names(i, k, c))
+            cell = f"tube.{i}.section.{k}.cell.{c}"
+            changed |= {f"{cell}.x_rad": along * x + across * y, f"{cell}.y_rad": along * y - across * x}
         return changed
 
 
@@ -68,7 +77,7 @@ def _cells(robot: Robot) -> Iterator[tuple[int, int, int]]:
 
 
 def _names(i: int, k: int, c: int) -> list[str]:
-    return [f"{axis}_{i}_{k}_{c}_deg" for axis in "xy"]
+    return [f"{way}_{i}_{k}_{c}_deg" for way in ("along", "across")]
 
 
 def _place(name: str) -> tuple[int, int, int]:
