@@ -154,7 +154,7 @@ def most_probable(
     bench, compared, here, path = settled(bench, begun, testable_beside(known, bench), tell)
     testable = {SHIFT, HOMED, *(t.name for t in known.terms)}  # set-ups and homings are no matter of the catalogue
     free = [t for t in frames_beside(bench.robot, bench.data, here.terms) if t.name in testable]
-    listed = [*free, *(t for t in here.terms if not is_built(t))]
+    listed = [*free, *(t for t in here.terms if not is_built(t) and not t.effect.is_alone)]
     every = findings_of(bench, here, listed, known, compared.posterior, compared.sets)
     findings, _ = without_shared(bench, here, every)
     beside, named = _by_name(bench, here)

@@ -33,6 +33,7 @@ class Kink(Effect):
     stage = "mechanics"
     equation = "u_hat += angle / w along one of the equal cells of a section, w <= 15 mm long"
     signature = "errors that turn with one tube and begin where that is bent"
+    is_alone = True
     look_alikes = ("off_plane_precurvature", "homing_offset", "varying_precurvature")
     experiment = "draw the bent place into the tube around it and out of it: outside it bends the robot more"
 
