@@ -154,7 +154,7 @@ def most_probable(
     bench, compared, here, path = settled(bench, begun, testable_beside(known, bench), tell)
     testable = {SHIFT, HOMED, *(t.name for t in known.terms)}  # set-ups and homings are no matter of the catalogue
     free = [t for t in frames_beside(bench.robot, bench.data, here.terms) if t.name in testable]
-    listed = [*free, *(t for t in here.terms if not is_built(t) and not t.effect.is_alone)]
+    listed = [*free, *(t for t in here.terms if not is_built(t))]
     every = findings_of(bench, here, listed, known, compared.posterior, compared.sets)
     findings, _ = without_shared(bench, here, every)
     beside, named = _by_name(bench, here)
@@ -168,9 +168,9 @@ def most_probable(
 
 
 def testable_beside(known: Candidates, bench: CorrelatedBench) -> Candidates:
-    """What may be missing beside free frames and, on a continuous motion, friction that follows its history."""
+    """What may be missing beside a rest, free frames and, on a continuous motion, friction that follows its history."""
     always = {*FRAMES, "translation_release"} if bench.data.is_stream else {*FRAMES}
-    return replace(known, terms=tuple(t for t in known.terms if t.name not in always))
+    return replace(known, terms=tuple(t for t in known.terms if t.name not in always and not t.effect.is_alone))
 
 
 def _part(bench: CorrelatedBench, base: Scored, none: Scored, chosen: Scored, t: Term) -> Part:
