@@ -362,8 +362,7 @@ def _averaged(logarithms: Array, axis: int) -> Array:
 
 def _leading(modes: Array) -> Array:
     """(5 K, m) the modes of a process, apart from each other, that are more than a part of the noise."""
-    leading: Array = modes[:, (modes**2).sum(axis=0) > LEAST_MODE]
-    return leading
+    return np.asarray(modes[:, (modes**2).sum(axis=0) > LEAST_MODE])
 
 
 def _over_kinds(errors: Sequence[SmoothError], spectra: Sequence[Spectrum]) -> tuple[Array, Peak, float]:
@@ -430,8 +429,9 @@ def _along_tubes(plain: CorrelatedBench, base: Scored, counts: Array) -> Iterato
     places: dict[tuple[str, ...], list[int]] = {}  # of the cells of a section, about an axis
     for k in panel.places(bends):
         places.setdefault(tuple(panel.keys[k][1].split("_")[:3]), []).append(k)
-    for own in places.values():
+    for (way, *_), own in places.items():
         D, arc = panel.whole.J[:, :, own] * counts[:, None, None], np.linspace(0.0, 1.0, len(own))
+        D = D - D.mean(axis=2, keepdims=True) * (way == "along")  # in its plane, its mean is calibration's
         yield from (D @ kernel_modes((arc[:, None] - arc) ** 2 / length**2) for length in ARC_LENGTHS)
 
 
