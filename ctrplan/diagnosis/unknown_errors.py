@@ -4,10 +4,10 @@ An unknown error of tips belongs to the configuration, or is smooth in the joint
 is forgotten with time, exponentially or as a smooth function does. The error of a tangent is a small rotation whose
 axes stay where they are: a tangent that turns shows other components of it. One of a stage is a
 zero-mean Gaussian process of an angle, a travel, a precurvature, a stiffness or the tilt of the plate, seen through the
-chain's derivatives: of its own joint, of all joints, of all joints and the way they were reached, or of time; or a
-tube's precurvature along its arc; or the sensor or the robot was pushed between two configurations. Either acts alone,
-or both do; kinds and sizes, alike in their logarithm, are integrated out. Processes contain what named effects do
-(constants, slopes, first waves): an effect has to be more probable than something unknown at its stage.
+chain's derivatives: of its own joint, of all joints, of all joints and the way they were reached, or of time; or the
+sensor or the robot was pushed between two configurations. Either acts alone, or both do; kinds and sizes, alike in
+their logarithm, are integrated out. Processes contain what named effects do (constants, slopes, first waves): an effect
+has to be more probable than something unknown at its stage.
 
 With B (N, m) the process in its leading modes, of the size s over the noise, and J the derivatives by a set's
 parameters with the precision P of their priors, s changes the logarithm of the evidence by
@@ -51,18 +51,20 @@ from ctrplan.diagnosis.linear_fit import process_gains
 from ctrplan.diagnosis.remainder import LEAST_MODE, LENGTHS, input_distances, kernel_modes, square_distances
 from ctrplan.diagnosis.term_pieces import TermPiece, pieces, wide_linearisation
 from ctrplan.diagnosis.workbench import Scored, Workbench
-from ctrplan.effects.effect import CATALOGUE
 from ctrplan.effects.learned.inputs import Target
 from ctrplan.measurement.approach import clock
 from ctrplan.measurement.measurements import Measurements
-from ctrplan.pipeline.term import term
 
 SENSOR = Target("sensor")
-ARC_LENGTHS = (0.1, 1.0)  # of a curved section, over which its precurvature changes: from cell to cell, and as a whole
 RECENT = 8  # peaks beside which processes are remembered, a budget of memory (5 MB each): like sets share theirs
+
+
 JOINT_LENGTHS = (0.3, 0.6, 1.0, 1.5, 2.5)  # [rad]; longer ones are what frames and offsets are
+
+
 SMOOTH = (0.7, 1.0)  # share of what configurations differ by that goes along with the joints
 MEMORIES = 6  # forgotten ones from a step of the poses to half of the motion, smooth ones from four to twice of it
+
 Along = Literal["configuration", "joints", "time"]  # poses with like errors have the same of these, or are near in it
 
 
@@ -362,7 +364,8 @@ def _averaged(logarithms: Array, axis: int) -> Array:
 
 def _leading(modes: Array) -> Array:
     """(5 K, m) the modes of a process, apart from each other, that are more than a part of the noise."""
-    return np.asarray(modes[:, (modes**2).sum(axis=0) > LEAST_MODE])
+    leading: Array = modes[:, (modes**2).sum(axis=0) > LEAST_MODE]
+    return leading
 
 
 def _over_kinds(errors: Sequence[SmoothError], spectra: Sequence[Spectrum]) -> tuple[Array, Peak, float]:
@@ -408,7 +411,6 @@ def _processes(bench: Workbench, base: Scored, counts: Array) -> Iterator[tuple[
     at_sensor = seen.pop(SENSOR)
     pushed = [at_sensor * later[:, None, None] for later in _since_each_configuration(data)]
     yield from (("time", _modes_of_one_size(B)) for B in pushed if B.any())
-    yield from (("joints", _modes_of_one_size(B)) for B in _along_tubes(plain, base, counts) if B.any())
     rotations = [D for on, D in seen.items() if on.kind_name == "theta"]
     parts = [(f"{on.kind_name}_{on.tube}", D) for on, D in seen.items()]
     if len(rotations) > 1:
@@ -419,20 +421,6 @@ def _processes(bench: Workbench, base: Scored, counts: Array) -> Iterator[tuple[
                 B = D[..., None] * phi[:, None, None]
                 if B.any():
                     yield ("joints" if name == own else name), _modes_of_one_size(B)
-
-
-def _along_tubes(plain: CorrelatedBench, base: Scored, counts: Array) -> Iterator[Array]:
-    """(K, 5, m) the precurvature of each tube, in its plane or out of it, as a process of its arc."""
-    kink, robot = CATALOGUE["kink"], plain.robot
-    bends = [term(kink, names, robot) for names in kink.variants(robot, plain.data) if kink.name not in robot.effects]
-    panel = plain.panel(base, bends)
-    places: dict[tuple[str, ...], list[int]] = {}  # of the cells of a section, about an axis
-    for k in panel.places(bends):
-        places.setdefault(tuple(panel.keys[k][1].split("_")[:3]), []).append(k)
-    for (way, *_), own in places.items():
-        D, arc = panel.whole.J[:, :, own] * counts[:, None, None], np.linspace(0.0, 1.0, len(own))
-        D = D - D.mean(axis=2, keepdims=True) * (way == "along")  # in its plane, its mean is calibration's
-        yield from (D @ kernel_modes((arc[:, None] - arc) ** 2 / length**2) for length in ARC_LENGTHS)
 
 
 def _modes_of_one_size(B: Array) -> Array:
