@@ -24,7 +24,7 @@ from ctrplan.diagnosis.posterior import Compared, settled
 from ctrplan.diagnosis.remainder import Remainder, localise, shares
 from ctrplan.diagnosis.term_pieces import is_built
 from ctrplan.diagnosis.usable_poses import block_split, blocks, on_one_branch, thinned, thinning
-from ctrplan.diagnosis.verdict import Judgement, Verdict, done_by, findings_of, without_shared
+from ctrplan.diagnosis.verdict import NAMED, Judgement, Verdict, done_by, findings_of, without_shared
 from ctrplan.diagnosis.workbench import Candidates, Scored, SelectionStep, Teller, Workbench, linear
 from ctrplan.measurement.measurements import Measurements, Split
 from ctrplan.pipeline.term import Term
@@ -161,7 +161,7 @@ def most_probable(
     verdict: Verdict = "partial" if findings else "unexplained"
     told = {f.term.key for f in findings}
     unnamed = [t for t in here.terms if t.key not in told and not is_built(t)]
-    together = done_by(here, unnamed, compared.posterior)
+    together = done_by(here, unnamed, compared.posterior, NAMED)  # beside names, which their figures may not save
     judgement = Judgement(verdict, findings, left_by_names(beside, named), together=together)
     rest = remainder_beside(beside, named, bench.plain)
     return PartialDiagnosis(bench, parts, block, base, here, judgement, rest, path, known, compared)

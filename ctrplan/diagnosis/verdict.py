@@ -83,13 +83,14 @@ def judge(
     return Judgement(verdict, findings, left)
 
 
-def done_by(chosen: Scored, terms: Sequence[Term], posterior: Posterior) -> tuple[Term, ...]:
-    """Those of some effects of a set whose work is more probably done than not, by them or by whatever stands for them.
+def done_by(chosen: Scored, terms: Sequence[Term], posterior: Posterior, least: float = 1 / 2) -> tuple[Term, ...]:
+    """Those of some effects of a set whose work is done, by them or by whatever stands for them, with more than the
+    `least` probability.
 
     A name has to be certain. Tips are expected nearer as soon as what moves them is more probable than not.
     """
     whole = {t.name for t in chosen.fit.chain.terms}
-    return tuple(t for t in terms if posterior.of_work(t.name, whole - {t.name}) > 1 / 2)
+    return tuple(t for t in terms if posterior.of_work(t.name, whole - {t.name}) > least)
 
 
 def _open(posterior: Posterior) -> str:
