@@ -64,7 +64,7 @@ cos_3_theta_2_deg = [-1.4, -1.0]
 A key is `PART_UNIT`, or `AXIS_PART_UNIT` (x, y, z) of the plate and the sensor; its value is the largest amount of
 that part. A part is a product, joined by `_times_`, of
 
-- `sin_K_INPUT`, `cos_K_INPUT`: K waves a turn of an angle;
+- `sin_K_INPUT`, `cos_K_INPUT`: K waves a turn of an angle; `sin_K_over_time`: K half waves over the time;
 - `slope_INPUT`, `square_INPUT`: -1 to 1 over the range, and its square;
 - `knot_J_of_M_INPUT`: a natural cubic spline, 1 at the J-th of M knots over the range and 0 at the others;
 - `bump_J_of_M_INPUT`: a Gaussian at such a knot;
@@ -78,7 +78,7 @@ comments.
 Outside its range an input is held at the edge, and every command says so. Terms of the drive act in bounds, shapes and
 plans. Those of the mechanics act in fits and margins: the largest tilt times the robot's length, and `largest_mm`, the
 farthest that a tip of the data was moved, are added to `model_error_mm`. Those of the sensor act on what is measured.
-A column that is not given is taken at the middle of its range.
+A column that is not given is taken at the middle of its range; without a time, waves over it are nothing.
 """
 
 

@@ -88,7 +88,8 @@ def build(partial: PartialDiagnosis, tell: Teller) -> Built | None:
     """A term of what remains, with the effects that hold beside it; None where none makes the poses more probable."""
     if partial.is_noise:
         return None
-    bench, here, rounds = _grown(partial.bench, partial.chosen, partial.known.terms, tell)
+    in_time = partial.compared.posterior.along.get("time", 0.0) > 1 / 2
+    bench, here, rounds = _grown(partial.bench, partial.chosen, partial.known.terms, in_time, tell)
     if not any(is_built(t) for t in here.terms):
         return None
     again = most_probable(bench, here, partial.known, partial.split, partial.block, partial.base, tell)
@@ -103,14 +104,15 @@ def build(partial: PartialDiagnosis, tell: Teller) -> Built | None:
 
 
 def _grown(
-    bench: CorrelatedBench, chosen: Scored, named: Sequence[Term], tell: Teller
+    bench: CorrelatedBench, chosen: Scored, named: Sequence[Term], in_time: bool, tell: Teller
 ) -> tuple[CorrelatedBench, Scored, list[Round]]:
     """The set with pieces beside it, its bench, and the rounds that were asked.
 
-    named: effects that no piece stands for.
+    named: effects that no piece stands for; in_time: whether pieces may change with time.
     """
     here, rounds = chosen, list[Round]()
-    known = [p for p in pieces(bench.robot, bench.data, named) if p.on.effect_name not in bench.robot.effects]
+    every = pieces(bench.robot, bench.data, named, in_time=in_time)
+    known = [piece for piece in every if piece.on.effect_name not in bench.robot.effects]
     choice = float(np.log(max(len(known), 1)))
     while len(rounds) < MOST_EFFECTS and known:
         tell("building a term beside " + (", ".join(here.names) or "the calibrated robot"))

@@ -25,6 +25,7 @@ from ctrplan.diagnosis.unknown_errors import UnknownErrors
 from ctrplan.diagnosis.usable_poses import thinning, usable_poses
 from ctrplan.diagnosis.verdict import NAMED, log_odds, shown
 from ctrplan.diagnosis.workbench import Scored, valued
+from ctrplan.effects.learned.learned import Learned
 from ctrplan.errors import InputError
 from ctrplan.measurement.measurements import Measurements, groups
 from ctrplan.pipeline.followed_runs import simulated
@@ -106,13 +107,15 @@ def confirm(diagnosis: Diagnosis, data: Measurements) -> Confirmation:
         raise InputError("must be runs that the diagnosis has not read", file=data.file, key="confirm")
     usable = usable_poses(diagnosis.robot, data)
     new = _new(diagnosis, data, usable)
-    wrong = gross_outliers(new.placed(diagnosis.chosen.fit), data, usable)
+    past = [t for t in diagnosis.built_terms if isinstance(t.effect, Learned) and "time" in t.effect.inputs]
+    lasting = _without(diagnosis, *past) if past else diagnosis.chosen.fit  # whatever went with that time is over
+    wrong = gross_outliers(new.placed(lasting), data, usable)
     if wrong.any() and not too_many(wrong, usable):
         new = _new(diagnosis, data, usable & ~wrong)
     listed = {t.key for t in (*diagnosis.listed, *diagnosis.built_terms)}
-    terms = [t for t in diagnosis.chosen.fit.chain.terms if t.key in listed and t.name not in FRAMES]
-    base, whole = new.model(diagnosis.base.fit), new.model(diagnosis.chosen.fit)
-    without = [new.model(_without(diagnosis, t)) for t in terms]
+    terms = [t for t in lasting.chain.terms if t.key in listed and t.name not in FRAMES]
+    base, whole = new.model(diagnosis.base.fit), new.model(lasting)
+    without = [new.model(_without(diagnosis, t, *past)) for t in terms]
     evidence = new.evidences(base, [whole, *without])
     effects = tuple(
         ConfirmedEffect(t.name, evidence[0] - value, new.errors(model.placed, whole.placed))
@@ -137,13 +140,13 @@ def _new(diagnosis: Diagnosis, data: Measurements, usable: NDArray[np.bool_]) ->
     return NewPoses(CorrelatedBench(chosen.chain.robot, poses, noise, groups(poses)))
 
 
-def _without(diagnosis: Diagnosis, gone: Term) -> Fit:
-    """Calibrated again on the poses of the diagnosis without an effect, as the model with it was."""
-    whole = diagnosis.chosen.fit
+def _without(diagnosis: Diagnosis, *gone: Term) -> Fit:
+    """Calibrated again on the poses of the diagnosis without some effects, as the model with them was."""
+    whole, names = diagnosis.chosen.fit, {t.name for t in gone}
     if diagnosis.partial:
-        bench, kept = diagnosis.partial.bench, [t for t in diagnosis.chosen.terms if t.name != gone.name]
+        bench, kept = diagnosis.partial.bench, [t for t in diagnosis.chosen.terms if t.name not in names]
         return bench.handed_over(bench.scored(kept, whole)).fit
-    places = [(t, s) for t, s in zip(whole.chain.terms, whole.chain.slices(), strict=True) if t.name != gone.name]
+    places = [(t, s) for t, s in zip(whole.chain.terms, whole.chain.slices(), strict=True) if t.name not in names]
     start = np.concatenate([whole.p[place] for _, place in places])
     return fit(whole.chain.with_terms([t for t, _ in places]), whole.noise, whole.group, start)
 

@@ -288,7 +288,8 @@ def _opened(answer: Conclusion, data: Measurements) -> Opened:
 
     judgement, written, gap = handed_over(answer.judgement)
     place, notes = _place(answer, gap), list[str]()
-    verdict: Verdict = "partial" if _handed_over(judgement) and answer.partial else judgement.verdict
+    is_part = judgement.verdict == "unexplained" and bool(_handed_over(judgement))
+    verdict: Verdict = "partial" if is_part else judgement.verdict
     if doubt := contradiction(verdict, gap, place) or _unlike(answer, judgement, written, gap):
         judgement, written, gap = handed_over(replace(judgement, verdict="unexplained", findings=(), together=()))
         notes.append(doubt)

@@ -24,7 +24,7 @@ from ctrplan.diagnosis.posterior import Compared, settled
 from ctrplan.diagnosis.remainder import Remainder, localise, shares
 from ctrplan.diagnosis.term_pieces import is_built
 from ctrplan.diagnosis.usable_poses import block_split, blocks, on_one_branch, thinned, thinning
-from ctrplan.diagnosis.verdict import NAMED, Judgement, Verdict, findings_of
+from ctrplan.diagnosis.verdict import NAMED, Judgement, Verdict, done_by, findings_of, without_shared
 from ctrplan.diagnosis.workbench import Candidates, Scored, SelectionStep, Teller, Workbench, linear
 from ctrplan.measurement.measurements import Measurements, Split
 from ctrplan.pipeline.term import Term
@@ -155,21 +155,22 @@ def most_probable(
     testable = {SHIFT, HOMED, *(t.name for t in known.terms)}  # set-ups and homings are no matter of the catalogue
     free = [t for t in frames_beside(bench.robot, bench.data, here.terms) if t.name in testable]
     listed = [*free, *(t for t in here.terms if not is_built(t))]
-    findings = findings_of(bench, here, listed, known, compared.posterior, compared.sets)
+    every = findings_of(bench, here, listed, known, compared.posterior, compared.sets)
+    findings, _ = without_shared(bench, here, every)
     beside, named = _by_name(bench, here)
     verdict: Verdict = "partial" if findings else "unexplained"
     told = {f.term.key for f in findings}
-    alike = (t for t in here.terms if t.key not in told and not is_built(t))
-    together = tuple(t for t in alike if compared.posterior.of_work(t.name) >= NAMED)
+    unnamed = [t for t in here.terms if t.key not in told and not is_built(t)]
+    together = done_by(here, unnamed, compared.posterior, NAMED)  # beside names, which their figures may not save
     judgement = Judgement(verdict, findings, left_by_names(beside, named), together=together)
     rest = remainder_beside(beside, named, bench.plain)
     return PartialDiagnosis(bench, parts, block, base, here, judgement, rest, path, known, compared)
 
 
 def testable_beside(known: Candidates, bench: CorrelatedBench) -> Candidates:
-    """What may be missing beside free frames and, on a continuous motion, friction that follows its history."""
+    """What may be missing beside a rest, free frames and, on a continuous motion, friction that follows its history."""
     always = {*FRAMES, "translation_release"} if bench.data.is_stream else {*FRAMES}
-    return replace(known, terms=tuple(t for t in known.terms if t.name not in always))
+    return replace(known, terms=tuple(t for t in known.terms if t.name not in always and not t.effect.is_alone))
 
 
 def _part(bench: CorrelatedBench, base: Scored, none: Scored, chosen: Scored, t: Term) -> Part:

@@ -22,15 +22,32 @@ from ctrplan.diagnosis.held_out import Gap
 from ctrplan.diagnosis.next_experiment import Decision, Proposal
 from ctrplan.diagnosis.partial_diagnosis import PartialDiagnosis
 from ctrplan.diagnosis.remainder import Place, Remainder
-from ctrplan.diagnosis.slips import Slip
 from ctrplan.diagnosis.verdict import Judgement, Posterior, Verdict, names_of
 from ctrplan.diagnosis.workbench import Scored, SelectionStep
+from ctrplan.effects.drive.homing_shift import HomingShift
 from ctrplan.effects.learned.learned import Learned
+from ctrplan.effects.sensor.frame_shift import FrameShift
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.pipeline.term import Term
 from ctrplan.robot.robot import Robot
 
 SCHEMA_VERSION = 1
+TRACKER = "tracker"  # in the place of a joint that slipped
+
+
+@dataclass(frozen=True)
+class Slip:
+    """From the measured pose with a number on, in the order of the file, a joint's zero or the frame is another one."""
+
+    pose: int  # from 0
+    row: int  # of the file's waypoints, from 1
+    joint: str  # "theta_2", or "tracker"
+    instants: int = 1  # of which it is one, each as probable a priori
+
+    @property
+    def effect(self) -> str:
+        """Name of the effect that treats it so."""
+        return FrameShift.name if self.joint == TRACKER else HomingShift.name
 
 
 class ConfirmationResult(Protocol):
@@ -76,7 +93,9 @@ class Diagnosis:
     reading: tuple[Reading, ...] = ()  # how the columns should be read, where the file does not mean what it says
     decisions: tuple[Decision, ...] = ()  # between explanations, by poses measured to decide
     posterior: Posterior | None = None  # of effects and verdict; None where the search was interrupted
-    slip: Slip | None = None  # from where on a collar stands elsewhere; `data` has another homing from there
+    slip: Slip | None = (
+        None  # from where on a collar or the tracker stands elsewhere; `data` has another homing or frame from there
+    )
 
     def headline(self) -> str:
         """The verdict and its effects, as it shows itself."""
@@ -105,7 +124,7 @@ class Diagnosis:
 
     @property
     def together(self) -> tuple[Term, ...]:
-        """What these do is done beside the effects of the verdict, by them or by a single cause that is unknown."""
+        """What these do is done beside the effects of the verdict, by them or by another cause."""
         return self.judgement.together
 
     @property
@@ -139,7 +158,7 @@ class Diagnosis:
         return {
             "reading": [reading.to_json() for reading in self.reading],
             "other_tubes": self.other_tubes,
-            "slip": None if self.slip is None else {"row": self.slip.row, "joint": self.slip.joint.rsplit("_", 2)[0]},
+            "slip": None if self.slip is None else {"row": self.slip.row, "joint": self.slip.joint},
             "verdict": self.verdict,
             "verdict_probability": None if self.posterior is None else round(self.verdict_probability or 0.0, 4),
             "posterior": self.posterior.to_json() if self.posterior else None,

@@ -2,8 +2,8 @@
 and the terms that are made of them.
 
 An error of a collar acts through d pose / d joint, one of a tube's property through d pose / d parameter, one of the
-sensor directly. A piece acts in proportion to its shape, so that one derivative per target is enough. Time is none of
-the inputs: whatever changes slowly goes with it. What drifts steadily is an effect of the catalogue.
+sensor directly. A piece acts in proportion to its shape, so that one derivative per target is enough. Whatever changes
+slowly goes with time, which is an input only where what remains goes along with it.
 """
 
 from __future__ import annotations
@@ -34,6 +34,7 @@ from ctrplan.robot.robot import Robot
 
 OWN_WAVES, OTHER_WAVES = 6, 3  # highest harmonics: of a joint's own angle, and of others and relative ones
 KNOTS = 4  # of a spline
+HALF_WAVES = 9  # over the time, and no more than configurations: shorter ones are known at no pose in between
 BUMPS = (3, 4)  # along each axis of the room that the tips have
 NEAR_SHARE = 0.05  # of the tips
 PLACE = re.compile(r"(slope|square)_[xyz](_times_slope_[xyz])?")  # polynomials of the tip's place
@@ -52,12 +53,16 @@ class TermPiece:
         return tuple(name for part in self.parts for name in named(self.on, part))
 
 
-def pieces(robot: Robot, data: Measurements, named: Sequence[Term] = ()) -> list[TermPiece]:
-    """All that data can tell apart from nothing, but what an effect among `named` is: that has a name, and is asked."""
+def pieces(robot: Robot, data: Measurements, named: Sequence[Term] = (), *, in_time: bool = False) -> list[TermPiece]:
+    """All that data can tell apart from nothing, but what an effect among `named` is: that has a name, and is asked.
+
+    in_time: those that change with time among them.
+    """
     moved = _Moved(robot, data)
     drive = [] if data.of_collars else _drive(moved)  # collars have the drive's terms in them
     names = {(t.name, parameter.name) for t in named for parameter in t.parameters}
-    return [piece for piece in (*drive, *_mechanics(moved), *_sensor(moved)) if _as_named(piece) not in names]
+    asked = [*drive, *_mechanics(moved), *_sensor(moved), *(_in_time(moved) if in_time else ())]
+    return [piece for piece in asked if _as_named(piece) not in names]
 
 
 def _as_named(piece: TermPiece) -> tuple[str, str] | None:
@@ -151,6 +156,18 @@ def _mechanics(moved: _Moved) -> Iterator[TermPiece]:
     plate = Target("plate")
     yield from (TermPiece(plate, parts) for parts in _smooth([f"l_{j}" for j in moved.sliding]))
     yield from (TermPiece(plate, _wave(1, f"theta_{j}")) for j in moved.turning)
+
+
+def _in_time(moved: _Moved) -> Iterator[TermPiece]:
+    """Of tubes and sensor; on a continuous motion everything goes along with time."""
+    data = moved.data
+    if data.time_s is None or data.is_stream:
+        return
+    targets = dict.fromkeys(
+        piece.on for piece in (*_mechanics(moved), *_sensor(moved)) if piece.on.kind_name != "plate"
+    )
+    for k in range(1, min(HALF_WAVES, len(np.unique(data.configuration))) + 1):
+        yield from (TermPiece(on, (f"sin_{k}_over_time", f"cos_{k}_over_time")) for on in targets)
 
 
 def _bumps(position_m: Array, count: int) -> Iterator[str]:

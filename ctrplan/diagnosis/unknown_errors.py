@@ -55,12 +55,6 @@ from ctrplan.effects.learned.inputs import Target
 from ctrplan.measurement.approach import clock
 from ctrplan.measurement.measurements import Measurements
 
-IN_WORDS = {
-    "configuration": "belongs to the configuration",
-    "joints": "goes along with the joints",
-    "time": "goes along with the time",
-    "history": "goes along with the way poses were reached",
-}
 SENSOR = Target("sensor")
 RECENT = 8  # peaks beside which processes are remembered, a budget of memory (5 MB each): like sets share theirs
 

@@ -52,7 +52,7 @@ class Judgement:
     findings: tuple[Finding, ...]
     adequacy: Adequacy
     notes: tuple[str, ...] = ()
-    together: tuple[Term, ...] = ()  # what these do is done, by them or by a single cause that is unknown
+    together: tuple[Term, ...] = ()  # what these do is more probably done than not, whatever does it
 
 
 def judge(
@@ -72,15 +72,25 @@ def judge(
         beside = f"Something unknown acts beside {' and '.join(chosen.names)}, {shown(posterior.of_unknown)}."
         return Judgement("unexplained", (), left, (beside,) if chosen.terms else ())
     if not findings or len(findings) < len(chosen.terms):
-        return Judgement("unexplained", (), left, (_open(posterior),))
+        return Judgement("unexplained", (), left, (_open(posterior),), done_by(chosen, chosen.terms, posterior))
     if _is_strained(bench, chosen):
         return Judgement("unexplained", (), left)
-    shared = [f for f in findings if not f.alternatives and _is_shared(bench, chosen, f.term)]
+    findings, shared = without_shared(bench, chosen, findings)
     if shared:
-        rest = tuple(f for f in findings if f not in shared)
-        return Judgement("unexplained", rest, left, tuple(_disbelieved(f.term) for f in shared))
+        notes, done = tuple(map(_disbelieved, shared)), done_by(chosen, shared, posterior)
+        return Judgement("unexplained", findings, left, notes, done)
     verdict: Verdict = "ambiguous" if any(f.alternatives for f in findings) else "named"
     return Judgement(verdict, findings, left)
+
+
+def done_by(chosen: Scored, terms: Sequence[Term], posterior: Posterior, least: float = 1 / 2) -> tuple[Term, ...]:
+    """Those of some effects of a set whose work is done, by them or by whatever stands for them, with more than the
+    `least` probability.
+
+    A name has to be certain. Tips are expected nearer as soon as what moves them is more probable than not.
+    """
+    whole = {t.name for t in chosen.fit.chain.terms}
+    return tuple(t for t in terms if posterior.of_work(t.name, whole - {t.name}) > least)
 
 
 def _open(posterior: Posterior) -> str:
@@ -161,6 +171,14 @@ def _is_enlarged(bench: Workbench) -> bool:
     return stated is not None and bench.noise.position_m > stated.position_sigma_m
 
 
+def without_shared(
+    bench: Workbench, chosen: Scored, findings: Sequence[Finding]
+) -> tuple[tuple[Finding, ...], list[Term]]:
+    """The findings, and effects of others that a part by which other causes act as well explains alone."""
+    shared = [f for f in findings if not f.alternatives and _is_shared(bench, chosen, f.term)]
+    return tuple(f for f in findings if f not in shared), [f.term for f in shared]
+
+
 def _is_shared(bench: Workbench, chosen: Scored, t: Term) -> bool:
     """Whether a part of the effect by which other causes act as well explains as much as all of it."""
     names = t.effect.shared([parameter.name for parameter in t.parameters])
@@ -214,9 +232,10 @@ class Posterior:
         """That at least one of these effects acts."""
         return self._of(bool(hypothesis.names & set(names)) for hypothesis in self.hypotheses)
 
-    def of_work(self, name: str) -> float:
-        """That what an effect does is done, by it or by something unknown."""
-        return self._of(name in hypothesis.names | hypothesis.done for hypothesis in self.hypotheses)
+    def of_work(self, name: str, beside: Collection[str]) -> float:
+        """That what an effect does is done, by it, by something unknown or by effects that are not `beside` it."""
+        rest = {*beside} - {name}
+        return self._of(not hypothesis.names | hypothesis.done <= rest for hypothesis in self.hypotheses)
 
     def of_one(self, name: str, among: Collection[str]) -> float:
         """That an effect acts and none of the others among some."""

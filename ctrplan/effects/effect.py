@@ -56,6 +56,7 @@ class Effect(ABC):
     needs: ClassVar[str] = ""  # an effect without which it does nothing
     depends_on_history: ClassVar[bool] = False  # acts on differences between approaches of one configuration
 
+    is_alone: ClassVar[bool] = False  # so like whatever acts at a place that it is not asked beside a rest
     of_the_file: ClassVar[bool] = False  # its parameters are the robot file's own numbers, not a table [effects.NAME]
     sets_outright: ClassVar[bool] = False  # of the mechanics: its parameters take the place of the file's own numbers
 

@@ -106,6 +106,8 @@ def _refuse_unsaid(robot: Robot) -> None:
         for k, section in enumerate(tube.sections, start=1):
             if section.gradient:
                 raise InputError(rule, key=f"tube.{i}.section.{k}.gradient", value=section.gradient)
+            if section.bent:
+                raise InputError(rule, key=f"tube.{i}.section.{k}.bent", value=section.bent)
     if robot.loads != Loads():
         raise InputError(rule, key="loads")
     if robot.drive is not None and (robot.drive.terms or robot.drive.play or robot.drive.late_s):

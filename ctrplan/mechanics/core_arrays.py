@@ -82,7 +82,7 @@ def core_tube(tube: Tube) -> _model.Tube:
                 curvature_y=section.curvature_y_per_m,
                 gradient=section.gradient,
             )
-            for section in tube.sections
+            for section in tube.pieces
         ],
         ovality=tube.ovality,
         ovality_axis=tube.ovality_axis_rad,

@@ -16,6 +16,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import pairwise
 from typing import Protocol
 
 import numpy as np
@@ -81,6 +82,8 @@ def _direction(name: str, tubes: Sequence[Tube], index: dict[str, int]) -> Direc
     elif tube is not None and parts[2:] == ["density_kg_m3"]:
         area = math.pi / 4 * (tube.outer_diameter_m**2 - tube.inner_diameter_m**2)
         weights, step = {f"tube.{parts[1]}.mass_per_length": area}, 1.0
+    elif tube is not None and parts[2] == "section" and len(parts) > 4 and tube.pieces != tube.sections:
+        weights, step = _of_pieces(parts, tube), _step(DIRECT.get(parts[4], parts[4]))
     else:
         number = ".".join("pair" if part == "contact" else DIRECT.get(part, part) for part in parts)
         weights, step = {number: 1.0}, _step(number)
@@ -88,6 +91,35 @@ def _direction(name: str, tubes: Sequence[Tube], index: dict[str, int]) -> Direc
     if missing:
         raise InputError("is not a parameter of this robot", key=name)
     return [index[number] for number in weights], list(weights.values()), step
+
+
+def _of_pieces(parts: list[str], tube: Tube) -> dict[str, float]:
+    """Numbers of the pieces of a tube, some of whose cells are bent, and their derivatives by that of a section."""
+    k, key = int(parts[3]), parts[4]
+    section, first = tube.sections[k - 1], 1 + sum(len(each.pieces) for each in tube.sections[: k - 1])
+    weights: dict[str, float] = {}
+    for j, ((begin, end), piece) in enumerate(zip(pairwise(section.cuts), section.pieces, strict=False), start=first):
+        number, share, factor = (
+            f"tube.{parts[1]}.section.{j}",
+            (end - begin) / section.cells,
+            section.factor(begin, end),
+        )
+        drawn = {"x": section.curvature_x_per_m, "y": section.curvature_y_per_m}
+        if key == "cell" and (begin, end) == (int(parts[5]) - 1, int(parts[5])):
+            weights[f"{number}.curvature_{parts[6][0]}"] = 1 / piece.length_m
+        elif key in ("curvature_x_per_m", "curvature_y_per_m"):
+            weights[f"{number}.{DIRECT[key]}"] = factor
+        elif key == "length_m":
+            weights[f"{number}.length"] = share
+            for axis, rate in (("x", piece.curvature_x_per_m), ("y", piece.curvature_y_per_m)):
+                weights[f"{number}.curvature_{axis}"] = (factor * drawn[axis] - rate) / section.length_m
+        elif key == "gradient":
+            weights |= {
+                f"{number}.curvature_{axis}": rate * (begin + end - section.cells) / section.cells
+                for axis, rate in drawn.items()
+            }
+            weights[f"{number}.gradient"] = share / factor**2 if factor else 0.0
+    return weights
 
 
 def _tube(parts: list[str], tubes: Sequence[Tube], name: str) -> Tube:

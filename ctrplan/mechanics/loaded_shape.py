@@ -171,7 +171,7 @@ class _Spans:
 
     def __init__(self, robot: LoadedRobot, theta_b: Array, l_b: Array) -> None:
         self.robot, self.theta_b, self.l_b = robot, theta_b, l_b
-        begins = [np.cumsum([0.0, *(s.length_m for s in tube.sections)]) for tube in robot.tubes]
+        begins = [np.cumsum([0.0, *(s.length_m for s in tube.pieces)]) for tube in robot.tubes]
         stations = np.concatenate([l_b[:, i : i + 1] + begins[i] for i in range(robot.n)], axis=1)
         self.stations = np.sort(np.concatenate([np.zeros((len(l_b), 1)), np.maximum(stations, 0.0)], axis=1), axis=1)
         self.tip_s = np.column_stack([l_b[:, i] + begins[i][-1] for i in range(robot.n)])
@@ -333,7 +333,7 @@ class _Spans:
         v = np.zeros((len(s), self.robot.n, 2))
         for i, tube in enumerate(self.robot.tubes):
             begin = l_b[:, i].copy()
-            for section in tube.sections:
+            for section in tube.pieces:
                 end = begin + section.length_m
                 inside = (begin < middle) & (middle < end)
                 factor = 1 + section.gradient * (2 * (s - begin) / section.length_m - 1)

@@ -21,6 +21,7 @@ from ctrplan.base.package import shown
 from ctrplan.errors import InputError
 
 SOFTEST_NM2, STIFFEST_NM2 = 1e-9, 1e6
+CELL_M = 0.015  # the longest cell of a section that may be bent by itself: half of it is 0.3 mm at the tip for 2 deg
 
 # What the core is told of a tube; files have narrower ranges in their own units. Fits go beyond what files may say.
 RANGES = {
@@ -54,6 +55,35 @@ class TubeSection:
     curvature_x_per_m: float
     curvature_y_per_m: float
     gradient: float = 0.0  # precurvature at x from its base: (1 + gradient (2 x / length - 1)) times the mean
+    bent: tuple[tuple[int, float, float], ...] = ()  # cells from 1, and by how much each is bent about x and y [rad]
+
+    @property
+    def cells(self) -> int:
+        """How many equal cells it has."""
+        return max(1, math.ceil(self.length_m / CELL_M - 1e-9))
+
+    @property
+    def cuts(self) -> list[int]:
+        """Where its pieces end, in cells from its base, 0 among them."""
+        return sorted({0, self.cells, *(end for cell, _, _ in self.bent for end in (cell - 1, cell))})
+
+    def factor(self, begin: int, end: int) -> float:
+        """Its drawn precurvature in the middle of a piece between two cuts, over the mean."""
+        return 1 + self.gradient * ((begin + end) / self.cells - 1)
+
+    @property
+    def pieces(self) -> tuple[TubeSection, ...]:
+        """Itself, or what it is where cells are bent: pieces of their own precurvature."""
+        if not self.bent:
+            return (self,)
+        bends, results = {cell: (x, y) for cell, x, y in self.bent}, list[TubeSection]()
+        for begin, end in pairwise(self.cuts):
+            length, factor = self.length_m * (end - begin) / self.cells, self.factor(begin, end)
+            x, y = bends.get(end, (0.0, 0.0)) if end - begin == 1 else (0.0, 0.0)
+            rates = factor * self.curvature_x_per_m + x / length, factor * self.curvature_y_per_m + y / length
+            share = (end - begin) / self.cells
+            results.append(TubeSection(length, *rates, self.gradient * share / factor if factor else 0.0))
+        return tuple(results)
 
     @property
     def curvature_per_m(self) -> float:
@@ -84,6 +114,11 @@ class Tube:
     def __post_init__(self) -> None:
         """Takes any sequence of sections. Raises InputError for what is none."""
         object.__setattr__(self, "sections", rows_of("sections", self.sections, TubeSection))
+
+    @property
+    def pieces(self) -> tuple[TubeSection, ...]:
+        """Its sections, cut where cells are bent."""
+        return tuple(piece for section in self.sections for piece in section.pieces)
 
     @property
     def mass_per_length_kg_m(self) -> float:
@@ -228,7 +263,7 @@ def stretches(tubes: tuple[Tube, ...], l_b: Array) -> list[Stretch]:
     breaks, ends = {0.0}, [float(l + tube.length_m) for l, tube in zip(l_b, tubes, strict=True)]  # noqa: E741
     for tube, begin in zip(tubes, l_b.tolist(), strict=True):
         at = begin
-        for section in tube.sections:
+        for section in tube.pieces:
             at += section.length_m
             breaks.add(max(at, 0.0))
     results, points = list[Stretch](), sorted(breaks)
@@ -246,7 +281,7 @@ def stretches(tubes: tuple[Tube, ...], l_b: Array) -> list[Stretch]:
 def _precurvature(tube: Tube, inside: float, at: float) -> tuple[list[float], list[float]]:
     """Precurvature (2,) [1/m] at `at`, and its slope, of the section that `inside` lies in; lengths from the base."""
     begin = 0.0
-    for section in tube.sections:
+    for section in tube.pieces:
         if begin < inside < begin + section.length_m:
             mean = np.array([section.curvature_x_per_m, section.curvature_y_per_m])
             slope = 2 * section.gradient / section.length_m

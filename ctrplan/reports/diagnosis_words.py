@@ -8,16 +8,21 @@ import numpy as np
 
 from ctrplan.calibration.estimates import estimates
 from ctrplan.calibration.least_squares import Fit
-from ctrplan.diagnosis.correlated_bench import FRAME
+from ctrplan.diagnosis.correlated_bench import FRAME, SHIFT
 from ctrplan.diagnosis.held_out import LARGEST_REST, times_noise
 from ctrplan.diagnosis.result import Diagnosis
-from ctrplan.diagnosis.unknown_errors import IN_WORDS
 from ctrplan.diagnosis.verdict import Posterior, shown
-from ctrplan.effects.drive.homing_shift import HomingShift
 from ctrplan.measurement.measurements import MOST_ROWS
 from ctrplan.pipeline.term import Term
 
 WORTH_TELLING = 0.9  # of the error without them, which frames have to undercut
+
+IN_WORDS = {
+    "configuration": "belongs to the configuration",
+    "joints": "goes along with the joints",
+    "time": "goes along with the time",
+    "history": "goes along with the way poses were reached",
+}
 
 
 def verdict_sentence(diagnosis: Diagnosis) -> str:
@@ -110,10 +115,10 @@ def _built(diagnosis: Diagnosis) -> str:
 def _together(diagnosis: Diagnosis) -> str:
     """That what some effects do is done, and how probable it is that they do it."""
     terms, posterior = diagnosis.together, diagnosis.posterior
-    does, by, cause = ("does", "it", "a cause") if len(terms) == 1 else ("do", "them", "a single cause")
+    does, by = ("does", "it") if len(terms) == 1 else ("do", "them")
     likely = f" ({shown(min(posterior.of_effect(t.name) for t in terms))})" if posterior else ""
     names = " and ".join(t.name for t in terms)
-    return f"what {names} {does} is done, by {by}{likely} or by {cause} that is unknown"
+    return f"what {names} {does} is done, by {by}{likely} or by another cause"
 
 
 def effect_lines(diagnosis: Diagnosis) -> list[str]:
@@ -210,8 +215,10 @@ def in_figures(diagnosis: Diagnosis, t: Term, fit: Fit) -> str:
     neutral = {parameter.name: parameter.neutral for parameter in t.parameters}
     sure = {name: e for name, e in every.items() if e.differs_from(neutral[name])} or every
     clause = t.effect.in_figures({name: e.value for name, e in sure.items()}, diagnosis.robot)
-    if diagnosis.slip and t.name == HomingShift.name:
-        clause = f"{clause.replace('after homing 2', f'from row {diagnosis.slip.row} on')}, as after a collar slipped"
+    if diagnosis.slip and t.name == diagnosis.slip.effect:
+        whose, since = ("frame 2 of the tracker", " the tracker") if t.name == SHIFT else ("after homing 2", "")
+        clause = clause.replace(whose, f"from row {diagnosis.slip.row} on{since}")
+        clause += ", as after the tracker was knocked" if t.name == SHIFT else ", as after a collar slipped"
     numbers = [f"{name} = {e.shown}" for name, e in sure.items()]
     more = f" and {len(numbers) - MOST_NUMBERS} more" if len(numbers) > MOST_NUMBERS else ""
     return f"{clause or t.effect.title} ({t.name} {', '.join(numbers[:MOST_NUMBERS])}{more})"
@@ -233,4 +240,6 @@ def headline(diagnosis: Diagnosis) -> str:
 
 
 def _title(diagnosis: Diagnosis, t: Term) -> str:
-    return "a collar that slipped" if diagnosis.slip and t.name == HomingShift.name else t.effect.title
+    if diagnosis.slip is None or t.name != diagnosis.slip.effect:
+        return t.effect.title
+    return "a tracker that was knocked" if t.name == SHIFT else "a collar that slipped"

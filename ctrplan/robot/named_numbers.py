@@ -21,8 +21,9 @@ from ctrplan.errors import InputError
 from ctrplan.mechanics.tube import Contact, Loads, Tube, TubeSection
 
 MAGNITUDE = "curvature_per_m"  # of a section's precurvature, whose direction stays
+BENT = ("x_rad", "y_rad")  # of a cell, about the tube's own axes
 TUBE_KEYS = frozenset(field.name for field in fields(Tube)) - {"sections"}
-SECTION_KEYS = frozenset(field.name for field in fields(TubeSection))
+SECTION_KEYS = frozenset(field.name for field in fields(TubeSection)) - {"bent"}
 
 
 class HasNumbers(Protocol):
@@ -54,12 +55,15 @@ R = TypeVar("R", bound=HasNumbers)
 
 @dataclass(frozen=True)
 class NumberName:
-    """Where a named number is: a tube, one of its sections, a contact, or a vector of loads; indices from 0."""
+    """Where a named number is: a tube, one of its sections or of their cells, a contact, or a vector of loads; indices
+    from 0.
+    """
 
-    kind: Literal["tube", "section", "contact", "loads"]
+    kind: Literal["tube", "section", "cell", "contact", "loads"]
     index: int  # of the tube or the contact; of the component of a load
     key: str
     section: int = -1
+    cell: int = -1
 
 
 @cache
@@ -73,6 +77,10 @@ def parsed_name(name: str) -> NumberName:
         case ["tube", index, "section", section, key] if _is_place(index) and _is_place(section):
             if key == MAGNITUDE or key in SECTION_KEYS:
                 return NumberName("section", int(index) - 1, key, int(section) - 1)
+        case ["tube", index, "section", section, "cell", cell, "x_rad" | "y_rad" as key] if (
+            _is_place(index) and _is_place(section) and _is_place(cell)
+        ):
+            return NumberName("cell", int(index) - 1, key, int(section) - 1, int(cell) - 1)
         case ["tube", index, key] if _is_place(index) and key in TUBE_KEYS:
             return NumberName("tube", int(index) - 1, key)
     raise _unknown(name)
@@ -86,6 +94,12 @@ def value_of(robot: HasNumbers, name: str) -> float:
             return float(getattr(robot.tubes[at.index], at.key))
         if at.kind == "section":
             return float(getattr(robot.tubes[at.index].sections[at.section], at.key))
+        if at.kind == "cell":
+            section = robot.tubes[at.index].sections[at.section]
+            angles = [(0.0, 0.0)] * section.cells
+            for cell, *about in section.bent:
+                angles[cell - 1] = (about[0], about[1])
+            return angles[at.cell][BENT.index(at.key)]
         if at.kind == "contact":
             of_all = robot.clearance_m if at.key == "clearance_m" else robot.friction[:, 1]
             return float(of_all[at.index])
@@ -108,6 +122,9 @@ def with_values(robot: R, values: Mapping[str, float]) -> R:
         elif at.kind == "section":
             its = sections.setdefault(at.index, list(tubes[at.index].sections))
             its[at.section] = _changed_section(its[at.section], at.key, value)
+        elif at.kind == "cell":
+            its = sections.setdefault(at.index, list(tubes[at.index].sections))
+            its[at.section] = _bent_section(its[at.section], at.cell + 1, at.key, value)
         elif at.kind == "contact":
             contacts[at.index] = _changed_contact(contacts[at.index], at.key, value)
         else:
@@ -130,6 +147,13 @@ def _changed_section(section: TubeSection, key: str, value: float) -> TubeSectio
         scale = value / section.curvature_per_m if section.curvature_per_m else 0.0
         changes = {key: scale * getattr(section, key) for key in ("curvature_x_per_m", "curvature_y_per_m")}
     return replace(section, **changes)
+
+
+def _bent_section(section: TubeSection, cell: int, key: str, angle_rad: float) -> TubeSection:
+    """The section with a cell bent by another angle; it is a piece of its own from then on, however small that is."""
+    angles = {number: [x, y] for number, x, y in section.bent}
+    angles.setdefault(cell, [0.0, 0.0])[BENT.index(key)] = angle_rad
+    return replace(section, bent=tuple((number, x, y) for number, (x, y) in sorted(angles.items())))
 
 
 def _changed_contact(contact: Contact, key: str, value: float) -> Contact:

@@ -20,6 +20,7 @@ from ctrplan.calibration.observed_noise import noise_floor
 from ctrplan.calibration.residuals import Noise
 from ctrplan.diagnosis import CATALOGUE, Diagnosis, diagnose, held_out
 from ctrplan.diagnosis import built_term as term_building
+from ctrplan.diagnosis.confirmation import confirm
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
 from ctrplan.diagnosis.held_out import Gap
 from ctrplan.diagnosis.partial_diagnosis import diagnose_partially
@@ -162,6 +163,36 @@ def test_a_sensor_that_drifts_with_the_temperature_is_told_from_the_drive() -> N
     term = diagnose(ROBOT, warmed(), catalogue={}).built
     assert term is not None and [t.name for t in term.terms] == ["learned_sensor"]
     assert list(term.terms[0].effect.inputs) == ["temperature_C"]  # type: ignore[attr-defined]
+
+
+def breathed() -> Measurements:
+    """Measured while the inner tube was curved more and less, once each: made without any built term."""
+    plan = replace(PLAN, time_s=3.0 * np.arange(len(PLAN.sequence)))
+    low, high = (measured(ROBOT, plan, {"calibration": {"precurvature_factor_2_2": f}}) for f in (0.9, 1.1))
+    share = (1 + np.sin(2 * np.pi * PLAN.rows / PLAN.rows[-1] + 0.4))[:, None] / 2
+    position, tangent = (
+        (1 - share) * a + share * b for a, b in ((low.position_m, high.position_m), (low.tangent, high.tangent))
+    )
+    return replace(low, position_m=position, tangent=tangent / np.linalg.norm(tangent, axis=1)[:, None])
+
+
+def test_a_tube_that_changes_with_time_is_told_from_the_sensor_and_other_runs_lack_it() -> None:
+    diagnosis = diagnose(ROBOT, breathed(), catalogue={})
+    assert diagnosis.built is not None and [t.name for t in diagnosis.built.terms] == ["learned_curvature_2"]
+    assert list(diagnosis.built.terms[0].effect.inputs) == ["time"]  # type: ignore[attr-defined]
+    rest = [np.sqrt(max(e.rms_m**2 - diagnosis.gap.floor_m**2, 0)) for e in (diagnosis.gap.before, diagnosis.gap.after)]
+    assert rest[1] < 0.6 * rest[0]  # the poses kept aside are of times before and after, too
+    later = confirm(diagnosis, measured(ROBOT, PLAN, seed=9))
+    assert not later.effects and later.after.rms_m < later.calibrated.rms_m
+
+
+def test_time_is_an_input_only_where_what_remains_goes_along_with_it() -> None:
+    timed = replace(PLAN, time_s=3.0 * np.arange(len(PLAN.sequence)))
+    assert not any("over_time" in part for piece in pieces(ROBOT, timed) for part in piece.parts)
+    swings = {part for piece in pieces(ROBOT, timed, in_time=True) for part in piece.parts if "over_time" in part}
+    assert {"sin_1_over_time", "cos_9_over_time"} <= swings
+    untimed = replace(PLAN, time_s=None)
+    assert pieces(ROBOT, untimed, in_time=True) == pieces(ROBOT, untimed)
 
 
 def test_a_piece_acts_as_the_effect_that_is_made_of_it() -> None:

@@ -13,18 +13,25 @@ from measured_data import pair_robot
 from ctrplan.diagnosis import CATALOGUE, verdict
 from ctrplan.diagnosis.verdict import Hypothesis, Judgement, Posterior, judge
 from ctrplan.diagnosis.workbench import candidates
-from ctrplan.pipeline.term import term
+from ctrplan.pipeline.term import Term, term
 
 
 def judged(unknown: float, *names: str) -> Judgement:
     """The verdict on a set of effects that certainly act, and something unknown besides with a probability."""
     robot = pair_robot()
     terms = tuple(term(CATALOGUE[name], [p.name for p in CATALOGUE[name].parameters(robot)], robot) for name in names)
-    chosen: Any = SimpleNamespace(terms=terms, names=names, failed=np.zeros(4, dtype=bool))
+    chosen = fitted(*terms)
     acts = frozenset(names)
     return judged_by(
         Posterior((Hypothesis(acts, False, log(1 - unknown)), Hypothesis(acts, True, log(unknown)))), chosen
     )
+
+
+def fitted(*terms: Term) -> Any:
+    """A set of effects, as if it were fitted."""
+    chain = SimpleNamespace(terms=(SimpleNamespace(name="calibration"), *terms))
+    names = tuple(t.name for t in terms)
+    return SimpleNamespace(terms=terms, names=names, failed=np.zeros(4, dtype=bool), fit=SimpleNamespace(chain=chain))
 
 
 def judged_by(posterior: Posterior, chosen: Any) -> Judgement:
@@ -57,6 +64,19 @@ def test_nothing_is_missing_only_where_that_is_more_probable_than_not() -> None:
     acts = {"homing_offset": 0.23, "off_plane_precurvature": 0.37}
     sets = [Hypothesis(frozenset({name}), False, log(probability)) for name, probability in acts.items()]
     unknown = Hypothesis(frozenset(), True, log(0.4))
-    result = judged_by(Posterior((unknown, *sets)), SimpleNamespace(terms=(), names=(), failed=np.zeros(4, dtype=bool)))
+    result = judged_by(Posterior((unknown, *sets)), fitted())
     assert result.verdict == "unexplained" and not result.findings
     assert [name for name in acts if name in result.notes[0]] == list(acts) and "unknown" in result.notes[0]
+
+
+@pytest.mark.parametrize(("nothing", "is_done"), [(0.4, True), (0.6, False)])
+def test_what_is_more_probably_done_than_not_is_handed_over_without_a_name(nothing: float, is_done: bool) -> None:
+    """Look-alikes share what acts, so that neither has a name; a robot with the likelier one is nearer all the same."""
+    robot, effect = pair_robot(), CATALOGUE["off_plane_precurvature"]
+    chosen = fitted(term(effect, [p.name for p in effect.parameters(robot)], robot))
+    acts = {"off_plane_precurvature": 0.5, "gravity": 0.3, "ovality": 0.1, "tip_load": 0.1}
+    sets = [Hypothesis(frozenset({name}), False, log(p * (1 - nothing))) for name, p in acts.items()]
+    result = judged_by(Posterior((*sets, Hypothesis(frozenset(), True, log(nothing)))), chosen)
+    names = [t.name for t in result.together]
+    assert result.verdict == "unexplained" and not result.findings
+    assert names == (["off_plane_precurvature"] if is_done else [])

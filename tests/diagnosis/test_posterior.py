@@ -59,7 +59,7 @@ def test_what_many_effects_do_together_a_single_unknown_cause_may_do(acting: str
     """Sets beside a rest, of which nothing less explains the poses: three at once are a coincidence."""
     told = normalised({NONE: (-90.0, -60.0), frozenset(acting): (-40.0, 0.0)}, inputs=ALIKE)
     assert told.probabilities.sum() == pytest.approx(1, abs=1e-12)
-    assert (told.of_effect("a") > 0.99) is is_told and told.of_work("a") > 0.99
+    assert (told.of_effect("a") > 0.99) is is_told and told.of_work("a", acting) > 0.99
     assert normalised({frozenset(acting): (0.0, -2.0)}).of_effect("a") == pytest.approx(1)  # of no catalogue
 
 

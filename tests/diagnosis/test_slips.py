@@ -1,4 +1,6 @@
-"""A slip of a collar at an unknown instant, tubes that are not those of the file, errors that come and go with time."""
+"""A collar that slipped or a tracker that was knocked, nobody knows when; tubes that are not those of the file; errors
+that come and go with time.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,7 @@ from ctrplan.base.arrays import Array
 from ctrplan.calibration.residuals import Noise
 from ctrplan.diagnosis import CATALOGUE
 from ctrplan.diagnosis.remainder import localise
-from ctrplan.diagnosis.slips import LEAST_POSES, after_slip, found_slip
+from ctrplan.diagnosis.workflow import LEAST_POSES, after_slip, found_slip
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.pipeline.term import term
 from ctrplan.reports.diagnosis_words import headline, verdict_sentence
@@ -77,6 +79,33 @@ def test_a_slip_beside_a_larger_effect_is_found_where_that_is_fitted_too(seed: i
     slip = found_slip(ROBOT, moved, NOISE, besides)
     assert slip is not None and slip.joint.startswith("theta_2") and abs(slip.pose - data.count // 2) <= 1
     assert found_slip(ROBOT, measured(ROBOT, data, BASE | turned, seed), NOISE, besides) is None
+
+
+def knocked(data: Measurements, pose: int, seed: int) -> Measurements:
+    """What is measured where the tracker was shifted by 2 mm and turned by half a degree before a pose."""
+    data, shift = measured(ROBOT, data, BASE, seed), np.array([1.6e-3, -1.0e-3, 0.6e-3])
+    later = (np.arange(data.count) >= pose)[:, None]
+    turned = np.cross([0.0, 0.0, np.radians(0.5)], data.position_m)
+    return replace(data, position_m=data.position_m + later * (shift + turned))
+
+
+@pytest.mark.parametrize("seed", range(40 if FUZZ else 4))
+def test_a_tracker_that_was_knocked_is_found_where_that_happened(seed: int) -> None:
+    data = at_rest(seed)
+    pose = int(np.random.default_rng(seed).integers(2 * LEAST_POSES, data.count - 2 * LEAST_POSES))
+    slip = found_slip(ROBOT, knocked(data, pose, seed), NOISE)
+    assert slip is not None and slip.joint == "tracker" and abs(slip.pose - pose) <= 1
+    without = [name for name in CATALOGUE if name != "frame_shift"]
+    assert found_slip(ROBOT, knocked(data, pose, seed), NOISE, among=without) is None
+
+
+def test_a_knocked_tracker_is_named_with_its_row_and_the_robot_stays_as_it_is() -> None:
+    diagnosis = ctrplan.diagnose(ROBOT, knocked(at_rest(2), 17, 2))
+    sentence = verdict_sentence(diagnosis)
+    assert [t.name for t in diagnosis.listed] == ["frame_shift"] and "knocked" in headline(diagnosis)
+    assert "from row 18 on the tracker is shifted by" in sentence and "tracker" in diagnosis.next_experiment
+    assert diagnosis.to_json()["slip"] == {"row": 18, "joint": "tracker"}
+    assert diagnosis.gap.after.rms_m < 1.2 * diagnosis.gap.floor_m < diagnosis.gap.before.rms_m / 2
 
 
 @pytest.mark.parametrize("seed", range(40 if FUZZ else 4))

@@ -39,6 +39,7 @@ SAID = {
         {"rotation_x_deg": 1.5, "shift_z_mm": 2.0},
         "the base is turned by 1.5 deg and shifted by 2 mm",
     ),
+    "kink": ({"along_3_2_2_deg": 3.0, "across_3_2_2_deg": -4.0}, "tube 3 is bent by 5 deg 206 mm from its base"),
     "translation_release": ({"release_per_mm": 0.08}, "a translation of 12 mm leaves a third of the friction"),
 }
 

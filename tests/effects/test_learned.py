@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -104,6 +105,19 @@ def test_a_sensor_reads_further_by_the_term_and_as_before_where_nobody_knows_its
     poses = Poses(np.zeros((data.count, 3)), np.tile(np.eye(3), (data.count, 1, 1)))
     values = {"x_slope_temperature_C_mm": 2e-3}
     np.testing.assert_allclose(effect.sensor(values, poses, data).position, 0.0)
+
+
+def test_half_waves_over_the_time_are_nothing_where_nobody_knows_it() -> None:
+    on, span = Target("sensor"), {"time": InputRange(0.0, 90.0)}
+    effect = learned(on, named(on, "cos_2_over_time"), span, 2)
+    assert isinstance(effect, LearnedSensor)
+    data = waypoints(pair_robot(), 2)
+    poses = Poses(np.zeros((data.count, 3)), np.tile(np.eye(3), (data.count, 1, 1)))
+    timed = replace(data, time_s=np.linspace(-10.0, 100.0, len(data.sequence)))
+    values = {"x_cos_2_over_time_mm": 2e-3}
+    along = np.clip(timed.time_s[data.rows], 0.0, 90.0) / 90.0
+    np.testing.assert_allclose(effect.sensor(values, poses, timed).position[:, 0], 2e-3 * np.cos(2 * np.pi * along))
+    np.testing.assert_allclose(effect.sensor(values, poses, replace(data, time_s=None)).position, 0.0)
 
 
 @pytest.mark.parametrize(

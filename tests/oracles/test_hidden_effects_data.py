@@ -57,7 +57,8 @@ def test_the_catalogue_has_the_nineteen_effects() -> None:
         "joint_scale", "eccentricity", "base_misalignment", "sensor_offset", "sensor_distortion", "lag", "drift",
     }  # fmt: skip
     named = {name: effects.truth_name(name) for name in effects.UNKNOWN}
-    assert named.pop("collar_slip") == "homing_shift" and set(named.values()) == {"unknown"}
+    assert all(named.pop(name) == since for name, since in effects.NAMED_SINCE.items())
+    assert set(named.values()) == {"unknown"}
 
 
 EVERY = sorted({*effects.CATALOGUE, *effects.UNKNOWN} - {"lag", "translation_release"})

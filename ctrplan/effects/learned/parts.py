@@ -27,6 +27,7 @@ BUMP_WIDTH = 0.7
 LARGEST = 1.05  # of any shape: splines swing a little beyond their knots
 FORMS = (
     ("wave", re.compile(r"(sin|cos)_([1-9])_(theta_\d+|turn_\d+)")),
+    ("swing", re.compile(r"(sin|cos)_([1-9])_over_(time)")),
     ("slope", re.compile(r"slope_(\w+)")),
     ("square", re.compile(r"square_(\w+)")),
     ("knot", re.compile(r"knot_([1-9])_of_([2-9])_(\w+)")),
@@ -67,6 +68,8 @@ class Factor:
             times = "" if self.numbers[0] == 1 else f"{self.numbers[0]} "
             return f"{self.word}({times}{self.input})"
         span = ranges[self.input]
+        if self.form == "swing":
+            return f"{self.word}({180 * self.numbers[0]} deg ({self.input} - {span.low:.4g}) / {2 * span.half:.4g})"
         from_middle = f"{'+' if span.middle < 0 else '-'} {abs(span.middle):.4g}"
         scaled = f"({self.input} {from_middle}) / {span.half:.4g}"
         if self.form in ("knot", "bump"):
@@ -107,7 +110,7 @@ def _factor(name: str, n: int) -> Factor | None:
             return Factor(form, numbers=(int(result[2]),), word=result[1]) if int(result[2]) <= n else None
         if not exists(result[result.lastindex or 1], n):
             return None
-        if form == "wave":
+        if form in ("wave", "swing"):
             return Factor(form, result[3], (int(result[2]),), result[1])
         if form in ("knot", "bump"):
             numbers = int(result[1]), int(result[2])
@@ -120,6 +123,15 @@ def _wave(factor: Factor, at: Situation, ranges: Ranges) -> Array:
     angle = np.radians(clamped(factor.input, ranges, at, periodic=True))
     wave: Array = (np.sin if factor.word == "sin" else np.cos)(factor.numbers[0] * angle)
     return wave
+
+
+def _swing(factor: Factor, at: Situation, ranges: Ranges) -> Array:
+    """Half waves from the begin of the range to its end; nothing where nobody knows the time."""
+    if values(factor.input, at) is None:
+        return np.zeros(at.count)
+    angle = np.pi / 2 * factor.numbers[0] * (_scaled(factor, at, ranges) + 1)
+    swing: Array = (np.sin if factor.word == "sin" else np.cos)(angle)
+    return swing
 
 
 def _scaled(factor: Factor, at: Situation, ranges: Ranges) -> Array:
@@ -163,6 +175,7 @@ def _sign(factor: Factor, at: Situation, ranges: Ranges) -> Array:
 
 _SHAPES: dict[str, Callable[[Factor, Situation, Ranges], Array]] = {
     "wave": _wave,
+    "swing": _swing,
     "slope": _scaled,
     "square": lambda factor, at, ranges: _scaled(factor, at, ranges) ** 2,
     "knot": _knot,
@@ -223,6 +236,8 @@ def _like(on: Target, names: list[str], periods: list[float]) -> str:
         return "like a guide that turns a tube while it is pushed"
     if on.kind.stage == "drive":
         return "like cross-talk between joints" if own not in names else "like an uneven gear"
+    if on.kind_name != "sensor" and "time" in names:
+        return "like a temperature that rises and falls"
     if on.kind_name == "plate":
         return "like a guide or plate that bends"
     if on.kind_name == "sensor":

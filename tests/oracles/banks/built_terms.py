@@ -269,7 +269,7 @@ def _shares(sets: list[tuple[dict[str, Any], dict[str, Any]]]) -> None:
     _line("unknown alone: given a name", alone, lambda found: bool(found["names"]))
     both = [(known(truth), found["names"]) for truth, found in sets if known(truth)]
     _line(f"{BOTH}: the known part is listed", both, lambda one: any(one[0] & part for part in one[1]))
-    parts = [(known(truth), part) for truth, found in sets for part in found["names"]]
+    parts = [(named(truth), part) for truth, found in sets for part in found["names"]]
     _line("wrong parts, of all that are listed", parts, lambda one: not one[0] & one[1])
     for row in ("unknown alone", BOTH):
         those = [found for truth, found in sets if truth["row"] == row]
@@ -284,6 +284,11 @@ def _shares(sets: list[tuple[dict[str, Any], dict[str, Any]]]) -> None:
 def known(truth: dict[str, Any]) -> set[str]:
     """Names that the catalogue has for what acts beside the unknown effect; empty where nothing does."""
     return {name for hidden, _ in truth["hidden"][1:] for name in truth_name(hidden).split("|")}
+
+
+def named(truth: dict[str, Any]) -> set[str]:
+    """All names that the catalogue has for what acts."""
+    return {name for hidden, _ in truth["hidden"] for name in truth_name(hidden).split("|")}
 
 
 def is_handed_over(found: dict[str, Any]) -> bool:

@@ -51,7 +51,9 @@ UNKNOWN: dict[str, Effect] = {}  # in nobody's catalogue: truth says "unknown"
 BUILDABLE: dict[str, Effect] = {}  # in no catalogue either, and not in the bank: what a built term is tried on
 TRUTH_NAME = {"homing_rotation": "off_plane_precurvature|homing_offset", "homing_translation": "homing_offset"}
 TRUTH_NAME["off_plane_precurvature"] = TRUTH_NAME["homing_rotation"]  # a straight base and one curved section
-TRUTH_NAME["collar_slip"] = "homing_shift"  # drawn among the unknown ones, of which it was one; a slip has a name now
+# drawn among the unknown ones, of which these were: they have a name now
+NAMED_SINCE = {"collar_slip": "homing_shift", "tracker_jump": "frame_shift", "kink": "kink"}
+TRUTH_NAME |= NAMED_SINCE
 CONTINUOUS_ONLY = frozenset({"lag"})
 
 

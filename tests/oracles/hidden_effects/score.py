@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from hidden_effects.effects import UNKNOWN
+from hidden_effects.effects import NAMED_SINCE, UNKNOWN
 
 SEPARABLE_FROM = 1.0  # times the noise, left after recalibration
 BINS = ((0.5, 0.8), (0.8, 0.95), (0.95, 0.99), (0.99, 1.0))  # of probabilities, whose share that is right is counted
@@ -84,8 +84,8 @@ class Trial:
         hidden = [name for name, _ in case["hidden"]]
         of_release = {"friction"} if "translation_release" in hidden else set()
         names = {"homing_offset" if name.startswith("homing") else name for name in hidden if name not in UNKNOWN}
-        of_slip = {"homing_shift"} if "collar_slip" in hidden else set()
-        return (names | of_release | of_slip) - {case.get("left_out")}
+        named_since = {NAMED_SINCE[name] for name in hidden if name in NAMED_SINCE}
+        return (names | of_release | named_since) - {case.get("left_out")}
 
     @property
     def probabilities(self) -> list[tuple[float, bool]]:
@@ -164,7 +164,7 @@ def goals(trials: list[Trial]) -> list[Goal]:
     pairs = [t for t in trials if t.row == "pair"]
     foreign = [t for t in trials if t.row in ("not in the catalogue", "taken out of the catalogue") and t.has_unknown]
     mixed = [t for t in trials if t.row == "known and unknown" and t.has_unknown]
-    slips = [t for t in trials if {"homing_shift"} in t.known]
+    slips = [t for t in trials if {"homing_shift"} in t.known or {"frame_shift"} in t.known]
     look_alikes = [t for t in trials if t.row == "look-alike" and t.leftover >= SEPARABLE_FROM]
     right = [t for t in trials if t.is_right and t.known]
     covered = [inside for t in right for inside in intervals(t)]
@@ -180,7 +180,7 @@ def goals(trials: list[Trial]) -> list[Goal]:
         _goal("the same, with a probability above 0.99", "", foreign, lambda t: any(p > 0.99 for p in _wrong(t))),
         _goal("gap halved, of unknown effects that leave >= 1x noise", ">= 70 %", _large(foreign), _halves_gap),
         _goal("known part listed, where an unknown effect acts besides", ">= 80 %", mixed, _lists_known),
-        _goal("slips named", ">= 90 %", slips, lambda t: any("homing_shift" in n for n in t.named)),
+        _goal("slips and knocks named", ">= 90 %", slips, lambda t: any(n & k for n in t.named for k in t.known)),
         _goal("look-alikes reported as A or B, truth inside", ">= 90 %", look_alikes, _says_either),
         Goal("95 % intervals that contain the true value", "90-98 %", sum(covered), len(covered)),
         _goal("gap after adding <= 1.1x noise floor, right ones", "all", right, _closes_gap),
