@@ -93,9 +93,7 @@ class Diagnosis:
     reading: tuple[Reading, ...] = ()  # how the columns should be read, where the file does not mean what it says
     decisions: tuple[Decision, ...] = ()  # between explanations, by poses measured to decide
     posterior: Posterior | None = None  # of effects and verdict; None where the search was interrupted
-    slip: Slip | None = (
-        None  # from where on a collar or the tracker stands elsewhere; `data` has another homing or frame from there
-    )
+    slip: Slip | None = None  # a collar or the tracker stands elsewhere: `data` has another homing or frame from there
 
     def headline(self) -> str:
         """The verdict and its effects, as it shows itself."""

@@ -159,7 +159,7 @@ def _mechanics(moved: _Moved) -> Iterator[TermPiece]:
 
 
 def _in_time(moved: _Moved) -> Iterator[TermPiece]:
-    """Of tubes and sensor; on a continuous motion everything goes along with time."""
+    """Those of tubes and sensor that change with time, at rest only: on a continuous motion everything does."""
     data = moved.data
     if data.time_s is None or data.is_stream:
         return

@@ -127,10 +127,10 @@ def diagnose(
         needs_none = concluded.result.partial is None  # it was asked as any effect, and acts in no fit that is told
         return Concluded(data, None, candidates(robot, data, allowed), concluded.result) if needs_none else None
 
-    concluded = after(found_slip(robot, data, noise, among=allowed)) or conclude_from(data)
+    concluded = after(most_probable_slip(robot, data, noise, among=allowed)) or conclude_from(data)
     found = concluded.result
     if concluded.slip is None and found.judgement.verdict in ("partial", "unexplained") and found.compared:
-        concluded = after(found_slip(robot, data, noise, found.compared.sets[0].terms, allowed)) or concluded
+        concluded = after(most_probable_slip(robot, data, noise, found.compared.sets[0].terms, allowed)) or concluded
     data, slip, known, result = concluded.data, concluded.slip, concluded.known, concluded.result
 
     def tell(step: str) -> None:
@@ -253,7 +253,7 @@ def _coverage(usable: NDArray[np.bool_]) -> list[str]:
     return [f"{masked} of {len(usable)} poses were left out for all candidates alike: near snapping, or a run's start."]
 
 
-def found_slip(
+def most_probable_slip(
     robot: Robot, data: Measurements, noise: Noise, beside: Sequence[Term] = (), among: Collection[str] = CATALOGUE
 ) -> Slip | None:
     """The slip that the poses show, if they show one; none on a continuous motion, of a joint where homings are given,

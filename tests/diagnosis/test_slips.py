@@ -17,7 +17,7 @@ from ctrplan.base.arrays import Array
 from ctrplan.calibration.residuals import Noise
 from ctrplan.diagnosis import CATALOGUE
 from ctrplan.diagnosis.remainder import localise
-from ctrplan.diagnosis.workflow import LEAST_POSES, after_slip, found_slip
+from ctrplan.diagnosis.workflow import LEAST_POSES, after_slip, most_probable_slip
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.pipeline.term import term
 from ctrplan.reports.diagnosis_words import headline, verdict_sentence
@@ -62,7 +62,7 @@ BASE = {"calibration": {"precurvature_factor_1_1": 1.04, "stiffness_factor_2": 0
 def test_a_slip_is_found_where_it_happened(joint: str, seed: int) -> None:
     data = at_rest(seed)
     pose = int(np.random.default_rng(seed).integers(LEAST_POSES, data.count - LEAST_POSES))
-    slip = found_slip(ROBOT, slipped(data, joint, pose, BASE, seed), NOISE)
+    slip = most_probable_slip(ROBOT, slipped(data, joint, pose, BASE, seed), NOISE)
     assert slip is not None and slip.joint.startswith(joint) and abs(slip.pose - pose) <= 1
 
 
@@ -75,10 +75,10 @@ def test_a_slip_beside_a_larger_effect_is_found_where_that_is_fitted_too(seed: i
     moved = slipped(data, "theta_2", data.count // 2, BASE | turned, seed)
     frame = CATALOGUE["base_misalignment"]
     besides = [term(frame, [q.name for q in frame.parameters(ROBOT)], ROBOT)]
-    assert found_slip(ROBOT, moved, NOISE) is None
-    slip = found_slip(ROBOT, moved, NOISE, besides)
+    assert most_probable_slip(ROBOT, moved, NOISE) is None
+    slip = most_probable_slip(ROBOT, moved, NOISE, besides)
     assert slip is not None and slip.joint.startswith("theta_2") and abs(slip.pose - data.count // 2) <= 1
-    assert found_slip(ROBOT, measured(ROBOT, data, BASE | turned, seed), NOISE, besides) is None
+    assert most_probable_slip(ROBOT, measured(ROBOT, data, BASE | turned, seed), NOISE, besides) is None
 
 
 def knocked(data: Measurements, pose: int, seed: int) -> Measurements:
@@ -93,10 +93,10 @@ def knocked(data: Measurements, pose: int, seed: int) -> Measurements:
 def test_a_tracker_that_was_knocked_is_found_where_that_happened(seed: int) -> None:
     data = at_rest(seed)
     pose = int(np.random.default_rng(seed).integers(2 * LEAST_POSES, data.count - 2 * LEAST_POSES))
-    slip = found_slip(ROBOT, knocked(data, pose, seed), NOISE)
+    slip = most_probable_slip(ROBOT, knocked(data, pose, seed), NOISE)
     assert slip is not None and slip.joint == "tracker" and abs(slip.pose - pose) <= 1
     without = [name for name in CATALOGUE if name != "frame_shift"]
-    assert found_slip(ROBOT, knocked(data, pose, seed), NOISE, among=without) is None
+    assert most_probable_slip(ROBOT, knocked(data, pose, seed), NOISE, among=without) is None
 
 
 def test_a_knocked_tracker_is_named_with_its_row_and_the_robot_stays_as_it_is() -> None:
@@ -122,14 +122,14 @@ def test_a_knocked_tracker_is_named_with_its_row_and_the_robot_stays_as_it_is() 
 )
 def test_what_is_no_slip_is_told_for_none(values: dict[str, dict[str, float]], seed: int) -> None:
     data = at_rest(seed)
-    assert found_slip(ROBOT, measured(ROBOT, data, BASE | values, seed), NOISE) is None
+    assert most_probable_slip(ROBOT, measured(ROBOT, data, BASE | values, seed), NOISE) is None
 
 
 @pytest.mark.parametrize("joint", JOINTS)
 def test_a_joint_that_drifts_has_not_slipped(joint: str) -> None:
     data = at_rest(5)
     for way in (np.linspace(-1, 1, data.count), np.cos(np.linspace(0, 2 * np.pi, data.count))):
-        assert found_slip(ROBOT, with_zero(data, joint, way, BASE, 1), NOISE) is None
+        assert most_probable_slip(ROBOT, with_zero(data, joint, way, BASE, 1), NOISE) is None
 
 
 def test_a_slip_is_named_with_its_row_and_is_in_the_json() -> None:
