@@ -10,11 +10,12 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrplan.base.arrays import MM_PER_M, Array
+from ctrplan.base.arrays import MM_PER_M, Array, read_only
 from ctrplan.base.long_work import Progress, part_of
 from ctrplan.certificate.arrival import beside_nominal, friction_variants
 from ctrplan.certificate.certificate import Certificate
@@ -159,8 +160,7 @@ def aimed(checker: MotionChecker, corners: Array) -> tuple[MotionChecker, Array]
 
     Friction at the end of the moved path has to leave the same offset, which it does not where it turns round.
     """
-    scenario = checker.scenario
-    goal = scenario.goal
+    scenario, goal = checker.scenario, checker.scenario.goal
     if goal.tip_m is None or goal.joints is not None or goal.line_m is not None or len(corners) < 2:
         return checker, corners
     offset, before, near = offset_m(scenario, corners), None, (checker, corners)
@@ -190,11 +190,16 @@ def aimed(checker: MotionChecker, corners: Array) -> tuple[MotionChecker, Array]
 def offset_m(scenario: Scenario, corners: Array) -> Array:
     """(3,) [m] from the frictionless tip at a path's end (K, m) to the middle of where the tip with friction ends.
 
-    In the robot's frame, over all friction that the start allows; NaN where a simulated history failed.
+    In the robot's frame, over all friction that the start allows, simulated once; NaN where a history failed.
     """
-    middle = ball_centre(end_tips(scenario.robot, corners, start_states(scenario)))
-    offset: Array = middle - frictionless_tips(scenario.robot, corners[-1:])[0][0]
-    return offset
+    known, key = _OFFSETS.setdefault(scenario, {}), corners.tobytes()
+    if key not in known:
+        middle = ball_centre(end_tips(scenario.robot, corners, start_states(scenario)))
+        known[key] = read_only(middle - frictionless_tips(scenario.robot, corners[-1:])[0][0])
+    return known[key]
+
+
+_OFFSETS: WeakKeyDictionary[Scenario, dict[bytes, Array]] = WeakKeyDictionary()  # by the corners of paths
 
 
 def brought_to_goal(checker: MotionChecker, corners: Array) -> Array | None:
@@ -242,9 +247,7 @@ def corrected(corners: Array, legs: int, is_rotation: NDArray[np.bool_], delta: 
     moved[last:] += slide
     if not len(translations) and slide.any():
         moved = np.insert(moved, legs, corners[legs] + turn, axis=0)
-    if not len(rotations) and turn.any():
-        moved = np.insert(moved, 0, corners[0], axis=0)
-    return moved
+    return np.insert(moved, 0, corners[0], axis=0) if not len(rotations) and turn.any() else moved
 
 
 def shifted_start(corners: Array, is_rotation: NDArray[np.bool_], delta: Array, *, keeps_end: bool) -> Array:

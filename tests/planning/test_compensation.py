@@ -154,3 +154,21 @@ def test_what_joints_limits_leave_of_the_offset_is_said() -> None:
     assert "within the joints' limits" in result.compensation.note
     free = compensate(MotionChecker(case), turned_last, certified(turned_last))
     assert not free.compensation.note
+
+
+def test_a_path_that_is_aimed_is_simulated_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whoever asks for the offset of a path that was aimed, or aims it again, waits for no history."""
+    asked, simulate = list[bytes](), compensation.end_tips
+
+    def counted(robot: Any, corners: Any, starts: Any) -> Any:
+        asked.append(corners.tobytes())
+        return simulate(robot, corners, starts)
+
+    monkeypatch.setattr(compensation, "end_tips", counted)
+    checker = MotionChecker(pair())
+    there, moved = compensation.aimed(checker, PATH)
+    once = len(asked)
+    assert there is not checker and 1 < once == len(set(asked))
+    again = compensation.aimed(checker, PATH)[1]
+    offset = compensation.offset_m(checker.scenario, moved)
+    assert len(asked) == once and np.array_equal(again, moved) and not offset.flags.writeable
