@@ -20,7 +20,7 @@ from ctrplan.motion.checker import MotionChecker
 from ctrplan.planning import compensate as compensation
 from ctrplan.planning.compensate import _CorrectedEnd, compensate
 from ctrplan.scenario.joint_space import bare_scenario
-from ctrplan.scenario.prediction import TIP_TOLERANCE_M, predict
+from ctrplan.scenario.prediction import TIP_TOLERANCE_M, predict, start_states
 from ctrplan.storage.toml_document import read_document
 
 
@@ -157,7 +157,7 @@ def test_what_joints_limits_leave_of_the_offset_is_said() -> None:
 
 
 def test_a_path_that_is_aimed_is_simulated_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whoever asks for the offset of a path that was aimed, or aims it again, waits for no history."""
+    """Whoever asks for the offset of a path that was aimed, before or after, waits for no history."""
     asked, simulate = list[bytes](), compensation.end_tips
 
     def counted(robot: Any, corners: Any, starts: Any) -> Any:
@@ -167,8 +167,9 @@ def test_a_path_that_is_aimed_is_simulated_once(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(compensation, "end_tips", counted)
     checker = MotionChecker(pair())
     there, moved = compensation.aimed(checker, PATH)
-    once = len(asked)
-    assert there is not checker and 1 < once == len(set(asked))
-    again = compensation.aimed(checker, PATH)[1]
-    offset = compensation.offset_m(checker.scenario, moved)
-    assert len(asked) == once and np.array_equal(again, moved) and not offset.flags.writeable
+    assert there is not checker and 1 < len(asked) == len(set(asked))
+    offsets = [compensation.offset_m(checker.scenario, path) for path in (PATH, moved)]
+    assert len(asked) == len(set(asked)) and asked[-1] == moved.tobytes() and not offsets[0].flags.writeable
+    again, _ = compensation.end_tips(checker.scenario.robot, PATH, start_states(checker.scenario)), asked.pop()
+    off = compensation.ball_centre(again) - compensation.frictionless_tips(checker.scenario.robot, PATH[-1:])[0][0]
+    np.testing.assert_allclose(offsets[0], off, atol=1e-9)
