@@ -12,7 +12,8 @@ the robot is: the chain has them.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import difflib
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -26,6 +27,7 @@ from ctrplan.effects.effect import CATALOGUE, Effect, Parameter, Stage, Values
 from ctrplan.effects.learned import learned as learned_table
 from ctrplan.effects.learned.inputs import Situation, unit
 from ctrplan.effects.learned.learned import COMMON_NOTES, FILE_NOTES, Learned, effect_of
+from ctrplan.errors import FEW
 from ctrplan.measurement.approach import friction_state
 from ctrplan.measurement.measurements import Measurements, Poses, moved_rigidly
 from ctrplan.robot.named_numbers import with_values
@@ -237,7 +239,7 @@ def check_effects(robot: Robot, document: Document) -> None:
             if key in (FILE_NOTES if learned_table.is_learned(name) else COMMON_NOTES):
                 continue
             if key not in known:
-                raise document.fault(f"unknown parameter, known ones are {', '.join(known)}", "effects", name, key)
+                raise document.fault(_unknown(key, [*known]), "effects", name, key)
             if isinstance(value, bool) or not isinstance(value, (int, float)):
                 raise document.fault("must be a number", "effects", name, key)
             low, high = known[key].lower, known[key].upper
@@ -246,13 +248,21 @@ def check_effects(robot: Robot, document: Document) -> None:
         _check_intervals(name, table, known, document)
 
 
+def _unknown(key: str, known: Sequence[str]) -> str:
+    """The rule that a key which is no parameter breaks: of many parameters it names the likeliest, and examples."""
+    if len(known) <= 2 * FEW:
+        return f"unknown parameter, known ones are {', '.join(known)}"
+    meant = "".join(f", did you mean {name}?" for name in difflib.get_close_matches(key, known, n=1))
+    return f"unknown parameter{meant or ','} {len(known)} are known: {known[0]}, {known[1]} to {known[-1]}"
+
+
 def _check_intervals(name: str, table: Mapping[str, Any], known: Mapping[str, Parameter], document: Document) -> None:
     intervals = table.get("ci95", {})
     if not isinstance(intervals, dict):
         raise document.fault("must be a table of intervals", "effects", name, "ci95")
     for key, ends in intervals.items():
         if key not in known:
-            raise document.fault(f"unknown parameter, known ones are {', '.join(known)}", "effects", name, "ci95", key)
+            raise document.fault(_unknown(key, [*known]), "effects", name, "ci95", key)
         if fault := interval_fault(ends, float(table.get(key, known[key].neutral))):
             raise document.fault(fault, "effects", name, "ci95", key)
         if not (known[key].lower <= ends[0] and ends[1] <= known[key].upper):

@@ -7,10 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from measured_data import measured, pair_robot, waypoints
+from places import ROBOTS
 
 from ctrplan.diagnosis import CATALOGUE, diagnose
 from ctrplan.errors import InputError
-from ctrplan.files.robot_file import robot_from_dict
+from ctrplan.files.robot_file import load_robot, robot_from_dict
 from ctrplan.mechanics.tube import TubeSection
 from ctrplan.robot.named_numbers import value_of, with_values
 from ctrplan.robot.robot import Robot
@@ -98,3 +99,11 @@ def test_a_bend_within_the_drawn_plane_has_no_name() -> None:
     diagnosis = diagnose(ROBOT, data, without=["varying_precurvature"])
     assert not diagnosis.listed and [t.name for t in diagnosis.together] == ["kink"]
     assert diagnosis.gap.after.rms_m < 1.2 * diagnosis.gap.floor_m < diagnosis.gap.before.rms_m / 1.5
+
+
+def test_of_many_parameters_the_likeliest_and_examples_are_named() -> None:
+    with pytest.raises(
+        InputError, match=r"unknown parameter, did you mean .*_1_deg\? \d+ are known: along_1_"
+    ) as raised:
+        load_robot(ROBOTS / "three_tube.toml", ["effects.kink={along_3_9_1_deg=5}"])
+    assert len(str(raised.value)) < 250
