@@ -69,7 +69,7 @@ class LoadedRobot:
             [2 * t.softening_strain / t.outer_diameter_m if _softens(t) else np.inf for t in tubes]
         )  # 1/m
         self.fraction = np.array([t.softening_fraction if _softens(t) else 1.0 for t in tubes])
-        curved = [t.bending_stiffness_Nm2 * max(s.curvature_per_m for s in t.sections) for t in tubes]
+        curved = [t.bending_stiffness_Nm2 * max(s.curvature_per_m for s in t.pieces) for t in tubes]
         self.scale = max(LEAST_MOMENT_NM, *curved)
 
     def rows(self, theta_b: Array, l_b: Array, twist: Array) -> LoadedRows:

@@ -410,7 +410,7 @@ def plate_moment(tubes: Sequence[Tube], theta_b: Array, l_b: Array) -> Array:
     for i, tube in enumerate(tubes):
         cosine, sine = np.cos(theta_b[:, i]), np.sin(theta_b[:, i])
         begin = l_b[:, i]
-        for section in tube.sections:
+        for section in tube.pieces:
             end = begin + section.length_m
             inside = np.clip(np.minimum(end, 0.0) - np.maximum(begin, -GUIDE_M), 0.0, None) / GUIDE_M
             size = tube.bending_stiffness_Nm2 * inside
@@ -422,4 +422,4 @@ def plate_moment(tubes: Sequence[Tube], theta_b: Array, l_b: Array) -> Array:
 
 def largest_plate_moment(tubes: Sequence[Tube]) -> float:
     """[N m] that no configuration exceeds."""
-    return sum(t.bending_stiffness_Nm2 * max(section.curvature_per_m for section in t.sections) for t in tubes)
+    return sum(t.bending_stiffness_Nm2 * max(section.curvature_per_m for section in t.pieces) for t in tubes)

@@ -81,7 +81,7 @@ def implied_young_Pa(tube: Tube) -> float:
 
 def straightened_strain(tube: Tube) -> float:
     """Largest bending strain of a tube that is held straight."""
-    return tube.outer_diameter_m / 2 * max(section.curvature_per_m for section in tube.sections)
+    return tube.outer_diameter_m / 2 * max(section.curvature_per_m for section in tube.pieces)
 
 
 def robot_doubts(robot: Robot) -> Iterator[Doubt]:

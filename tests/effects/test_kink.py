@@ -12,7 +12,9 @@ from places import ROBOTS
 from ctrplan.diagnosis import CATALOGUE, diagnose
 from ctrplan.errors import InputError
 from ctrplan.files.robot_file import load_robot, robot_from_dict
+from ctrplan.mechanics.shapes import largest_plate_moment, plate_moment
 from ctrplan.mechanics.tube import TubeSection
+from ctrplan.robot.magnitudes import straightened_strain
 from ctrplan.robot.named_numbers import value_of, with_values
 from ctrplan.robot.robot import Robot
 
@@ -107,3 +109,13 @@ def test_of_many_parameters_the_likeliest_and_examples_are_named() -> None:
     ) as raised:
         load_robot(ROBOTS / "three_tube.toml", ["effects.kink={along_3_9_1_deg=5}"])
     assert len(str(raised.value)) < 250
+
+
+def test_what_a_bent_tube_asks_of_its_plate_and_of_its_material_is_asked_of_pieces() -> None:
+    """The moment on the guide with the kink there, and the strain of the tube held straight."""
+    bent, written = with_values(ROBOT, BEND), written_out(0.05, -0.02)
+    theta_b, l_b = np.array([[0.3, -1.1]]), np.array([[-0.07, -0.075]])  # the guide is 65 to 75 mm along the inner tube
+    np.testing.assert_allclose(plate_moment(bent.tubes, theta_b, l_b), plate_moment(written.tubes, theta_b, l_b))
+    assert not np.allclose(plate_moment(bent.tubes, theta_b, l_b), plate_moment(ROBOT.tubes, theta_b, l_b))
+    assert largest_plate_moment(bent.tubes) == pytest.approx(largest_plate_moment(written.tubes))
+    assert straightened_strain(bent.tubes[1]) == pytest.approx(straightened_strain(written.tubes[1]))
