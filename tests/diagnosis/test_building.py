@@ -191,8 +191,11 @@ def test_time_is_an_input_only_where_what_remains_goes_along_with_it() -> None:
     assert not any("over_time" in part for piece in pieces(ROBOT, timed) for part in piece.parts)
     swings = {part for piece in pieces(ROBOT, timed, in_time=True) for part in piece.parts if "over_time" in part}
     assert {"sin_1_over_time", "cos_9_over_time"} <= swings
-    untimed = replace(PLAN, time_s=None)
-    assert pieces(ROBOT, untimed, in_time=True) == pieces(ROBOT, untimed)
+    for without in (
+        replace(PLAN, time_s=None),
+        replace(timed, is_stream=True),
+    ):  # all of a stream goes
+        assert pieces(ROBOT, without, in_time=True) == pieces(ROBOT, without)
 
 
 def test_a_piece_acts_as_the_effect_that_is_made_of_it() -> None:

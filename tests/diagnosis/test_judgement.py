@@ -80,3 +80,13 @@ def test_what_is_more_probably_done_than_not_is_handed_over_without_a_name(nothi
     names = [t.name for t in result.together]
     assert result.verdict == "unexplained" and not result.findings
     assert names == (["off_plane_precurvature"] if is_done else [])
+
+
+def test_of_a_set_only_what_is_more_probably_done_than_not_is_handed_over() -> None:
+    """Where one effect probably acts and another beside it does not, the robot has the first alone."""
+    robot, names = pair_robot(), ("off_plane_precurvature", "gravity")
+    chosen = fitted(*(term(CATALOGUE[n], [p.name for p in CATALOGUE[n].parameters(robot)], robot) for n in names))
+    sets = {frozenset(names): 0.3, frozenset(names[:1]): 0.4}
+    weighed = [Hypothesis(acts, False, log(probability)) for acts, probability in sets.items()]
+    result = judged_by(Posterior((*weighed, Hypothesis(frozenset(), True, log(0.3)))), chosen)
+    assert result.verdict == "unexplained" and [t.name for t in result.together] == [names[0]]

@@ -119,3 +119,15 @@ def test_what_a_bent_tube_asks_of_its_plate_and_of_its_material_is_asked_of_piec
     assert not np.allclose(plate_moment(bent.tubes, theta_b, l_b), plate_moment(ROBOT.tubes, theta_b, l_b))
     assert largest_plate_moment(bent.tubes) == pytest.approx(largest_plate_moment(written.tubes))
     assert straightened_strain(bent.tubes[1]) == pytest.approx(straightened_strain(written.tubes[1]))
+
+
+def test_across_bends_out_of_the_plane_of_what_was_drawn_whichever_that_is() -> None:
+    outer, inner = ROBOT.tubes
+    drawn = np.array([3.0, 4.0])
+    sections = [inner.sections[0], replace(inner.sections[1], curvature_x_per_m=3.0, curvature_y_per_m=4.0)]
+    turned = ROBOT.with_(tubes=(outer, replace(inner, sections=sections)))
+    angle = np.radians(2.0)
+    bend = CATALOGUE["kink"].mechanics
+    along, across = (np.array([*bend({f"{way}_2_2_3_deg": angle}, turned).values()]) for way in ("along", "across"))
+    np.testing.assert_allclose(along, angle * drawn / 5)
+    assert along @ across == pytest.approx(0.0, abs=1e-15) and np.linalg.norm(across) == pytest.approx(angle)
