@@ -22,6 +22,7 @@ from ctrplan.base.long_work import Progress, StageProgress, interrupt_event, par
 from ctrplan.base.package import shown
 from ctrplan.certificate.certificate import SAME, SHARE, Certificate, Difference, Settling, joined_certificates
 from ctrplan.certificate.certify import certify, either_arrives
+from ctrplan.drive.drive import SAME_JOINTS
 from ctrplan.drive.trajectory import PERIOD_S, remade_trajectory
 from ctrplan.errors import CtrplanError
 from ctrplan.files.plan_file import WrittenPlan, check_origin, load_plan
@@ -159,7 +160,6 @@ def _shown(value: Any) -> float | str:
     return float(value) if isinstance(value, (int, float)) else np.nan
 
 
-AT_GOAL = 1e-6  # rad or m by which joints may end beside the goal's: rounding
 MESH_M, MESH_RAD = 0.1e-3, 2e-3  # by which tips may miss beyond the tolerance: what meshes differ by
 
 
@@ -175,7 +175,7 @@ def broken_promises(plan: WrittenPlan) -> tuple[str, ...]:
     for name, rows in (("the legs", plan.waypoints), ("the trajectory", plan.position)):
         over = np.maximum(rows - drive.upper, drive.lower - rows).max(axis=0)
         k = int(np.argmax(over))
-        if over[k] > AT_GOAL:
+        if over[k] > SAME_JOINTS:
             joint = drive.joints[k]
             beyond = f"{over[k] / joint.si_per_unit:.3g} {joint.unit}"
             results.append(f"{name} take joint {joint.name!r} {beyond} beyond its limit")
@@ -196,7 +196,7 @@ def _missed(plan: WrittenPlan, space: JointSpace, goal: Goal, legs: Array) -> li
     if goal.tip_m is None:
         off = np.abs(space.difference(legs[-1], legs[-1] if goal.joints is None else goal.joints))
         joint = robot.drive.joints[int(np.argmax(off))]
-        if off.max() <= AT_GOAL:
+        if off.max() <= SAME_JOINTS:
             return []
         return [f"{name}: joint {joint.name!r} ends {off.max() / joint.si_per_unit:.3g} {joint.unit} beside the goal's"]
     free = robot.mechanics.tips_with_friction(*robot.drive.collars(legs[-1:]), np.zeros((1, robot.n - 1)))

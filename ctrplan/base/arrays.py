@@ -128,7 +128,7 @@ CI95 = 1.959964  # standard deviations on both sides that hold 95 % of a normal 
 CHI95 = 2.795483  # standard deviations within which 95 % of the lengths of three normal coordinates lie
 
 Z = np.array([0.0, 0.0, 1.0])
-TINY = 1e-12
+TINY = 1e-12  # below which a sine, a weight or a translation [m] is none but for rounding
 
 
 def unit(vector: ArrayLike) -> Array:

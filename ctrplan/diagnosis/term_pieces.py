@@ -34,7 +34,7 @@ from ctrplan.robot.robot import Robot
 
 OWN_WAVES, OTHER_WAVES = 6, 3  # highest harmonics: of a joint's own angle, and of others and relative ones
 KNOTS = 4  # of a spline
-HALF_WAVES = 9  # over the time, and no more than configurations: shorter ones are known at no pose in between
+HALF_WAVES = 9  # over the time, as many as a name can say, and no more than configurations; a budget
 BUMPS = (3, 4)  # along each axis of the room that the tips have
 NEAR_SHARE = 0.05  # of the tips
 PLACE = re.compile(r"(slope|square)_[xyz](_times_slope_[xyz])?")  # polynomials of the tip's place

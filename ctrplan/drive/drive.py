@@ -23,6 +23,7 @@ ANGLE_STEP, LENGTH_STEP = 1e-4, 1e-6  # rad, m: of differences, exact to about t
 
 STEP_RAD, STEP_M = np.radians(1.0), 0.25e-3  # of a joint, between rows of a way in time, where it is taken as straight
 JOINT_ROUNDING = 1e-9  # rad or m by which rounding may change a joint value or a collar
+SAME_JOINTS = 1e-6  # rad or m by which joint values differ that somebody wrote with few digits: a tolerance
 
 # Unit in files and on screens, and its value in SI.
 UNITS: dict[Kind, tuple[str, float]] = {"rotation": ("deg", math.pi / 180), "translation": ("mm", 1e-3)}

@@ -16,6 +16,7 @@ import numpy as np
 
 from ctrplan.certificate.arrival import Arrival
 from ctrplan.certificate.certificate import Certificate, CertificateSamples, Settling
+from ctrplan.drive.drive import SAME_JOINTS
 from ctrplan.drive.trajectory import PERIOD_S, Trajectory, remade_trajectory
 from ctrplan.errors import InputError
 from ctrplan.files.plan_file import WrittenPlan, load_plan, played_samples
@@ -24,7 +25,6 @@ from ctrplan.plans.plan import Plan
 from ctrplan.plans.planned_motion import ComparedWay, Compensation, Leg, ReorderReport, leg_kind
 from ctrplan.uncertainty.result import Uncertainty
 
-SAME = 1e-6  # of times [s] and joint values [rad, m] that were written with few digits
 # Names that the dataclasses know while types are checked.
 TYPES = {"Accuracy": str, "StartFriction": str, "Arrival": Arrival, "HistoryState": object}
 T = TypeVar("T")
@@ -112,8 +112,8 @@ def _trajectory(written: WrittenPlan, file: Path) -> Trajectory:
     period_s = content["trajectory"]["period_s"] or PERIOD_S
     time_s, position = played_samples(file, drive)
     made = remade_trajectory(written.waypoints, drive, period_s, rests, [float(time_s[-1])])
-    is_same = len(time_s) == len(made.time_s) and np.abs(time_s - made.time_s).max() <= SAME
-    if not is_same or np.abs(position - made.position).max() > SAME:
+    is_same = len(time_s) == len(made.time_s) and np.abs(time_s - made.time_s).max() <= SAME_JOINTS  # in s
+    if not is_same or np.abs(position - made.position).max() > SAME_JOINTS:
         raise InputError("is not the trajectory of the plan's legs: write it again", file=str(file))
     return made
 

@@ -24,13 +24,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from ctrplan import _model
 from ctrplan.base.arguments import Number, checked
-from ctrplan.base.arrays import Array, numbers
+from ctrplan.base.arrays import TINY, Array, numbers
 from ctrplan.base.package import of_this_process
 from ctrplan.errors import InputError
 from ctrplan.mechanics.shapes import FrictionBodies, Status, input_errors
 from ctrplan.mechanics.walk import SHORTEST_STEP, PathSamples
 
-LOCKED_M = 1e-12  # translation that counts as none
 SUBSTEPS = 4  # of a leg between two waypoints
 NO_SLIDE = 1e-30  # of release_m: no friction state is changed by less
 NEWTON_STEPS = 50  # a budget: 3 to 8 are usual
@@ -73,7 +72,7 @@ class FrictionLaw:
         """
         turn = np.abs(np.diff(np.diff(theta_b), axis=0)).max(initial=0.0) / self.loading_rad
         slide = np.abs(np.diff(np.diff(l_b), axis=0)[0])
-        locked = slide <= LOCKED_M
+        locked = slide <= TINY
         travel = np.where(locked, 0.0, slide / self.release_m)
         locked_share = np.where(locked, 0.0, turn / np.hypot(turn, np.where(travel > 0, travel, 1.0)))
         loaded = load + fraction[:, None] * turn
@@ -93,7 +92,7 @@ class FrictionLaw:
         """
         ends = np.array([-load, load])
         for turn, slide in zip(np.diff(np.diff(theta_b), axis=0), np.diff(np.diff(l_b), axis=0), strict=True):
-            travel = np.where(np.abs(slide) <= LOCKED_M, 0.0, np.abs(slide) / self.release_m)
+            travel = np.where(np.abs(slide) <= TINY, 0.0, np.abs(slide) / self.release_m)
             if np.any((travel > 0) & (turn != 0)):  # both at once: step by step
                 for _ in range(SUBSTEPS):
                     ends = _step(ends + turn / self.loading_rad / SUBSTEPS, travel / SUBSTEPS)

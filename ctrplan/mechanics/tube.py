@@ -21,7 +21,7 @@ from ctrplan.base.package import shown
 from ctrplan.errors import InputError
 
 SOFTEST_NM2, STIFFEST_NM2 = 1e-9, 1e6
-CELL_M = 0.015  # the longest cell of a section that may be bent by itself: half of it is 0.3 mm at the tip for 2 deg
+CELL_M = 0.015  # m, the longest cell that is bent by itself; a tolerance: half of it off, 2 deg move a tip by 0.3 mm
 
 # What the core is told of a tube; files have narrower ranges in their own units. Fits go beyond what files may say.
 RANGES = {

@@ -23,6 +23,7 @@ from ctrplan.certificate.certify import certify as certified_legs
 from ctrplan.certificate.certify import either_arrives
 from ctrplan.certificate.problems import PARTED
 from ctrplan.certificate.walked_legs import miscounted
+from ctrplan.drive.drive import SAME_JOINTS
 from ctrplan.drive.legs import merge_legs, places_on_legs
 from ctrplan.drive.trajectory import PERIOD, PERIOD_S, Trajectory
 from ctrplan.errors import InputError, NoAnswerError
@@ -37,8 +38,6 @@ from ctrplan.scenario.tip_solver import angle_to
 
 if TYPE_CHECKING:
     from ctrplan.scenario.scenario import Scenario
-
-SAME_JOINTS = 1e-6  # rad or m by which a path may begin, end, or pass beside the joint values asked for: rounding
 
 
 @checked(scenario=Made("Scenario"), timing=Made("Trajectory"), progress=PROGRESS)

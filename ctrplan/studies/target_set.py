@@ -29,6 +29,7 @@ from ctrplan.planning.place import OUT_OF_REACH_M
 from ctrplan.planning.reach import Configuration, configuration, reach, refined
 from ctrplan.robot.named_numbers import value_of, with_values
 from ctrplan.robot.robot import Robot
+from ctrplan.scenario.prediction import TIP_TOLERANCE_M
 from ctrplan.scenario.scenario import Goal, Scenario
 from ctrplan.scenario.tip_solver import GoalState, TipSolver, TipTarget, tip_target
 from ctrplan.uncertainty.tip_slopes import friction_states
@@ -100,7 +101,6 @@ def least_stability(checker: MotionChecker, joints: Array) -> float:
 
 SAMPLES = 2000  # configurations whose zero-clearance tips say what is within reach at all
 POLISHED = 3  # ways of each target
-FINE_M = 5e-5  # of a tip that is led onto its target
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,7 +141,7 @@ def _lowest_error(checker: MotionChecker, target: TipTarget, ways: Sequence[Conf
     best = sorted((way for way in ways if way.valid), key=_error_m)[:POLISHED]
     if not best:
         return None
-    joints = refined(checker, target, np.array([way.joints for way in best]), FINE_M)
+    joints = refined(checker, target, np.array([way.joints for way in best]), TIP_TOLERANCE_M)
     near = [configuration(checker, target, row) for row in joints]
     return min([*best, *(way for way in near if way.valid)], key=_error_m)
 
@@ -159,7 +159,7 @@ def value_nearby(scenario: Scenario, near: TargetValue) -> TargetValue | None:
     begin = checker.space.projected(checker.space.wound_into_limits(near.joints[None]), fallback=near.joints[None])
     if not checker.space.allowed(begin):
         return None
-    joints = refined(checker, target, begin, min(FINE_M, scenario.goal.tolerance_m))[0]
+    joints = refined(checker, target, begin, min(TIP_TOLERANCE_M, scenario.goal.tolerance_m))[0]
     result = configuration(checker, target, joints)
     return _value(result) if result.valid and result.tip_error_m <= scenario.goal.tolerance_m else None
 
