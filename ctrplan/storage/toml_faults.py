@@ -25,6 +25,7 @@ UNITS = {
     "_mm_s": "mm/s",
     "_kg_m3": "kg/m^3",
     "_Nm2": "N m^2",
+    "_GPa": "GPa",
     "_per_m": "1/m",
     "_deg": "deg",
     "_mm": "mm",
@@ -179,9 +180,16 @@ def _beyond(value: float, kind: inspect.FloatType | inspect.IntType, path: Path)
         ("<=", kind.le, kind.le is None or value <= kind.le),
     ):
         if not is_kept and limit is not None:
-            hint = percent_hint(value, limit) if sign == "<=" else ""
+            hint = percent_hint(value, limit) or _smaller_unit_hint(value, limit, path) if sign == "<=" else ""
             return path, f"must be {_range(kind) or f'{sign} {limit:g}'}{hint}"
     return None
+
+
+def _smaller_unit_hint(value: float, most: float, path: Path) -> str:
+    """The end of a rule about a modulus in GPa that is too large in GPa, but not in MPa or in Pa."""
+    if unit_of(str(path[-1])) != "GPa":
+        return ""
+    return f": is it in {'MPa' if value <= 1e3 * most else 'Pa'}?" if value <= 1e9 * most else ""
 
 
 def _range(kind: inspect.FloatType | inspect.IntType) -> str:

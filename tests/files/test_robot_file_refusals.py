@@ -82,6 +82,10 @@ length_mm = 200 -> length_mm = 160
     collar (17 mm).
 bending_stiffness_Nm2 = 0.04 -> bending_stiffness_Nm2 = 0
     tube.2.bending_stiffness_Nm2 = 0 N m^2: must be from 1e-09 to 1e+06.
+bending_stiffness_Nm2 = 0.04 -> youngs_modulus_GPa = 65e9
+    tube.2.youngs_modulus_GPa = 65000000000.0 GPa: must be from 1e-06 to 10000: is it in Pa?
+bending_stiffness_Nm2 = 0.04 -> youngs_modulus_GPa = 65000
+    tube.2.youngs_modulus_GPa = 65000 GPa: must be from 1e-06 to 10000: is it in MPa?
 bending_stiffness_Nm2 = 0.04 -> bending_stiffness_Nmm2 = 4e4
     tube.2.bending_stiffness_Nmm2 = 40000.0: unknown key, expected bending_stiffness_Nm2 (in N m^2).
 collar_length_mm = 17 -> collar_length_mm = -1
