@@ -10,12 +10,11 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrplan.base.arrays import MM_PER_M, Array, read_only
+from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.base.long_work import Progress, part_of
 from ctrplan.certificate.arrival import beside_nominal, friction_variants
 from ctrplan.certificate.certificate import Certificate
@@ -31,8 +30,7 @@ from ctrplan.robot.robot import Robot
 from ctrplan.scenario.prediction import (
     TIP_TOLERANCE_M,
     FrictionStart,
-    ball_centre,
-    end_tips,
+    offset_m,
     predict_end,
     predict_from,
     start_states,
@@ -154,16 +152,18 @@ def _is_at_limit(checker: MotionChecker, joints: Array, delta: Array) -> bool:
     return bool(np.any(stands & (delta != 0)))
 
 
-def aimed(checker: MotionChecker, corners: Array) -> tuple[MotionChecker, Array]:
+def aimed(checker: MotionChecker, corners: Array, beside: Array | None = None) -> tuple[MotionChecker, Array]:
     """A checker whose goal is where the frictionless tip has to end so that the tip with friction arrives, and the path
     (K, m) moved there, valid or not, as it costs when it is compensated; both as they are where that is not possible.
 
-    Friction at the end of the moved path has to leave the same offset, which it does not where it turns round.
+    Friction at the end of the moved path has to leave the same offset, which it does not where it turns round. With
+    `beside`, a path near by, what the starts differ by at the end is taken from there.
     """
     scenario, goal = checker.scenario, checker.scenario.goal
     if goal.tip_m is None or goal.joints is not None or goal.line_m is not None or len(corners) < 2:
         return checker, corners
-    offset, before, near = offset_m(scenario, corners), None, (checker, corners)
+    offset, before, near = offset_m(scenario, corners, beside), None, (checker, corners)
+    simulated = corners if beside is None else beside
     for _ in range(ITERATIONS):
         if not np.isfinite(offset).all():
             break
@@ -173,9 +173,12 @@ def aimed(checker: MotionChecker, corners: Array) -> tuple[MotionChecker, Array]
         moved = brought_to_goal(other, corners)
         if moved is None:
             break
-        change = offset_m(scenario, moved) - offset
+        change = offset_m(scenario, moved, simulated) - offset
         if np.linalg.norm(change) <= TIP_TOLERANCE_M:
-            near = other, moved
+            if beside is None:  # near enough to be simulated itself
+                simulated, before, change = moved, None, offset_m(scenario, moved) - offset
+            if np.linalg.norm(change) <= TIP_TOLERANCE_M:
+                near = other, moved
         if np.linalg.norm(change) <= CLOSE_M:
             break
         step = change
@@ -185,21 +188,6 @@ def aimed(checker: MotionChecker, corners: Array) -> tuple[MotionChecker, Array]
             step = change - drawn_on * (offset - before[0] + turned)
         before, offset = (offset, change), offset + step
     return near
-
-
-def offset_m(scenario: Scenario, corners: Array) -> Array:
-    """(3,) [m] from the frictionless tip at a path's end (K, m) to the middle of where the tip with friction ends.
-
-    In the robot's frame, over all friction that the start allows, simulated once; NaN where a history failed.
-    """
-    known, key = _OFFSETS.setdefault(scenario, {}), corners.tobytes()
-    if key not in known:
-        middle = ball_centre(end_tips(scenario.robot, corners, start_states(scenario)))
-        known[key] = read_only(middle - frictionless_tips(scenario.robot, corners[-1:])[0][0])
-    return known[key]
-
-
-_OFFSETS: WeakKeyDictionary[Scenario, dict[bytes, Array]] = WeakKeyDictionary()  # by the corners of paths
 
 
 def brought_to_goal(checker: MotionChecker, corners: Array) -> Array | None:

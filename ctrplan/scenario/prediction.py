@@ -13,7 +13,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrplan.base.arrays import Array
+from ctrplan.base.arrays import Array, read_only
 from ctrplan.base.long_work import cores
 from ctrplan.errors import SolverError
 from ctrplan.mechanics.history import OSCILLATION_DEG, History, HistoryState, Start
@@ -171,9 +171,7 @@ def predict_from(robot: Robot, states: Sequence[HistoryState], joints: Array) ->
 
 def goal_error(robot: Robot, joints: Array, starts: Sequence[FrictionStart]) -> float:
     """Largest distance [m] of a simulated tip from the frictionless one after the path (K, m); inf if any failed."""
-    theta_b, l_b = robot.drive.collars(joints[-1:])
-    frictionless = robot.mechanics.tips_with_friction(theta_b, l_b, np.zeros((1, robot.n - 1))).position_m
-    error = float(np.linalg.norm(end_tips(robot, joints, starts) - frictionless, axis=1).max())
+    error = float(np.linalg.norm(end_tips(robot, joints, starts) - _frictionless_end(robot, joints), axis=1).max())
     return error if np.isfinite(error) else np.inf
 
 
@@ -193,6 +191,41 @@ def end_tips(robot: Robot, joints: Array, starts: Sequence[FrictionStart]) -> Ar
             known.pop(next(iter(known)))
         known[joints[: k + 1].tobytes()] = _end_after(robot, joints[k], before, starts)
     return known[joints.tobytes()].tip_m
+
+
+def offset_m(scenario: Scenario, corners: Array, beside: Array | None = None) -> Array:
+    """(3,) [m] from the frictionless tip at a path's end (K, m) to `end_middle_m`, in the robot's frame."""
+    return end_middle_m(scenario, corners, beside) - _frictionless_end(scenario.robot, corners)
+
+
+def end_middle_m(scenario: Scenario, corners: Array, beside: Array | None = None) -> Array:
+    """(3,) [m] the middle of where the tip with friction ends on a path (K, m), over all that the start allows.
+
+    In the robot's frame, simulated once; NaN where a history failed. With `beside`, a path near by, all starts are
+    simulated there, and but one here: what they differ by at the end hardly changes.
+    """
+    if beside is None or np.array_equal(beside, corners):
+        return np.asarray(_ends(scenario, corners)[0])
+    middle, first = _ends(scenario, beside)
+    return np.asarray(middle - first + end_tips(scenario.robot, corners, start_states(scenario)[:1])[0])
+
+
+def _ends(scenario: Scenario, corners: Array) -> Array:
+    """(2, 3) [m] the middle of the ends, and that of the first start."""
+    known, key = _MIDDLES.setdefault(scenario, {}), corners.tobytes()
+    if key not in known:
+        tips = end_tips(scenario.robot, corners, start_states(scenario))
+        known[key] = read_only(np.array([ball_centre(tips), tips[0]]))
+    return known[key]
+
+
+_MIDDLES: WeakKeyDictionary[Scenario, dict[bytes, Array]] = WeakKeyDictionary()  # by the corners of paths
+
+
+def _frictionless_end(robot: Robot, joints: Array) -> Array:
+    """(3,) [m] the frictionless tip at the end of a path (K, m), robot's frame."""
+    tips = robot.mechanics.tips_with_friction(*robot.drive.collars(joints[-1:]), np.zeros((1, robot.n - 1)))
+    return np.asarray(tips.position_m[0])
 
 
 def step_error(

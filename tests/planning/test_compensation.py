@@ -19,6 +19,7 @@ from ctrplan.files.scenario_file import load_scenario
 from ctrplan.motion.checker import MotionChecker
 from ctrplan.planning import compensate as compensation
 from ctrplan.planning.compensate import _CorrectedEnd, compensate
+from ctrplan.scenario import prediction
 from ctrplan.scenario.joint_space import bare_scenario
 from ctrplan.scenario.prediction import TIP_TOLERANCE_M, predict, start_states
 from ctrplan.storage.toml_document import read_document
@@ -110,7 +111,7 @@ def test_the_offset_that_is_aimed_for_is_that_at_the_end(slope: float, monkeypat
     def miss_m(corners: Any) -> Any:
         return compensation.frictionless_tips(case.robot, corners[-1:])[0][0] - case.goal.tip_m
 
-    def offset_m(_: Any, corners: Any) -> Any:
+    def offset_m(_: Any, corners: Any, beside: Any = None) -> Any:
         return np.array([0.3e-3, -0.1e-3, 0.2e-3]) + slope * miss_m(corners)
 
     monkeypatch.setattr(compensation, "offset_m", offset_m)
@@ -156,20 +157,42 @@ def test_what_joints_limits_leave_of_the_offset_is_said() -> None:
     assert not free.compensation.note
 
 
-def test_a_path_that_is_aimed_is_simulated_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whoever asks for the offset of a path that was aimed, before or after, waits for no history."""
-    asked, simulate = list[bytes](), compensation.end_tips
+def test_a_path_that_is_aimed_is_simulated_from_every_start_twice(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Before and after it is moved; on the way one start tells. Whoever asks for the end later waits for no history."""
+    asked, simulate = list[tuple[bytes, int]](), prediction.end_tips
 
     def counted(robot: Any, corners: Any, starts: Any) -> Any:
-        asked.append(corners.tobytes())
+        asked.append((corners.tobytes(), len(starts)))
         return simulate(robot, corners, starts)
 
-    monkeypatch.setattr(compensation, "end_tips", counted)
+    monkeypatch.setattr(prediction, "end_tips", counted)
     checker = MotionChecker(pair())
+    starts = start_states(checker.scenario)
     there, moved = compensation.aimed(checker, PATH)
-    assert there is not checker and 1 < len(asked) == len(set(asked))
-    offsets = [compensation.offset_m(checker.scenario, path) for path in (PATH, moved)]
-    assert len(asked) == len(set(asked)) and asked[-1] == moved.tobytes() and not offsets[0].flags.writeable
-    again, _ = compensation.end_tips(checker.scenario.robot, PATH, start_states(checker.scenario)), asked.pop()
-    off = compensation.ball_centre(again) - compensation.frictionless_tips(checker.scenario.robot, PATH[-1:])[0][0]
-    np.testing.assert_allclose(offsets[0], off, atol=1e-9)
+    assert there is not checker and len(asked) == len(set(asked)) > 2
+    everywhere = [path for path, count in asked if count == len(starts)]
+    assert everywhere == [PATH.tobytes(), moved.tobytes()] and {count for _, count in asked} == {1, len(starts)}
+    ends = [prediction.end_middle_m(checker.scenario, path) for path in (PATH, moved)]
+    assert len(asked) == len(set(asked))
+    again = prediction.ball_centre(simulate(checker.scenario.robot, PATH, starts))
+    np.testing.assert_allclose(ends[0], again, atol=1e-9)
+    before = len(asked)
+    beside, _ = compensation.aimed(checker, moved, PATH)
+    assert beside is not checker and all(count == 1 for _, count in asked[before:])
+
+
+@pytest.mark.parametrize("friction", ["unknown", "released"])
+def test_one_start_tells_where_a_path_beside_a_simulated_one_ends(friction: str) -> None:
+    """The less far off the nearer it is: by a share of what the starts differ by, by nothing where there is but one."""
+    case, rng = load_scenario(SCENARIOS / "sinus.toml", [f"start.friction={friction}"]), np.random.default_rng(0)
+    steps = [[0.1, -0.1, 0.2, 0, 0], [0, 0, 0, 0.01, 0.02], [0.1, -0.1, -0.1, 0, 0]]
+    path = np.vstack([case.start, case.start + np.cumsum(steps, axis=0)])
+    spread_m = prediction.predict(case.robot, path, start_states(case)).end_spread_m
+    assert (spread_m > 0.1e-3) == (friction == "unknown")
+    np.testing.assert_array_equal(*(prediction.end_middle_m(case, path, beside) for beside in (None, path)))
+    for size in (0.3, 0.1, 0.03, 0.01):
+        other = path + size * np.cumsum(np.diff(path, axis=0, prepend=path[:1]) * rng.normal(size=path.shape), axis=0)
+        off = prediction.end_middle_m(case, other, path) - prediction.end_middle_m(case, other)
+        assert np.linalg.norm(off) <= 5 * size * spread_m + 1e-12
+        shift = prediction.offset_m(case, other, path) - prediction.offset_m(case, other)
+        np.testing.assert_allclose(shift, off, atol=1e-12)

@@ -15,13 +15,14 @@ from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.drive.legs import merge_legs
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.motion.checker import MotionChecker
-from ctrplan.planning.compensate import CLOSE_M, aimed, brought_to_goal
+from ctrplan.planning.compensate import CLOSE_M, aimed, brought_to_goal, frictionless_tips
 from ctrplan.planning.goal_states import goal_state
 from ctrplan.planning.search.path_model import NearPlaces, PathModel, _valleys, levels_of, slope_along
-from ctrplan.planning.search.polish import FOLLOWED_M, LEAST_GAIN_MM, Polish, _end_m, _miss_m
+from ctrplan.planning.search.polish import FOLLOWED_M, LEAST_GAIN_MM, Polish
 from ctrplan.scenario.joint_space import bare_scenario
-from ctrplan.scenario.prediction import TIP_TOLERANCE_M, predict_end, start_states
+from ctrplan.scenario.prediction import TIP_TOLERANCE_M, end_middle_m, predict_end, start_states
 from ctrplan.scenario.scenario import CostTerm, Goal, Scenario
+from ctrplan.scenario.tip_solver import target_in_robot_frame
 
 START, GOAL = np.radians([0, 0, 0, 0]), np.append(np.radians([20.0, 80.0, 130.0]), -20e-3)
 START[3] = -60e-3
@@ -47,6 +48,11 @@ def roundabout() -> Array:
     for turn, l_m in zip(rotations[1:], (-45e-3, -30e-3, -20e-3), strict=True):
         corners += [np.append(turn, corners[-1][3]), np.append(turn, l_m)]
     return np.array(corners)
+
+
+def miss_m(scenario: Scenario, corners: Array) -> Array:
+    """(3,) from where the tip with friction ends, simulated from every start, to the target."""
+    return target_in_robot_frame(scenario) - end_middle_m(scenario, corners)
 
 
 def test_the_model_s_slope_is_that_of_length_and_worst_case(case: Scenario) -> None:
@@ -355,7 +361,7 @@ def test_the_goal_follows_friction_at_the_end_of_the_path(case: Scenario, checke
     assert len(polished[True].trail) > 1 and polished[True].cost_mm < 0.9 * Polish(checker, moved, 0).cost_mm
     assert off_mm[True] <= FOLLOWED_M * MM_PER_M + LEAST_GAIN_MM and off_mm[True] < off_mm[False] / 2
     miss = Polish(checker, roundabout(), 0, is_aimed=True)
-    beyond_mm = max(0.0, float(np.linalg.norm(_miss_m(checker.scenario, miss.corners))) - FOLLOWED_M) * MM_PER_M
+    beyond_mm = max(0.0, float(np.linalg.norm(miss_m(checker.scenario, miss.corners))) - FOLLOWED_M) * MM_PER_M
     plain_mm = Polish(checker, roundabout(), 0).cost_mm
     assert miss.cost_mm - plain_mm == pytest.approx((case.cost.error_goal + case.cost.path) * beyond_mm)
 
@@ -367,11 +373,11 @@ def test_the_next_aim_is_nearer_to_where_friction_takes_it(case: Scenario, check
     polish = Polish(checker, roundabout(), 0, is_aimed=True)
     for other in (None, path):
         assert other is None or polish._takes(other)
-        end_m, miss_m = _end_m(checker.scenario, polish.corners), _miss_m(checker.scenario, polish.corners)
-        shift_m = polish._aim_m - end_m
-        assert np.linalg.norm(miss_m) > 0.1e-3
-        assert np.linalg.norm(shift_m) == pytest.approx(min(FOLLOWED_M, float(np.linalg.norm(miss_m))))
-        assert np.linalg.norm(miss_m - shift_m) == pytest.approx(max(float(np.linalg.norm(miss_m)) - FOLLOWED_M, 0.0))
+        off_m = miss_m(checker.scenario, polish.corners)
+        shift_m = polish._aim_m - frictionless_tips(case.robot, polish.corners[-1:])[0][0]
+        assert np.linalg.norm(off_m) > 0.1e-3
+        assert np.linalg.norm(shift_m) == pytest.approx(min(FOLLOWED_M, float(np.linalg.norm(off_m))))
+        assert np.linalg.norm(off_m - shift_m) == pytest.approx(max(float(np.linalg.norm(off_m)) - FOLLOWED_M, 0.0))
 
 
 def test_a_path_of_other_legs_is_aimed_anew_before_it_is_priced(
@@ -387,7 +393,7 @@ def test_a_path_of_other_legs_is_aimed_anew_before_it_is_priced(
     plain, anew, small = offered
     np.testing.assert_array_equal(plain, path)
     np.testing.assert_array_equal(small, path)
-    assert np.linalg.norm(_miss_m(case, anew)) < TIP_TOLERANCE_M < 1e-4 < np.linalg.norm(_miss_m(case, path))
+    assert np.linalg.norm(miss_m(case, anew)) < TIP_TOLERANCE_M < 1e-4 < np.linalg.norm(miss_m(case, path))
 
 
 TURNED = CostTerm("turned", 100.0, lambda q: np.abs(q[:, 1]))

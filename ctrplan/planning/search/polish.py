@@ -22,13 +22,13 @@ from ctrplan.base.long_work import ROOM_NS
 from ctrplan.drive.legs import merge_legs
 from ctrplan.mechanics.walk import PathSamples
 from ctrplan.motion.checker import ASTRAY_M, DEFINITE_COLLISION_M, MotionChecker
-from ctrplan.planning.compensate import aimed, brought_to_goal, frictionless_tips, offset_m
+from ctrplan.planning.compensate import aimed, brought_to_goal, frictionless_tips
 from ctrplan.planning.goal_states import CORRECTIONS, FIRST_MM, LEAST_MM, LONGER, TIP_STEPS
 from ctrplan.planning.reach import SHORTER
 from ctrplan.planning.reordering import Reordered, as_given, least_error_order
 from ctrplan.planning.search.path_model import NearPlaces, PathModel, levels_of, slope_along
 from ctrplan.planning.search.roadmap_search import RoadmapSearch
-from ctrplan.scenario.scenario import Scenario
+from ctrplan.scenario.prediction import end_middle_m
 from ctrplan.scenario.tip_solver import LEAST_DAMPING, TipSolver, TipTarget, angle_to, target_in_robot_frame, tip_target
 
 LEAST_GAIN_MM = 0.05  # of the cost: a step that gains less is not worth a walk
@@ -208,9 +208,8 @@ class Polish:
 
     def _takes_aimed(self, corners: Array) -> bool:
         """Whether a path of other legs costs less, aimed anew where friction takes the tip farther than steps do."""
-        scenario = self.checker.scenario
-        if self.is_aimed and self.space.allowed(corners) and np.linalg.norm(_miss_m(scenario, corners)) > FOLLOWED_M:
-            _, corners = aimed(self.checker, corners)
+        if self.is_aimed and self.space.allowed(corners) and np.linalg.norm(self._miss_m(corners)) > FOLLOWED_M:
+            _, corners = aimed(self.checker, corners, self.corners)
         return self._takes(corners)
 
     def _takes_corrected(self, corners: Array | None) -> bool:
@@ -234,10 +233,13 @@ class Polish:
         """Whether a path is valid and costs less; then it is the path."""
         if corners is None or self.checker.refusal(self._new_legs(corners)):
             return False
+        corners, most_mm = merge_legs(corners), self.cost_mm - LEAST_GAIN_MM
         cost_mm = self._cost_mm(corners)
-        if not cost_mm < self.cost_mm - LEAST_GAIN_MM:
+        if self.is_aimed and cost_mm < most_mm:  # expected: now it is simulated from every start
+            cost_mm += self._miss_cost_mm(corners, corners) - self._miss_cost_mm(corners)
+        if not cost_mm < most_mm:
             return False
-        self.corners, self.cost_mm = merge_legs(corners), cost_mm
+        self.corners, self.cost_mm = corners, cost_mm
         self.trail.append((self.cost_mm, self.corners))
         self.__dict__.pop("_aim_m", None)
         return True
@@ -250,15 +252,17 @@ class Polish:
         if not motion.valid:
             return np.inf
         cost_mm = self.checker.cost_mm(motion, ends_at_goal=True)
-        return cost_mm + self._miss_cost_mm(corners) if self.is_aimed and cost_mm < self.cost_mm else cost_mm
+        if self.is_aimed and cost_mm < self.cost_mm:
+            cost_mm += self._miss_cost_mm(corners)
+        return cost_mm
 
-    def _miss_cost_mm(self, corners: Array) -> float:
+    def _miss_cost_mm(self, corners: Array, beside: Array | None = None) -> float:
         """What it costs that the tip with friction misses by more than the next step makes up for.
 
         It is an error at the goal, and motion that makes up for it.
         """
         weights = self.checker.scenario.cost
-        miss_m = float(np.linalg.norm(_miss_m(self.checker.scenario, corners)))
+        miss_m = float(np.linalg.norm(self._miss_m(corners, beside)))
         left_mm = max(miss_m - FOLLOWED_M, 0.0) * MM_PER_M
         return (weights.error_goal + weights.path) * left_mm if np.isfinite(miss_m) else np.inf
 
@@ -318,19 +322,15 @@ class Polish:
         scenario = self.checker.scenario
         if not self.is_aimed:
             return target_in_robot_frame(scenario)
-        miss_m = _miss_m(scenario, self.corners)
+        miss_m = self._miss_m(self.corners)
         share = min(1.0, FOLLOWED_M / max(float(np.linalg.norm(miss_m)), 1e-12))
-        return np.asarray(_end_m(scenario, self.corners) + share * miss_m)
+        return np.asarray(frictionless_tips(scenario.robot, self.corners[-1:])[0][0] + share * miss_m)
 
-
-def _miss_m(scenario: Scenario, corners: Array) -> Array:
-    """(3,) from where the tip with friction ends on a path (K, m), in the middle, to the target."""
-    return target_in_robot_frame(scenario) - _end_m(scenario, corners) - offset_m(scenario, corners)
-
-
-def _end_m(scenario: Scenario, corners: Array) -> Array:
-    """(3,) the frictionless tip at the end of a path (K, m)."""
-    return np.asarray(frictionless_tips(scenario.robot, corners[-1:])[0][0])
+    def _miss_m(self, corners: Array, beside: Array | None = None) -> Array:
+        """(3,) to the target from where the tip with friction ends on a path (K, m), by the best one or `beside`."""
+        scenario = self.checker.scenario
+        simulated = self.corners if beside is None else beside
+        return target_in_robot_frame(scenario) - end_middle_m(scenario, corners, simulated)
 
 
 class Result(NamedTuple):
@@ -378,7 +378,9 @@ class Race:
         scenario, driven = self.roadmap.checker.scenario, self._driven(self.roadmap.checker, corners)
         if driven is not None and np.isfinite(price_mm := self._price_mm(*driven)):
             return price_mm
-        miss_m = _miss_m(scenario, corners) if self._is_aimed else np.zeros(3)
+        if not self._is_aimed:
+            return unmoved_mm
+        miss_m = target_in_robot_frame(scenario) - end_middle_m(scenario, corners)
         return unmoved_mm + scenario.cost.error_goal * MM_PER_M * float(np.nan_to_num(np.linalg.norm(miss_m)))
 
     def ordered(self, result: Result, checker: MotionChecker, corners: Array) -> Reordered:
@@ -397,9 +399,7 @@ class Race:
         Where friction at the end turned round on the way, a racer's last is dearer as it is driven, or has no room.
         """
         checker = self.roadmap.checker
-        least = MotionChecker(
-            checker.scenario, checker.style, checker.meter, RESERVE_LEFT * self.roadmap.checker.reserve_m
-        )
+        least = MotionChecker(checker.scenario, checker.style, checker.meter, RESERVE_LEFT * checker.reserve_m)
         least.watch = checker.watch
         trails = (path for racer in self.racers for path in racer.trail)
         waiting: list[tuple[float, int, Array, Result | None]]
@@ -417,8 +417,7 @@ class Race:
         driven = self._driven(least, corners)
         if driven is None or not np.isfinite(price_mm := self._price_mm(*driven)):
             return None
-        is_moved = driven[1] is not corners
-        to_goal = brought_to_goal(self.roadmap.checker, driven[1]) if is_moved else corners
+        to_goal = corners if driven[1] is corners else brought_to_goal(self.roadmap.checker, driven[1])
         return None if to_goal is None else Result(to_goal, driven[1], price_mm)
 
     def _price_mm(self, checker: MotionChecker, corners: Array) -> float:
