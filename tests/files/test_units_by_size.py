@@ -109,9 +109,9 @@ def test_numbers_of_a_robot_by_what_they_would_mean(said: str, phrase: str) -> N
 
 
 MODULI = [
-    ("youngs_modulus_GPa=6000,poisson_ratio=0.3", r"youngs_modulus_GPa = 6000: Young's .*: is it in MPa or ksi\?"),
-    ("youngs_modulus_GPa=60,shear_modulus_GPa=60", "shear_modulus_GPa = 60: shear modulus would be 1 times Young's"),
-    ("youngs_modulus_GPa=20,shear_modulus_GPa=8000", "shear_modulus_GPa = 8000: .* a third to a half: is it in MPa"),
+    ("youngs_modulus_GPa=6000,poisson_ratio=0.3", r"youngs_modulus_GPa = 6000 GPa: Young's .*: is it in MPa or ksi\?"),
+    ("youngs_modulus_GPa=60,shear_modulus_GPa=60", "shear_modulus_GPa = 60 GPa: shear modulus .* 1 times Young's"),
+    ("youngs_modulus_GPa=20,shear_modulus_GPa=8000", "shear_modulus_GPa = 8000 GPa: .* third to a half: is it in MPa"),
     (IN_NO_DOUBT, ""),
 ]
 RADII = [
@@ -145,8 +145,8 @@ def tubes_of(moduli: str) -> list[str]:
 @pytest.mark.parametrize(
     ("moduli", "phrase"),
     [
-        ("youngs_modulus_GPa=0.065,poisson_ratio=0.3", r"youngs_modulus_GPa = 0.065: .* is it in TPa\?"),
-        ("youngs_modulus_GPa=0.2,poisson_ratio=0.29", r"youngs_modulus_GPa = 0.2: .* as of a metal: is it in TPa\?"),
+        ("youngs_modulus_GPa=0.065,poisson_ratio=0.3", r"youngs_modulus_GPa = 0.065 GPa: .* is it in TPa\?"),
+        ("youngs_modulus_GPa=0.2,poisson_ratio=0.29", r"youngs_modulus_GPa = 0.2 GPa: .* of a metal: is it in TPa\?"),
         ("youngs_modulus_GPa=0.065,poisson_ratio=0.45", ""),
         ("youngs_modulus_GPa=0.05,poisson_ratio=0.48", ""),
         ("youngs_modulus_GPa=0.5,poisson_ratio=0.3", ""),
