@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from hidden_effects import drive, effects, sensor
 from hidden_effects.bank import cases, make
-from hidden_effects.case import Case
+from hidden_effects.case import Case, true_names
 from hidden_effects.chain import Poses, poses
 from hidden_effects.dataset import measurements_csv, robot_toml
 from hidden_effects.effects import Draw
@@ -215,6 +215,9 @@ def test_noise_has_the_stated_size_or_says_by_how_much_it_is_off() -> None:
 def test_bank_of_folders_is_drawn_from_its_seed_and_resumes(tmp_path: Path) -> None:
     todo = cases(3)
     assert len(todo) >= 200 and len({case.name for case in todo}) == len(todo) and todo == cases(3) != cases(4)
+    correlated = [case for case in todo if case.row == "null, correlated"]
+    assert len({(case.left, case.continuous) for case in correlated}) == len(correlated) > 10
+    assert all(true_names(case) == ["unknown"] for case in correlated)
     case = Case("tiny", "pair", 4, (("tip_load", 1.0), ("backlash", 1.0)), count=2)
     make(tmp_path, [case], jobs=2)
     written = {path.name: path.stat().st_mtime_ns for path in (tmp_path / "tiny").iterdir()}

@@ -6,6 +6,7 @@ import argparse
 import os
 import time
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -16,20 +17,29 @@ import numpy as np
 from hidden_effects.case import Case, write
 from hidden_effects.effects import CATALOGUE, CONTINUOUS_ONLY, UNKNOWN
 from hidden_effects.equilibrium import NoEquilibrium
+from hidden_effects.leftovers import Leftover
 
 LOOK_ALIKES = ("off_plane_precurvature", "homing_rotation")
 SEPARABLE = tuple(name for name in CATALOGUE if name not in LOOK_ALIKES)
 ALSO_CONTINUOUS = ("drift", "sensor_distortion", "base_misalignment", "sensor_offset", "tip_load", "homing_translation")
 SIZES = (0.5, 1.0, 2.0, 4.0)  # multiples of the noise left after recalibration, about; truth.json has what it came to
+CORRELATED = "null, correlated"
+REST_MM = (1.0, 2.0, 3.0)
+MEMORIES = (("configuration", 0.3), ("configuration", 0.7), ("configuration", 1.5), ("time", 20.0), ("time", 100.0))
+MEMORIES_OF_STREAMS = (("configuration", 0.7), ("time", 2.0), ("time", 8.0))  # of 16 s
 RETRIES = 8
 
 
 def cases(seed: int, repeats: int = 1) -> list[Case]:
-    """All cases of a bank, mixed; `repeats` = 1 gives more than 200, the first dozens of which are a small bank."""
+    """All cases of a bank, mixed; `repeats` = 1 gives more than 200, the first dozens of which are a small bank.
+
+    Nulls with correlated errors come last, so that the others are what they were before there were these.
+    """
     rng = np.random.default_rng([seed, 77])
     found = [case for _ in range(repeats) for case in _one_of_each(rng)]
-    order = rng.permutation(len(found))
-    return [_renamed(found[i], k, seed) for k, i in enumerate(order.tolist())]
+    mixed = [found[i] for i in rng.permutation(len(found)).tolist()]
+    mixed += [case for _ in range(repeats) for case in _correlated(np.random.default_rng([seed, 78]))]
+    return [_renamed(case, k, seed) for k, case in enumerate(mixed)]
 
 
 def _one_of_each(rng: np.random.Generator) -> list[Case]:
@@ -53,6 +63,13 @@ def _one_of_each(rng: np.random.Generator) -> list[Case]:
     return found
 
 
+def _correlated(rng: np.random.Generator) -> list[Case]:
+    at_rest = [(Leftover(size, *memory), False) for memory in MEMORIES for size in REST_MM]
+    streams = [(Leftover(REST_MM[1], *memory), True) for memory in MEMORIES_OF_STREAMS]
+    drawn = [(_case(CORRELATED, (), rng, continuous=is_stream), left) for left, is_stream in at_rest + streams]
+    return [replace(case, left=left) for case, left in drawn]
+
+
 def _case(
     row: str,
     hidden: tuple[tuple[str, float], ...],
@@ -68,10 +85,7 @@ def _case(
 
 
 def _renamed(case: Case, k: int, seed: int) -> Case:
-    return Case(f"b{seed}_{k:03d}", *(getattr(case, f) for f in CASE_FIELDS))
-
-
-CASE_FIELDS = ("row", "seed", "hidden", "noise", "count", "continuous", "left_out")
+    return replace(case, name=f"b{seed}_{k:03d}")
 
 
 def _any(names: tuple[str, ...], rng: np.random.Generator) -> str:
@@ -107,7 +121,7 @@ def make_one(folder: Path, case: Case) -> None:
     began = time.process_time()
     for attempt in range(RETRIES):
         try:
-            write(Case(case.name, case.row, case.seed + attempt, *(getattr(case, f) for f in CASE_FIELDS[2:])), folder)
+            write(replace(case, seed=case.seed + attempt), folder)
             break
         except (NoEquilibrium, np.linalg.LinAlgError) as refusal:
             print(f"{case.name}: drawn again, {refusal}", flush=True)
@@ -120,10 +134,12 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--repeats", type=int, default=1)
+    parser.add_argument("--row", nargs="*", default=[], help="only those of these lines of the table of goals")
     parser.add_argument("--first", type=int, help="only so many")
     parser.add_argument("--jobs", type=int, default=1, help="cases at a time")
     given = parser.parse_args()
-    todo = cases(given.seed, given.repeats)[: given.first]
+    drawn = cases(given.seed, given.repeats)
+    todo = [case for case in drawn if not given.row or case.row in given.row][: given.first]
     if given.action == "list":
         for case in todo:
             print(case)

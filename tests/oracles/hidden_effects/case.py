@@ -12,6 +12,7 @@ from hidden_effects import effects, experiment
 from hidden_effects.chain import Poses, poses
 from hidden_effects.dataset import measurements_csv, robot_toml, write_folder
 from hidden_effects.leftover import leftover_over_noise
+from hidden_effects.leftovers import Leftover, add_leftover
 from hidden_effects.noise import add_noise
 from hidden_effects.world import ROBOTS, Ordinary, World, draw_ordinary
 
@@ -32,6 +33,7 @@ class Case:
     continuous: bool = False
     left_out: str = ""  # an effect that the diagnosis' catalogue has to do without
     robot: str = "three tubes"
+    left: Leftover = Leftover()  # smooth errors besides, that nothing explains
 
     def believed(self) -> World:
         """What the user's robot file says."""
@@ -76,8 +78,9 @@ def make(case: Case) -> Made:
 def write(case: Case, parent: Path) -> None:
     """Makes the case and writes parent/name."""
     made = make(case)
-    rng = np.random.default_rng([case.seed, 2])
-    p, tangent = add_noise(made.poses.p, made.poses.tangent, case.noise, rng)
+    smooth = np.random.default_rng([case.seed, 3])
+    p, tangent = add_leftover(made.poses.p, made.poses.tangent, made.experiment, case.left, smooth)
+    p, tangent = add_noise(p, tangent, case.noise, np.random.default_rng([case.seed, 2]))
     truth = {
         "effects": true_names(case),
         "leftover_over_noise": round(made.leftover(), 3),
@@ -97,4 +100,4 @@ def true_names(case: Case) -> list[str]:
     names = {"unknown" if name == case.left_out else effects.truth_name(name) for name, _ in case.hidden}
     if any(name == "translation_release" for name, _ in case.hidden):
         names.add("friction")
-    return sorted(names)
+    return sorted(names | ({"unknown"} if case.left.size_mm else set()))

@@ -158,7 +158,9 @@ class Goal:
 def goals(trials: list[Trial]) -> list[Goal]:
     """The rows of the table of goals in diagnosis.md that a bank can fill."""
     nulls = [t for t in trials if t.row == "null"]
-    rough = [t for t in trials if t.row.startswith("null,")]
+    rough = [t for t in trials if t.row in ("null, heavy tails", "null, misstated noise")]
+    every_null = [t for t in trials if t.row.startswith("null")]
+    correlated = [t for t in trials if t.row == "null, correlated"]
     singles = [t for t in trials if t.row == "single" and t.leftover >= SEPARABLE_FROM]
     heavy = [t for t in trials if t.row == "single, heavy tails" and t.leftover >= SEPARABLE_FROM]
     pairs = [t for t in trials if t.row == "pair"]
@@ -169,6 +171,8 @@ def goals(trials: list[Trial]) -> list[Goal]:
     right = [t for t in trials if t.is_right and t.known]
     covered = [inside for t in right for inside in intervals(t)]
     return [
+        _goal("names in nulls, correlated ones among them", "<= 2 %", every_null, lambda t: bool(t.named)),
+        _goal("the same, correlated ones alone", "<= 2 %", correlated, lambda t: bool(t.named)),
         _goal("false alarm on nulls", "<= 5 %", nulls, lambda t: t.verdict != "no_missing_effect"),
         _goal("the same, heavy tails or misstated noise", "", rough, lambda t: t.verdict != "no_missing_effect"),
         _goal("right name, single effect that leaves >= 1x noise", ">= 95 %", singles, lambda t: t.is_right),
