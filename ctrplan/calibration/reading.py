@@ -4,7 +4,7 @@ Every gross fault that laboratories make leaves the uncalibrated robot centimetr
 columns a few millimetres. Residuals of an uncalibrated robot are smooth: they are worth about a dozen independent
 numbers, whatever the count of poses. With the prior that one file in a hundred is misread, shared among some forty
 readings, another reading is believed where it leaves less than half of the error, and half of what tips that heed no
-joint would leave.
+joint would leave. Tangents are asked alike where positions are explained.
 """
 
 from __future__ import annotations
@@ -12,8 +12,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
+from functools import cached_property, reduce
 from itertools import combinations, permutations, product
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,7 @@ from ctrplan.measurement.measurements import Measurements
 from ctrplan.pipeline.tip_table import nested
 from ctrplan.robot.robot import Robot
 
+NUMBERS = 12  # independent ones that the residuals of an uncalibrated robot are worth
 BETTER = 2.0  # times the error as read over that of another reading: 12 log 2 = 8.3 against prior odds of 4000 to 1
 MOST_POSES = 60  # that are read again: gross faults show in every one
 LEAST_POSES = 6  # of which a frame of six numbers leaves something
@@ -32,14 +34,17 @@ BASE_RAD, BASE_M = np.radians(15.0), 15e-3  # by which a base is off, or drifts 
 ALIKE = 1.3  # times the error of the best reading, with which a plainer one is told instead
 ORDERS, SEED = 100, 3  # of the rows, none of which fits as well where tips heed the joints: chance is 1 in 100
 SAME = 0.02  # of the error, by which readings differ that no data tell apart, as mirrored tips and mirrored rotations
-POWERS = {
-    10.0: "10 times too small",
-    0.1: "10 times too large",
-    1e3: "1000 times too small",
-    1e-3: "1000 times too large",
-}
+POWERS = {10.0: "10 times too small", 0.1: "10 times too large"}
+POWERS |= {1e3: "1000 times too small", 1e-3: "1000 times too large"}
+LENGTHS = {1e-3: "in millimetres", 1e-2: "in centimetres", 0.0254: "in inches", 0.1: POWERS[0.1], 10.0: POWERS[10.0]}
+LENGTHS |= {1e3: POWERS[1e3], 25.4: "25.4 times too small", 1 / 25.4: "25.4 times too large"}
+ANGLES = {180 / np.pi: "57.3 times too small", np.pi / 180: "in degrees", 2 * np.pi: "in turns"}
+ANGLES |= {np.pi: "in half turns", 10.0: POWERS[10.0], 0.1: POWERS[0.1]}
+SHIFTS = {1: "one row late", -1: "one row early", 2: "two rows late", -2: "two rows early"}
+TIP, TANGENT = ("x_m", "y_m", "z_m"), ("tx", "ty", "tz")
 
 Joints = tuple[Array, Array]
+Pair = tuple[Array, Array]  # measured and predicted
 
 
 @dataclass(frozen=True)
@@ -48,57 +53,34 @@ class Reading:
 
     what: str  # a sentence
     columns: tuple[str, ...]  # that are concerned
-    rms_before_mm: float  # of the uncalibrated robot, as read
-    rms_after_mm: float
+    rms_before: float  # of the uncalibrated robot, as read
+    rms_after: float
+    unit: Literal["mm", "deg"] = "mm"  # of both: of positions or of tangents
 
     @property
     def sentence(self) -> str:
         """What a person should do first."""
         if not self.columns:
             return f"{self.what[:1].upper()}{self.what[1:]}."
-        known = math.isfinite(self.rms_before_mm)
-        before = f"instead of {self.rms_before_mm:.3g} mm" if known else "and as they stand no robot has such joints"
+        known = math.isfinite(self.rms_before)
+        before = (
+            f"instead of {self.rms_before:.3g} {self.unit}" if known else "and as they stand no robot has such joints"
+        )
         return (
             f"{self.what[:1].upper()}{self.what[1:]} ({', '.join(self.columns)}): read so, the uncalibrated robot is "
-            f"{self.rms_after_mm:.3g} mm off (rms) {before}."
+            f"{self.rms_after:.3g} {self.unit} off (rms) {before}."
         )
 
     def to_json(self) -> dict[str, Any]:
         """For diagnosis.json and calibration.json."""
         rms = {
-            name: round(value, 4) if math.isfinite(value := getattr(self, name)) else None
-            for name in ("rms_before_mm", "rms_after_mm")
+            f"{name}_{self.unit}": round(value, 4) if math.isfinite(value := getattr(self, name)) else None
+            for name in ("rms_before", "rms_after")
         }
         return {"what": self.what, "columns": list(self.columns)} | rms
 
 
-LARGEST_STEP_RAD = np.radians(270.0)  # between two poses at rest, by which few drives turn and many logs wrap
-
-
-def how_taken(data: Measurements) -> list[str]:
-    """Sentences about how poses were taken, where rows alone say so: each of one file, none measured on the way."""
-    if data.is_stream:
-        return []
-    rows, runs = data.rows, data.sequence[data.rows]
-    at_once = (np.diff(rows) == 1) & (np.diff(runs) == 0)
-    theta = data.theta_commanded[rows]
-    moved = np.abs(np.diff(theta, axis=0)).max(axis=1) > 0 if len(theta) > 1 else np.zeros(0, bool)
-    if not (at_once & moved).sum() > len(rows) / 2:
-        return []
-    sentences = [
-        "Every row is taken for a pose at rest, to which the robot was driven from the row before; a mapping file says "
-        "otherwise with at_rest = false."
-    ]
-    steps = np.abs(np.diff(theta, axis=0))
-    wide = np.argwhere((steps > LARGEST_STEP_RAD) & at_once[:, None])
-    if len(wide):
-        k, i = wide[0].tolist()
-        where = f"Between rows {rows[k] + 1} and {rows[k + 1] + 1} rotation {i + 1} changes by"
-        sentences.append(
-            f"{where} {np.degrees(steps[k, i]):.0f} deg ({len(wide)} such steps). If the log wraps rotations, say "
-            "so in a mapping file with rotations: friction heeds the way."
-        )
-    return sentences
+AS_IS = np.eye(3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,9 +90,14 @@ class _Again:
     what: str
     columns: tuple[str, ...]
     joints: Callable[[Array, Array], Joints] = lambda theta, x: (theta, x)  # noqa: E731
-    position: Callable[[Array], Array] = lambda p: p  # noqa: E731
     robot: Callable[[Robot], Robot] = lambda robot: robot  # noqa: E731
     rows: int = 0  # by how many measured rows poses belong to later joints
+    scale: float = 1.0  # of positions, which are turned and shifted [m] after that
+    turn: Array = field(default_factory=lambda: AS_IS)  # (3, 3), by which rows of coordinates are multiplied
+    shift: Array | float = 0.0
+
+
+AS_READ = _Again("", ())
 
 
 def read_again(robot: Robot, data: Measurements) -> tuple[Reading, ...]:
@@ -124,46 +111,96 @@ def read_again(robot: Robot, data: Measurements) -> tuple[Reading, ...]:
     if tips.count < 3:
         return ()
     kept = np.unique(np.linspace(0, tips.count - 1, min(tips.count, MOST_POSES)).round().astype(int))
-    constant = float(np.sqrt(np.mean(np.sum((tips.position_m - tips.position_m.mean(axis=0)) ** 2, axis=1))))
     file, results = _File(robot, tips, kept, ()), list[Reading]()
     for _ in range(2):
-        before = file.rms_m(_Again("", ()))
-        fault = _best(file, min(before, constant))
+        before = file.rms_m(AS_READ)
+        fault = _best(file, before)
         if fault is None:
             break
         way, after = fault
         file = replace(file, done=(*file.done, way))
         results.append(Reading(way.what, way.columns, 1e3 * before, 1e3 * after))
-    if not results and (unrelated := _unrelated(file, constant)):
-        results.append(unrelated)
-    return tuple(results)
+    if not results and (unrelated := _unrelated(file)):
+        return (unrelated,)
+    if file.are_tangents_alike:
+        turned = [way.turn is not AS_IS for way in file.done]
+        results = [replace(r, columns=(*r.columns, *TANGENT)) if t else r for r, t in zip(results, turned, strict=True)]
+    return (*results, *_misdirected(file))
 
 
-def _unrelated(file: _File, constant: float) -> Reading | None:
+def _unrelated(file: _File) -> Reading | None:
     """Says that the tips heed no joint: in the best frame, other orders of the rows fit the robot as well.
 
     Asked where the joints should have moved the tips about as far as they moved.
     """
-    measured, model = file.pairs(_Again("", ()))
-    if len(model) < max(LEAST_POSES, 0.8 * len(file.kept)):
-        return None
-    should = float(np.sqrt(np.mean(np.sum((model - model.mean(axis=0)) ** 2, axis=1))))
-    if should * BETTER < constant:
+    measured, model = file.pairs(AS_READ)
+    if not file.suffices(model) or _spread(model) * BETTER < _spread(measured):
         return None
     rng = np.random.default_rng(SEED)
     own = _registered_m(measured, model)
     if own < min(_registered_m(measured, model[rng.permutation(len(model))]) for _ in range(ORDERS)):
         return None
     as_well = f"put in any other order they fit the robot as well, {1e3 * own:.3g} mm off (rms) in the best frame"
-    return Reading(
-        f"the tips heed no joint: {as_well}. These are not the joints of these poses", (), 1e3 * own, 1e3 * own
-    )
+    what = f"the tips heed no joint: {as_well}. These are not the joints of these poses"
+    return Reading(what, (), 1e3 * own, 1e3 * own)
+
+
+def _misdirected(file: _File) -> tuple[Reading, ...]:
+    """What is misread of tangents where positions are explained: signs, order or frame, or that they are none.
+
+    Tangents that are none, as another axis of the sensor, have less than half of their length along the tube's.
+    """
+    measured, model = file.tangents()
+    if len(model) < 3 or file.rms_m(AS_READ) * BETTER > _spread(file.pairs(AS_READ)[0]):
+        return ()
+    u, _, v = np.linalg.svd(measured.T @ model)
+    best = u @ np.diag([1.0, 1.0, np.linalg.det(u @ v)]) @ v
+    shown, axes = min(_axes(), key=lambda one: _rms(measured @ one[1] - model))
+    before = _rms(measured - model)
+    for what, turn in (
+        (f"the columns of tangents are not tx, ty, tz but hold them as {shown}", axes),
+        ("tangents are in another frame than positions", best),
+    ):
+        after = _rms(measured @ turn - model) if turn is axes or file.suffices(model) else np.inf
+        if after * BETTER < min(_spread(measured), _displaced(measured - model, after, _turns(model))):
+            degrees = np.degrees(2 * np.arcsin(np.array([before, after]) / 2))  # of chords
+            return (Reading(what, TANGENT, *degrees.tolist(), "deg"),)
+    along = float(np.mean(np.sum(measured * model, axis=1)))
+    if along * BETTER > 1.0:
+        return ()
+    away = f"tangents are {np.degrees(np.arccos(along)):.0f} deg from the tube's direction at its tip"
+    return (Reading(f"{away}: leave them out where the sensor does not follow the tube", (), np.nan, np.nan),)
+
+
+def _rms(off: Array) -> float:
+    """Root of the mean square length of vectors (M, 3); infinite of none."""
+    return float(np.sqrt(np.mean(np.sum(off**2, axis=1)))) if len(off) else np.inf
+
+
+def _spread(places: Array) -> float:
+    """Rms distance of places (M, 3) from their middle: the error where they heed nothing."""
+    return _rms(places - places.mean(axis=0)) if len(places) else np.inf
 
 
 def _registered_m(measured: Array, model: Array) -> float:
     """Rms distance [m] of tips (M, 3) in the frame that suits them best."""
     turn, shift = _motion(measured, model)
-    return float(np.sqrt(np.mean(np.sum((measured @ turn.T + shift - model) ** 2, axis=1))))
+    return _rms(measured @ turn.T + shift - model)
+
+
+def _turns(model: Array) -> Array:
+    """(M, axis, 3) by which a turn of the base about each axis, as large as an effect's prior, moves what is there."""
+    return BASE_RAD * np.cross(np.eye(3)[None], model[:, None])
+
+
+def _displaced(off: Array, error: float, moves: Array) -> float:
+    """Rms of errors `off` (M, 3) beside what effects do to the base, `moves` (M, B, 3) of the size of their priors.
+
+    What that takes is held against it as an error that is as improbable; `error` is the size of those that remain.
+    """
+    J, r = moves.transpose(0, 2, 1).reshape(-1, moves.shape[1]), off.ravel()
+    by = np.linalg.solve(J.T @ J + len(off) * error**2 / NUMBERS * np.eye(moves.shape[1]), J.T @ r)
+    return _rms((r - J @ by).reshape(-1, 3)) * float(np.exp(by @ by / 2 / NUMBERS))
 
 
 def refuse_misread(robot: Robot, data: Measurements) -> None:
@@ -185,26 +222,23 @@ class MisreadError(NoAnswerError):
 
 def _best(file: _File, before: float) -> tuple[_Again, float] | None:
     """The plainest of the readings that explain what is not explained so far, where `before` is left [m]."""
-    errors = [(way, file.rms_m(way)) for way in _readings(file.robot)]
-    least = min(e for _, e in errors)
-    if least * BETTER < before:
+    errors = [(way, e) for way in _readings(file.robot) if (e := file.rms_m(way, before)) < np.inf]
+    if errors:
+        least = min(e for _, e in errors)
         alike = [(way, e) for way, e in errors if e <= ALIKE * least]
         same = [way.what for way, e in alike[1:] if abs(e - alike[0][1]) < SAME * least][:2]
         return replace(alike[0][0], what=", or ".join([alike[0][0].what, *same])), alike[0][1]
     if len(file.kept) < LEAST_POSES:
         return None
-    own, where = file.registered(_Again("", ()))
-    if own * BETTER < min(before, file.displaced_m(own)):
+    own, where = file.registered(AS_READ)
+    if own < np.inf and own * BETTER < min(before, _spread(file.pairs(AS_READ)[0]), file.displaced_m(own)):
         framed = [own, *(file.registered(way)[0] for way in _readings(file.robot))]
         least = min(framed)
         if least * BETTER < own:  # both: another frame and another reading, of which the frame is told first
             own = next(e for e in framed if e <= ALIKE * least)
-        moved = _Again(
-            f"positions are in another frame than the robot's, {where}",
-            ("x_m", "y_m", "z_m"),
-            position=file.mover(),
-        )
-        return moved, own
+        turn, shift = _motion(*file.pairs(AS_READ))
+        what = f"positions are in another frame than the robot's, {where}"
+        return _Again(what, TIP, turn=turn.T, shift=shift), own
     return None
 
 
@@ -213,84 +247,70 @@ def _readings(robot: Robot) -> Iterator[_Again]:
     n = robot.n
     theta = tuple(f"theta_{i}_rad" for i in range(1, n + 1))
     slide = tuple(f"l_{i}_m" for i in range(1, n + 1))
-    tip = ("x_m", "y_m", "z_m")
+    several = range(n if n > 1 else 0)
+
+    def only(i: int, factor: float) -> Array:
+        return np.where(np.arange(n) == i, factor, 1.0)
+
     for i in range(n):
-        yield _Again(f"rotation {i + 1} has the other sign", (theta[i],), _turned(i, -1.0))
-    yield _Again("all rotations have the other sign", theta, lambda t, x: (-t, x))
+        yield _Again(f"rotation {i + 1} has the other sign", (theta[i],), _times(only(i, -1.0)))
+    yield _Again("all rotations have the other sign", theta, _times(-1.0))
     for i in range(1, n):
         yield _Again(f"rotation {i + 1} is logged relative to tube {i}", (theta[i],), _added(i))
     if n > 2:
-        yield _Again(
-            "rotations are logged relative to the next outer tube", theta[1:], lambda t, x: (np.cumsum(t, axis=1), x)
-        )
-        yield _Again(
-            "rotations are logged relative to tube 1",
-            theta[1:],
-            lambda t, x: (np.hstack([t[:, :1], t[:, 1:] + t[:, :1]]), x),
-        )
-    angles = {
-        180 / np.pi: "57.3 times too small",
-        np.pi / 180: "in degrees",
-        2 * np.pi: "in turns",
-        np.pi: "in half turns",
-    }
-    for factor, words in (angles | {10.0: POWERS[10.0], 0.1: POWERS[0.1]}).items():
-        yield _Again(f"rotations are {words}", theta, _all_turned(factor))
-    for i in range(n if n > 1 else 0):
-        for factor in (np.pi / 180, 180 / np.pi):
-            yield _Again(f"rotation {i + 1} is {angles[factor]}", (theta[i],), _turned(i, factor))
+        own = "rotations are logged relative to"
+        yield _Again(f"{own} the next outer tube", theta[1:], lambda t, x: (np.cumsum(t, axis=1), x))
+        yield _Again(f"{own} tube 1", theta[1:], lambda t, x: (np.hstack([t[:, :1], t[:, 1:] + t[:, :1]]), x))
+    for factor, words in ANGLES.items():
+        yield _Again(f"rotations are {words}", theta, _times(factor))
+    for i, factor in product(several, (np.pi / 180, 180 / np.pi)):
+        yield _Again(f"rotation {i + 1} is {ANGLES[factor]}", (theta[i],), _times(only(i, factor)))
+    for i, (factor, words) in product(range(n), ((2.0, "half"), (0.5, "twice"))):
+        yield _Again(f"rotation {i + 1} is {words} of what the tube turns", (theta[i],), _times(only(i, factor)))
+    yield _Again("all rotations are half of what the tubes turn", theta, _times(2.0))
+    yield _Again("all rotations are twice what the tubes turn", theta, _times(0.5))
+    for i, quarters in product(several, (2, 1, -1)):
+        yield _Again(f"tube {i + 1} is mounted {90 * quarters} deg off", (theta[i],), _mounted(i, quarters))
     for i in range(n):
-        for factor, words in ((2.0, "half"), (0.5, "twice")):
-            yield _Again(f"rotation {i + 1} is {words} of what the tube turns", (theta[i],), _turned(i, factor))
-    yield _Again("all rotations are half of what the tubes turn", theta, _all_turned(2.0))
-    yield _Again("all rotations are twice what the tubes turn", theta, _all_turned(0.5))
-    for i in range(n):
-        yield _Again(f"translation {i + 1} has the other sign", (slide[i],), _slid(i, -1.0))
-    yield _Again("all translations have the other sign", slide, lambda t, x: (t, -x))
-    yield _Again(
-        "translations are logged relative to the next outer tube", slide[1:], lambda t, x: (t, np.cumsum(x, axis=1))
-    )
-    for factor, words in POWERS.items():
-        yield _Again(f"translations are {words}", slide, lambda t, x, f=factor: (t, f * x))  # type: ignore[misc]
-    for i in range(n if n > 1 else 0):
-        for factor in (1e3, 1e-3):
-            yield _Again(f"translation {i + 1} is {POWERS[factor]}", (slide[i],), _slid(i, factor))
+        yield _Again(f"translation {i + 1} has the other sign", (slide[i],), _times(1.0, only(i, -1.0)))
+    yield _Again("all translations have the other sign", slide, _times(1.0, -1.0))
+    relative = "translations are logged relative to the next outer tube"
+    yield _Again(relative, slide[1:], lambda t, x: (t, np.cumsum(x, axis=1)))
+    for factor, words in LENGTHS.items():
+        yield _Again(f"translations are {words}", slide, _times(1.0, factor))
+    for i, factor in product(several, (1e3, 1e-3)):
+        yield _Again(f"translation {i + 1} is {LENGTHS[factor]}", (slide[i],), _times(1.0, only(i, factor)))
     for i, j in combinations(range(n), 2):
         yield _Again(f"rotations {i + 1} and {j + 1} are exchanged", (theta[i], theta[j]), _swapped(i, j, True, False))
-        yield _Again(
-            f"translations {i + 1} and {j + 1} are exchanged", (slide[i], slide[j]), _swapped(i, j, False, True)
-        )
+        both = f"translations {i + 1} and {j + 1} are exchanged"
+        yield _Again(both, (slide[i], slide[j]), _swapped(i, j, False, True))
     yield _Again("tubes are in the opposite order", (*theta, *slide), lambda t, x: (t[:, ::-1], x[:, ::-1]))
-    for rows, words in ((1, "one row late"), (-1, "one row early")):
-        yield _Again(f"poses are {words}", tip, rows=rows)
-    for factor, words in (POWERS | {1e3: "in kilometres", 1e-3: "in millimetres"}).items():
-        yield _Again(f"positions are {words}", tip, position=lambda p, f=factor: f * p)  # type: ignore[misc]
+    for rows, words in SHIFTS.items():
+        yield _Again(f"poses are {words}", TIP, rows=rows)
+    for factor, words in LENGTHS.items():
+        yield _Again(f"positions are {words}", TIP, scale=factor)
+    for shown, turn in _axes():
+        what = f"the columns of positions are not x, y, z but hold them as {shown.replace('t', '')}"
+        yield _Again(what, TIP, turn=turn)
+    for i, (factor, words) in product(range(n), POWERS.items()):
+        yield _Again(f"the bending stiffness of tube {i + 1} is {words}", (f"tube.{i + 1}",), robot=_stiffer(i, factor))
+
+
+def _axes() -> Iterator[tuple[str, Array]]:
+    """Every other order and sign of three columns of directions: what they hold, and (3, 3) that puts rows right."""
     for order in permutations(range(3)):
         for signs in product((1.0, -1.0), repeat=3):
             if order != (0, 1, 2) or min(signs) < 0:
-                shown = ", ".join(f"{'-' if s < 0 else ''}{'xyz'[k]}" for k, s in zip(order, signs, strict=True))
-                yield _Again(
-                    f"the columns of positions are not x, y, z but hold them as ({shown})",
-                    tip,
-                    position=lambda p, o=order, s=signs: p[:, list(o)] * np.array(s),  # type: ignore[misc]
-                )
-    for i in range(n):
-        for factor, words in POWERS.items():
-            yield _Again(
-                f"the bending stiffness of tube {i + 1} is {words}", (f"tube.{i + 1}",), robot=_stiffer(i, factor)
-            )
+                shown = ", ".join(f"{'-' if s < 0 else ''}t{'xyz'[k]}" for k, s in zip(order, signs, strict=True))
+                yield f"({shown})", np.eye(3)[:, list(order)] * np.array(signs)
 
 
-def _turned(i: int, factor: float) -> Callable[[Array, Array], Joints]:
-    return lambda theta, x: (theta * np.where(np.arange(theta.shape[1]) == i, factor, 1.0), x)
+def _times(turns: Array | float, slides: Array | float = 1.0) -> Callable[[Array, Array], Joints]:
+    return lambda theta, x: (theta * turns, x * slides)
 
 
-def _all_turned(factor: float) -> Callable[[Array, Array], Joints]:
-    return lambda theta, x: (factor * theta, x)
-
-
-def _slid(i: int, factor: float) -> Callable[[Array, Array], Joints]:
-    return lambda theta, x: (theta, x * np.where(np.arange(x.shape[1]) == i, factor, 1.0))
+def _mounted(i: int, quarters: int) -> Callable[[Array, Array], Joints]:
+    return lambda theta, x: (theta + np.where(np.arange(theta.shape[1]) == i, quarters * np.pi / 2, 0.0), x)
 
 
 def _added(i: int) -> Callable[[Array, Array], Joints]:
@@ -322,81 +342,95 @@ class _File:
     data: Measurements
     kept: NDArray[np.int_]
     done: tuple[_Again, ...]
-    solved: dict[tuple[bytes, bytes], Array] = field(default_factory=dict)  # tips of the robot as the file has it
+    solved: dict[tuple[bytes, bytes], Array] = field(default_factory=dict)  # of the robot as the file has it
 
-    def pairs(self, way: _Again) -> tuple[Array, Array]:
+    def pairs(self, way: _Again) -> Pair:
         """(M, 3) [m] measured and predicted tips, read in one more way, where there is an equilibrium."""
+        measured, model = self._poses(way)
+        return measured[:, :3], model[:, :3]
+
+    def tangents(self) -> Pair:
+        """(M, 3) of poses all of whose tangent was measured; turned as positions were read where that suits them."""
+        measured, model = self._tangents
+        return (measured @ self._turn if self.are_tangents_alike else measured), model
+
+    @property
+    def are_tangents_alike(self) -> bool:
+        """Whether tangents fit better turned as positions have to be."""
+        measured, model = self._tangents
+        return _rms(measured @ self._turn - model) < _rms(measured - model)
+
+    @property
+    def _turn(self) -> Array:
+        return reduce(np.matmul, (step.turn for step in self.done), AS_IS)
+
+    @cached_property
+    def _tangents(self) -> Pair:
+        measured, model = (pose[:, 3:] for pose in self._poses(AS_READ))
+        whole = np.isfinite(measured).all(axis=1)
+        return measured[whole], model[whole]
+
+    def _poses(self, way: _Again) -> Pair:
+        """(M, 6) measured and predicted tips [m] and tangents, these as the file has them."""
         data, read = self.data, self.robot
-        theta, l, position = data.theta_commanded[data.rows], data.l_commanded[data.rows], data.position_m  # noqa: E741
+        theta, l = data.theta_commanded[data.rows], data.l_commanded[data.rows]  # noqa: E741
+        position, tangent = data.position_m, data.tangent
         for step in (*self.done, way):
             theta, l = step.joints(theta, l)  # noqa: E741 (as in the equations)
-            position, read = step.position(position), step.robot(read)
-            if step.rows:
-                theta, l, position = _shifted(theta, l, position, step.rows)  # noqa: E741
+            position, read = step.scale * position @ step.turn + step.shift, step.robot(read)
+            late, early = max(step.rows, 0), max(-step.rows, 0)
+            theta, l = (part[early : len(part) - late] for part in (theta, l))  # noqa: E741 (as in the equations)
+            position, tangent = (part[late : len(part) - early] for part in (position, tangent))
         kept = self.kept[self.kept < len(position)]
-        joints = theta[kept], l[kept]
+        joints, measured = (theta[kept], l[kept]), np.hstack([position, tangent])[kept]
         theta_b, l_b = joints if data.of_collars else read.collars(*joints)
         inside = nested(read, l_b)
         try:
-            model = self._tips(read, theta_b, inside)
+            model = self._solved(read, theta_b, inside)
         except InputError:  # no tube stands there
-            return position[:0], position[:0]
+            return measured[:0], measured[:0]
         good = np.isfinite(model).all(axis=1) & (np.abs(l_b - inside).max(axis=1) < BASE_M)
-        return position[kept][good], model[good]
+        return measured[good], model[good]
 
-    def _tips(self, read: Robot, theta_b: Array, l_b: Array) -> Array:
-        """(K, 3) [m]; those of the robot as the file has it once for all readings that leave its joints alone."""
+    def _solved(self, read: Robot, theta_b: Array, l_b: Array) -> Array:
+        """(K, 6); those of the robot as the file has it once for all readings that leave its joints alone."""
         key = theta_b.tobytes(), l_b.tobytes()
         if read is not self.robot:
-            return read.mechanics.tips(theta_b, l_b)[0]
+            return np.hstack(read.mechanics.tips(theta_b, l_b)[:2])
         if key not in self.solved:
-            self.solved[key] = read.mechanics.tips(theta_b, l_b)[0]
+            self.solved[key] = np.hstack(read.mechanics.tips(theta_b, l_b)[:2])
         return self.solved[key]
 
-    def rms_m(self, way: _Again) -> float:
-        """Distance [mm] of the tips from the measured ones; infinite where most poses have no equilibrium."""
-        measured, model = self.pairs(way)
-        if len(model) < 0.8 * len(self.kept):
-            return np.inf
-        return float(np.sqrt(np.mean(np.sum((measured - model) ** 2, axis=1))))
+    def suffices(self, model: Array) -> bool:
+        """Whether so many predictions tell something of the file."""
+        return len(model) >= max(LEAST_POSES, 0.8 * len(self.kept))
 
-    def displaced_m(self, noise_m: float) -> float:
-        """Rms error [m] as read beside what effects do to the base: a turn, a shift, and a shift that grows with time.
-
-        Their priors hold them to what effects are, against errors of the size noise_m.
+    def rms_m(self, way: _Again, before: float = np.inf) -> float:
+        """Distance [m] of the tips from the measured ones; infinite where most poses have no equilibrium, or where it
+        is not small beside that `before` and beside the spread of what is read so.
         """
-        measured, model = self.pairs(_Again("", ()))
+        measured, model = self.pairs(way)
+        after = _rms(measured - model) if len(model) >= 0.8 * len(self.kept) else np.inf
+        return after if way is AS_READ or after * BETTER < min(before, _spread(measured)) else np.inf
+
+    def displaced_m(self, error_m: float) -> float:
+        """Rms error [m] as read beside what effects do to the base: a turn, a shift, and one that grows with time."""
+        measured, model = self.pairs(AS_READ)
         time = clock(self.data)[self.kept[: len(model)]] if len(model) == len(self.kept) else np.zeros(len(model))
         late = (time - time.min()) / (np.ptp(time) or 1.0)
-        cross = np.cross(np.eye(3)[None], model[:, None])  # (M, axis, 3) by which a small turn about an axis moves tips
         shift = np.broadcast_to(np.eye(3), (len(model), 3, 3))
-        moves = np.concatenate([BASE_RAD * cross, BASE_M * shift, BASE_M * late[:, None, None] * shift], axis=1)
-        J, r = moves.transpose(0, 2, 1).reshape(-1, 9), (measured - model).ravel()
-        by = np.linalg.solve(J.T @ J + noise_m**2 / 3 * np.eye(9), J.T @ r)
-        return float(np.sqrt(np.sum((r - J @ by) ** 2) / len(model)))
+        moves = [_turns(model), BASE_M * shift, BASE_M * late[:, None, None] * shift]
+        return _displaced(measured - model, error_m, np.concatenate(moves, axis=1))
 
     def registered(self, way: _Again) -> tuple[float, str]:
         """Rms error [m] in the best frame, and where that is."""
         measured, model = self.pairs(way)
-        if len(model) < max(LEAST_POSES, 0.8 * len(self.kept)):
+        if not self.suffices(model):
             return np.inf, ""
         turn, shift = _motion(measured, model)
         angle = float(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1)))
-        off = _registered_m(measured, model)
-        moved = float(np.linalg.norm(shift))
-        return off, f"turned by {np.degrees(angle):.0f} deg and shifted by {1e3 * moved:.0f} mm"
-
-    def mover(self) -> Callable[[Array], Array]:
-        """Positions in the best frame."""
-        turn, shift = _motion(*self.pairs(_Again("", ())))
-        return lambda p: np.asarray(p @ turn.T + shift)
-
-
-def _shifted(theta: Array, l: Array, position: Array, rows: int) -> tuple[Array, Array, Array]:  # noqa: E741
-    """Poses that stand `rows` rows below the joints that they belong to."""
-    if rows > 0:
-        return theta[:-rows], l[:-rows], position[rows:]
-    return theta[-rows:], l[-rows:], position[:rows]
+        moved = f"turned by {np.degrees(angle):.0f} deg and shifted by {1e3 * float(np.linalg.norm(shift)):.0f} mm"
+        return _registered_m(measured, model), moved
 
 
 def _motion(measured: Array, model: Array) -> tuple[Array, Array]:

@@ -21,6 +21,7 @@ from ctrplan.measurement.measurements import SAME_ROTATION_RAD, SAME_TRANSLATION
 
 RELEASING_SWINGS = 6  # that many, each smaller than the one before, are a decreasing oscillation
 BREAKAWAY_RAD = np.radians(30.0)  # relative rotation from released to slipping everywhere (docs/diagnosis.md)
+LARGEST_STEP_RAD = np.radians(270.0)  # between two poses at rest, by which few drives turn and many logs wrap
 
 _DIRECTIONS: WeakKeyDictionary[Measurements, Array] = WeakKeyDictionary()  # fits ask hundreds of times
 _PLAIN_STATES: WeakKeyDictionary[Measurements, Array] = WeakKeyDictionary()
@@ -166,3 +167,29 @@ def _farthest(joints: Array) -> int:
     away = np.abs(joints - start - places[:, None] * along).max(axis=1)
     far = int(away.argmax())
     return far if away[far] > 1 else 0
+
+
+def how_taken(data: Measurements) -> list[str]:
+    """Sentences about how poses were taken, where rows alone say so: each of one file, none measured on the way."""
+    if data.is_stream:
+        return []
+    rows, runs = data.rows, data.sequence[data.rows]
+    at_once = (np.diff(rows) == 1) & (np.diff(runs) == 0)
+    theta = data.theta_commanded[rows]
+    moved = np.abs(np.diff(theta, axis=0)).max(axis=1) > 0 if len(theta) > 1 else np.zeros(0, bool)
+    if not (at_once & moved).sum() > len(rows) / 2:
+        return []
+    sentences = [
+        "Every row is taken for a pose at rest, to which the robot was driven from the row before; a mapping file says "
+        "otherwise with at_rest = false."
+    ]
+    steps = np.abs(np.diff(theta, axis=0))
+    wide = np.argwhere((steps > LARGEST_STEP_RAD) & at_once[:, None])
+    if len(wide):
+        k, i = wide[0].tolist()
+        where = f"Between rows {rows[k] + 1} and {rows[k + 1] + 1} rotation {i + 1} changes by"
+        sentences.append(
+            f"{where} {np.degrees(steps[k, i]):.0f} deg ({len(wide)} such steps). If the log wraps rotations, say "
+            "so in a mapping file with rotations: friction heeds the way."
+        )
+    return sentences

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ctrplan.base.arrays import HOUR_S, MM_PER_M, Array
-from ctrplan.calibration.reading import how_taken, read_again
+from ctrplan.calibration.reading import read_again
 from ctrplan.certificate.certificate import FIGURES
 from ctrplan.drive.legs import Collars
 from ctrplan.errors import InputError
@@ -24,6 +24,7 @@ from ctrplan.files.plan_file import WrittenPlan, load_plan
 from ctrplan.files.plan_inputs import SUFFIX
 from ctrplan.files.robot_file import doubtful_numbers, load_robot
 from ctrplan.files.scenario_file import doubtful_sizes, load_scenario
+from ctrplan.measurement.approach import how_taken
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.mechanics.shapes import Bound, Status
 from ctrplan.mechanics.tube import TubeSection
@@ -43,7 +44,6 @@ if TYPE_CHECKING:
 SAMPLES = 64  # configurations whose bounds are looked at, a second or so of three tubes
 SHOWN = {"m": (1e3, " mm"), "rad": (180 / math.pi, " deg"), "mm": (1.0, " mm"), "number": (1.0, "")}
 MORE = "in doubt: ctrplan check"  # in the line that stands for several flags
-FAR_TURNED_DEG = 60.0  # a median error of tangents that no effect explains, where positions agree
 FAR_OFF = 0.1  # of the robot's length: a median error that no effect explains, where no other reading does
 
 
@@ -332,8 +332,6 @@ def _of_measurements(data: Measurements, robot: Robot) -> Check:
         lines.append(
             f"they took {span:.3g} s (time_s)" if span < HOUR_S else f"they took {span / HOUR_S:.3g} h (time_s)"
         )
-    along = np.sum(table.tangent * data.tangent, axis=1)[table.sound]  # NaN where a component was not measured
-    turned = np.degrees(np.arccos(np.clip(along[np.isfinite(along)], -1, 1)))
     readings = read_again(robot, data)
     facts: dict[str, Any] = {"poses": data.count, "reading": [reading.to_json() for reading in readings]}
     flags = [f"{data.file}: {reading.sentence}" for reading in readings]
@@ -349,9 +347,6 @@ def _of_measurements(data: Measurements, robot: Robot) -> Check:
             flags.append(
                 f'{data.file}: {np.median(off) * 1e3:.3g} mm {rule}? frame = "unknown" in a mapping file finds it.'
             )
-        elif not readings and len(turned) and np.median(turned) > FAR_TURNED_DEG:
-            hint = "do they point to the base?" if np.median(turned) > 135 else "are their columns in another order?"
-            flags.append(f"{data.file}: tangents are {np.median(turned):.3g} deg off those of the robot: {hint}")
     notes = (*(text for text in data.warnings if text not in flags), *how_taken(data))
     return Check(str(data.file), "measurements", tuple(lines), tuple(flags), notes, facts, robot)
 

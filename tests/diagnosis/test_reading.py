@@ -16,7 +16,8 @@ from scipy.spatial.transform import Rotation
 
 from ctrplan.__main__ import main
 from ctrplan.base.arrays import Array
-from ctrplan.calibration.reading import how_taken, read_again
+from ctrplan.calibration.reading import read_again
+from ctrplan.measurement.approach import how_taken
 from ctrplan.measurement.measurements import Measurements, is_streamed
 
 ROBOT = pair_robot()
@@ -44,6 +45,7 @@ def places(position: Array) -> Measurements:
 
 
 THETA, L, P = CLEAN.theta_commanded, CLEAN.l_commanded, CLEAN.position_m
+ELSEWHERE = Rotation.from_rotvec([0.4, 1.1, -0.7])
 FAULTS = {
     "rotation 2 has the other sign": joints(THETA * [1, -1]),
     "rotation 2 is logged relative to tube 1": joints(THETA - np.outer(THETA[:, 0], [0, 1])),
@@ -52,12 +54,22 @@ FAULTS = {
     "rotation 2 is 57.3 times too small": joints(THETA * [1, np.pi / 180]),
     "all rotations are half of what the tubes turn": joints(THETA / 2),
     "tubes are in the opposite order": joints(THETA[:, ::-1], L[:, ::-1]),
-    "translations are 1000 times too large": joints(l=1e3 * L),
+    "translations are in millimetres": joints(l=1e3 * L),
     "translation 2 is 1000 times too small": joints(l=L * [1, 1e-3]),
     "(y, x, z)": places(P[:, [1, 0, 2]]),
     "(x, y, -z)": places(P * [1, 1, -1]),
     "positions are in millimetres": places(1e3 * P),
-    "positions are in another frame": places(Rotation.from_rotvec([0.4, 1.1, -0.7]).apply(P) + [0.03, -0.2, 0.1]),
+    "positions are in inches": places(P / 0.0254),
+    "positions are in centimetres": places(100 * P),
+    "positions are 1000 times too small": places(1e-3 * P),
+    "translations are in inches": joints(l=L / 0.0254),
+    "poses are two rows late": places(np.roll(P, 2, axis=0)),
+    "tube 2 is mounted 90 deg off": joints(THETA - [0, np.pi / 2]),
+    "shifted by 1": places(P + [0.1, -0.05, 0.02]),
+    "(-tx, -ty, -tz)": replace(CLEAN, tangent=-CLEAN.tangent),
+    "(tz, ty, tx)": replace(CLEAN, tangent=CLEAN.tangent[:, ::-1]),
+    "tangents are in another frame": replace(CLEAN, tangent=ELSEWHERE.apply(CLEAN.tangent)),
+    "positions are in another frame": places(ELSEWHERE.apply(P) + [0.03, -0.2, 0.1]),
 }
 
 
@@ -68,8 +80,21 @@ def test_a_file_that_means_what_it_says_raises_no_alarm() -> None:
 @pytest.mark.parametrize("fault", FAULTS)
 def test_gross_faults_are_told(fault: str) -> None:
     told = read_again(ROBOT, FAULTS[fault])
-    assert told and fault in told[0].what and told[0].rms_after_mm < 4.0
+    assert told and fault in told[0].what and told[0].rms_after < 4.0
     assert told[0].to_json()["columns"] and "read so" in told[0].sentence
+
+
+def test_tangents_are_read_as_positions_where_that_suits_them() -> None:
+    turned = places(P[:, [2, 1, 0]])
+    assert "tx" not in read_again(ROBOT, turned)[0].columns
+    (told,) = read_again(ROBOT, replace(turned, tangent=CLEAN.tangent[:, [2, 1, 0]]))
+    assert told.columns == ("x_m", "y_m", "z_m", "tx", "ty", "tz")
+
+
+def test_another_axis_of_the_sensor_is_no_tangent() -> None:
+    across = np.cross(CLEAN.tangent, [1.0, 0.0, 0.0])
+    (told,) = read_again(ROBOT, replace(CLEAN, tangent=across / np.linalg.norm(across, axis=1, keepdims=True)))
+    assert told.what.startswith("tangents are 90 deg from") and told.sentence.endswith("follow the tube.")
 
 
 def test_a_base_that_is_turned_as_far_as_an_effect_has_it_is_no_fault_of_reading() -> None:

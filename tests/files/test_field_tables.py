@@ -102,6 +102,6 @@ def test_check_says_how_long_measurements_took_and_that_tangents_point_back(tmp_
     write_csv(tmp_path / "a.csv", late)
     result = ctrplan.check(tmp_path / "a.csv", robot=ROBOT)
     assert any(f"they took {np.ptp(late.time_s) / 3600:.3g} h" in line for line in result.lines)
-    assert [flag for flag in result.flags if "deg off those of the robot: do they point to the base?" in flag]
+    assert [flag for flag in result.flags if "hold them as (-tx, -ty, -tz) (tx, ty, tz): read so" in flag]
     write_csv(tmp_path / "b.csv", DATA)
     assert ctrplan.check(tmp_path / "b.csv", robot=ROBOT).flags == ()

@@ -58,14 +58,33 @@ def faults(robot: Robot, data: Measurements) -> Iterator[tuple[str, str, File]]:
     yield "rotations in degrees", "rotations are in degrees", joints(np.degrees(theta))
     yield "rotations in turns", "rotations are in turns", joints(theta / (2 * np.pi))
     yield "all rotations halved", "all rotations are half of what", joints(theta / 2)
-    yield "translations in millimetres", "translations are 1000 times too large", joints(l=1e3 * l)
+    yield "translations in millimetres", "translations are in millimetres", joints(l=1e3 * l)
+    for unit, words in ((0.0254, "in inches"), (0.01, "in centimetres"), (1e3, "1000 times too small")):
+        yield "positions in another unit", f"positions are {words}", places(p / unit)
+    yield "translations in inches", "translations are in inches", joints(l=l / 0.0254)
     yield "tubes in the opposite order", "tubes are in the opposite order", joints(theta[:, ::-1], l[:, ::-1])
-    shown = np.roll(np.arange(len(p)), 1), np.roll(np.arange(len(p)), -1)
-    yield "poses one row late", "poses are one row late", places(p[shown[0]])
-    yield "poses one row early", "poses are one row early", places(p[shown[1]])
+    for rows, words in ((1, "one row late"), (-1, "one row early"), (2, "two rows late"), (-2, "two rows early")):
+        yield f"poses {words}", f"poses are {words}", places(np.roll(p, rows, axis=0))
+    for i in range(1, n):
+        for quarters in (2, 1, -1):
+            turn = np.where(np.arange(n) == i, quarters * np.pi / 2, 0.0)
+            yield "a tube mounted turned", f"tube {i + 1} is mounted {90 * quarters} deg off", joints(theta - turn)
+    if data.has_tangents:
+        t = data.tangent
+        ways = {"(-tx, -ty, -tz)": -t, "(tz, ty, tx)": t[:, ::-1], "(-tx, ty, tz)": t * [-1, 1, 1]}
+        ways |= {"tangents are in another frame": FRAME[0].apply(t), "from the tube's direction": across(t)}
+        for words, tangent in ways.items():
+            yield "tangents", words, (robot, replace(data, tangent=tangent))
     yield "another frame", "positions are in another frame", places(FRAME[0].apply(p) + FRAME[1])
+    yield "another origin", "positions are in another frame", places(p + [0.1, -0.05, 0.02])
     for i in range(n):
         yield "EI ten times too large", f"bending stiffness of tube {i + 1} is 10 times too large", stiffer(i, 10.0)
+
+
+def across(tangent: Array) -> Array:
+    """The directions of another axis of the sensor (K, 3)."""
+    other = np.cross(tangent, [1.0, 0.0, 0.0])
+    return np.asarray(other / np.linalg.norm(other, axis=1, keepdims=True))
 
 
 def uncalibrated_m(robot: Robot, data: Measurements) -> float:
@@ -107,7 +126,7 @@ def main() -> None:
         data = turned(data)
         least = GROSS * uncalibrated_m(robot, data)
         for kind, words, (other, read) in faults(robot, data):
-            if uncalibrated_m(other, read) < least:
+            if kind != "tangents" and uncalibrated_m(other, read) < least:
                 small[kind] += 1
                 continue
             made[kind] += 1
