@@ -163,8 +163,8 @@ def _misdirected(file: _File) -> tuple[Reading, ...]:
     ):
         after = _rms(measured @ turn - model) if turn is axes or file.suffices(model) else np.inf
         if after * BETTER < min(_spread(measured), _displaced(measured - model, after, _turns(model))):
-            degrees = np.degrees(2 * np.arcsin(np.array([before, after]) / 2))  # of chords
-            return (Reading(what, TANGENT, *degrees.tolist(), "deg"),)
+            told = np.degrees(2 * np.arcsin(np.array([before, after]) / 2)).tolist()  # of chords
+            return (Reading(what, TANGENT, told[0], told[1], "deg"),)
     along = float(np.mean(np.sum(measured * model, axis=1)))
     if along * BETTER > 1.0:
         return ()
@@ -190,7 +190,8 @@ def _registered_m(measured: Array, model: Array) -> float:
 
 def _turns(model: Array) -> Array:
     """(M, axis, 3) by which a turn of the base about each axis, as large as an effect's prior, moves what is there."""
-    return BASE_RAD * np.cross(np.eye(3)[None], model[:, None])
+    moves: Array = BASE_RAD * np.cross(np.eye(3)[None], model[:, None])
+    return moves
 
 
 def _displaced(off: Array, error: float, moves: Array) -> float:

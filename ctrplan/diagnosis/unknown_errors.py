@@ -48,14 +48,15 @@ from ctrplan.calibration.discrepancy import (
 )
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
 from ctrplan.diagnosis.linear_fit import process_gains
-from ctrplan.diagnosis.remainder import LEAST_MODE, LENGTHS, input_distances, kernel_modes, square_distances
-from ctrplan.diagnosis.term_pieces import TermPiece, pieces, wide_linearisation
+from ctrplan.diagnosis.remainder import LEAST_MODE, LENGTHS, QUARTERS, input_distances, kernel_modes, square_distances
+from ctrplan.diagnosis.term_pieces import HALF_WAVES, TermPiece, pieces, wide_linearisation
 from ctrplan.diagnosis.workbench import Scored, Workbench
 from ctrplan.effects.learned.inputs import Target
 from ctrplan.measurement.approach import clock
 from ctrplan.measurement.measurements import Measurements
 
 SENSOR = Target("sensor")
+SHORTEST = QUARTERS / (np.pi * HALF_WAVES)  # of time, in which what goes with it does what pieces in time do
 RECENT = 8  # peaks beside which processes are remembered, a budget of memory (5 MB each): like sets share theirs
 
 
@@ -405,7 +406,9 @@ def _processes(bench: Workbench, base: Scored, counts: Array) -> Iterator[tuple[
     plain = CorrelatedBench(bench.robot, data, replace(base.fit.noise, discrepancy=None), bench.group)
     table = wide_linearisation(plain, base, list(constants.values()))
     modes = {
-        (name, length): kernel_modes(square / length**2) for name, square in input_distances(data) for length in LENGTHS
+        (name, length): kernel_modes(square / length**2)
+        for name, square in input_distances(data)
+        for length in (*LENGTHS, *([SHORTEST] if name == "time" else []))
     }
     seen = {on: table.whole.J[:, :, table.places[piece]] * counts[:, None, None] for on, piece in constants.items()}
     at_sensor = seen.pop(SENSOR)
