@@ -309,10 +309,11 @@ def _situations(chain: ParametricChain, p: Array, predicted: SensorPrediction) -
 
 
 def _ranges(piece: TermPiece, at: Situation, n: int) -> dict[str, InputRange]:
+    """Ranges of the inputs in the poses; that of the time is the whole experiment's, which poses kept aside are in."""
     results = {}
     for name in piece.names:
         for quantity in parts.inputs(_split(name, piece.on, n)[1]):
-            seen = values(quantity, at)
+            seen = at.data.time_s if quantity == "time" and at.data else values(quantity, at)
             assert seen is not None
             results[quantity] = InputRange(float(seen.min()), float(seen.max()))
     return results

@@ -24,13 +24,16 @@ from ctrplan.diagnosis.confirmation import confirm
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
 from ctrplan.diagnosis.held_out import Gap
 from ctrplan.diagnosis.partial_diagnosis import diagnose_partially
-from ctrplan.diagnosis.term_pieces import TermPiece, built_term, pieces, wide_linearisation, with_piece
+from ctrplan.diagnosis.remainder import input_distances, kernel_modes
+from ctrplan.diagnosis.term_pieces import HALF_WAVES, TermPiece, built_term, pieces, wide_linearisation, with_piece
+from ctrplan.diagnosis.unknown_errors import SHORTEST
 from ctrplan.diagnosis.usable_poses import usable_poses
 from ctrplan.diagnosis.workbench import Scored, Teller, candidates
 from ctrplan.effects.learned import parts
 from ctrplan.effects.learned.inputs import InputRange, Target
 from ctrplan.effects.learned.learned import named
 from ctrplan.files.robot_file import robot_from_dict
+from ctrplan.measurement.approach import clock
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.reports.diagnosis_figures import selection_errors
 from ctrplan.reports.diagnosis_page import diagnosis_report_html
@@ -196,6 +199,26 @@ def test_time_is_an_input_only_where_what_remains_goes_along_with_it() -> None:
         replace(timed, is_stream=True),
     ):  # all of a stream goes
         assert pieces(ROBOT, without, in_time=True) == pieces(ROBOT, without)
+
+
+def test_what_goes_with_time_is_known_over_the_whole_experiment() -> None:
+    """Poses kept aside before the first that chooses, and after the last, are not taken for those."""
+    timed = replace(rippled(), time_s=3.0 * np.arange(len(PLAN.sequence)))
+    some = np.flatnonzero((PLAN.configuration > 2) & (PLAN.configuration < 15))
+    bench = CorrelatedBench(ROBOT, timed.subset(some), Noise(SIGMA_M, 1e-3), PLAN.configuration[some])
+    piece = next(p for p in pieces(ROBOT, timed, in_time=True) if "sin_3_over_time" in p.parts)
+    span = wide_linearisation(bench, bench.scored([]), [piece]).ranges[piece]["time"]
+    assert (span.low, span.high) == (0.0, timed.time_s[-1])
+
+
+def test_a_process_in_time_does_what_a_piece_in_time_does() -> None:
+    timed = replace(PLAN, time_s=3.0 * np.arange(len(PLAN.sequence)))
+    square = dict(input_distances(timed))["time"]
+    modes, when = kernel_modes(square / SHORTEST**2), clock(timed)
+    for half_waves in range(1, HALF_WAVES + 1):
+        wave = np.sin(np.pi * half_waves * (when - when.min()) / np.ptp(when))
+        left = wave - modes @ np.linalg.solve(modes.T @ modes + 1e-2 * np.eye(modes.shape[1]), modes.T @ wave)
+        assert (left @ left) < 0.02 * (wave @ wave)
 
 
 def test_a_piece_acts_as_the_effect_that_is_made_of_it() -> None:
