@@ -35,7 +35,7 @@ from ctrplan.diagnosis.linear_fit import predicted
 from ctrplan.diagnosis.partial_diagnosis import PartialDiagnosis, left_by_names
 from ctrplan.diagnosis.remainder import Place, localise
 from ctrplan.diagnosis.term_pieces import is_built
-from ctrplan.diagnosis.verdict import Judgement, Verdict
+from ctrplan.diagnosis.verdict import NAMED, Judgement, Verdict, done_by, names_of
 from ctrplan.diagnosis.workbench import Scored
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.pipeline.followed_runs import simulated
@@ -242,16 +242,21 @@ def _handed_over(judgement: Judgement) -> set[str]:
 
 
 def _without(answer: Conclusion, harmful: Sequence[Term]) -> Conclusion:
-    """The answer without some of its effects."""
+    """The answer where some of its effects do not act: others are listed that are as certain without them."""
     assert answer.partial is not None
-    gone = {t.key for t in harmful}
-    findings = tuple(f for f in answer.judgement.findings if f.term.key not in gone)
-    together = tuple(t for t in answer.judgement.together if t.key not in gone)
+    gone, compared = {t.key for t in harmful}, answer.partial.compared
+    posterior = compared.posterior.without({t.name for t in harmful})
+    kept = [f for f in answer.judgement.findings if f.term.key not in gone]
+    findings = tuple(f for f, names in zip(kept, names_of(kept), strict=True) if posterior.of_effect(*names) >= NAMED)
+    told = {f.term.key for f in findings}
+    others = [t for t in (*(f.term for f in kept), *answer.judgement.together) if t.key not in told | gone]
     rest = [t for t in answer.chosen.terms if t.key not in gone]
     bench, chosen = answer.partial.bench.corrected(answer.partial.bench.scored(rest, answer.chosen.fit))
+    together = done_by(chosen, others, posterior, NAMED if findings else 1 / 2)
     verdict: Verdict = "partial" if findings else "unexplained"
     judgement = replace(answer.judgement, verdict=verdict, findings=findings, together=together)
-    partial = replace(answer.partial, bench=bench, chosen=chosen, judgement=judgement)
+    compared = replace(compared, posterior=posterior)
+    partial = replace(answer.partial, bench=bench, chosen=chosen, judgement=judgement, compared=compared)
     return replace(answer, bench=bench, partial=partial, chosen=chosen, judgement=judgement, built=None)
 
 

@@ -128,7 +128,7 @@ class Diagnosis:
     @property
     def verdict_probability(self) -> float | None:
         """How probable the verdict is; None where the search was interrupted."""
-        return self.posterior.of_verdict(self.verdict, names_of(self.judgement)) if self.posterior else None
+        return self.posterior.of_verdict(self.verdict, names_of(self.judgement.findings)) if self.posterior else None
 
     def robot_content(self) -> dict[str, Any]:
         """The content of the new robot file: calibrated, with the effects of the verdict and a free frame in it."""

@@ -241,6 +241,10 @@ class Posterior:
         """That an effect acts and none of the others among some."""
         return self._of(hypothesis.names & set(among) == {name} for hypothesis in self.hypotheses)
 
+    def without(self, names: Collection[str]) -> Posterior:
+        """What is left of it where some effects are known not to act."""
+        return Posterior(tuple(h for h in self.hypotheses if not h.names & set(names)), self.along)
+
     @property
     def of_unknown(self) -> float:
         """That something acts which the catalogue lacks."""
@@ -279,9 +283,9 @@ class Posterior:
         return float(min(1.0, self.probabilities[np.fromiter(hits, bool, len(self.hypotheses))].sum()))
 
 
-def names_of(judgement: Judgement) -> list[set[str]]:
+def names_of(findings: Sequence[Finding]) -> list[set[str]]:
     """Names of each finding: the effect and what may stand for it."""
-    return [{f.term.name, *(a.term.name for a in f.alternatives)} for f in judgement.findings]
+    return [{f.term.name, *(a.term.name for a in f.alternatives)} for f in findings]
 
 
 def shown(probability: float) -> str:

@@ -70,7 +70,7 @@ class Concluded:
     @property
     def has_slip(self) -> bool:
         """Whether zeros that changed then are among what is told: the instant was only a place to look."""
-        names = names_of(self.result.judgement)
+        names = names_of(self.result.judgement.findings)
         return self.result.interrupted or self.slip is None or any(self.slip.effect in group for group in names)
 
 

@@ -63,6 +63,15 @@ def test_what_many_effects_do_together_a_single_unknown_cause_may_do(acting: str
     assert normalised({frozenset(acting): (0.0, -2.0)}).of_effect("a") == pytest.approx(1)  # of no catalogue
 
 
+def test_what_an_effect_that_does_not_act_was_needed_for_has_no_name() -> None:
+    """Three effects explain the poses together; where figures refute one, the others explain nothing by themselves."""
+    evidence = {NONE: (-90.0, -60.0), frozenset("abc"): (0.0, -2.0)}
+    told = normalised(evidence, inputs=ALIKE)
+    assert told.of_effect("a") > 0.99 and told.without("b").of_effect("a") < 0.99
+    assert not any("b" in one.names for one in told.without("b").hypotheses)
+    assert told.without("b").probabilities.sum() == pytest.approx(1, abs=1e-12)
+
+
 def test_effects_of_unlike_inputs_are_no_single_cause() -> None:
     unlike = ALIKE | {"c": "history", "d": "time"}
     told = normalised({NONE: (-90.0, -40.0), frozenset("abcd"): (0.0, -2.0)}, inputs=unlike)
