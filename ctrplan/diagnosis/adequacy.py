@@ -118,7 +118,7 @@ def rescaled_noise(left: Adequacy, noise: Noise, norm: Array, given: Array) -> t
     `given` (K,) measured numbers each, that are small but for heavy tails say nothing against the stated size: the
     tails are part of it.
     """
-    small = _too_small(left.total) < REJECTED
+    small = float(chdtr(left.total.dof, left.total.value)) < REJECTED
     if not (small or left.total.p < REJECTED) or not _is_even(left):
         return None, ""
     if small and tail_weight(norm, given) > HEAVY:
@@ -166,7 +166,3 @@ def _is_even(left: Adequacy) -> bool:
     ratio = left.between.ratio / left.within.ratio
     above = float(fdtrc(left.between.dof, left.within.dof, ratio))
     return min(above, 1 - above) > UNEVEN / 2
-
-
-def _too_small(chi_square: ChiSquare) -> float:
-    return float(chdtr(chi_square.dof, chi_square.value))

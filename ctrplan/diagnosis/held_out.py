@@ -22,7 +22,6 @@ from ctrplan.calibration.robot_content import within_file
 from ctrplan.diagnosis.adequacy import (
     HEAVY,
     REJECTED,
-    Adequacy,
     ChiSquare,
     ignored,
     left_out_probability,
@@ -289,7 +288,8 @@ def _opened(answer: Conclusion, data: Measurements) -> Opened:
     def handed_over(judgement: Judgement) -> tuple[Judgement, Scored, Gap]:
         written = _written(answer, judgement)
         gap = open_test_set(answer.base.fit, written.fit, aside, group, answer.noise)
-        return replace(judgement, adequacy=_left(answer, written)), written, gap
+        left = left_by_names(answer.partial.bench, written) if answer.partial else remains(answer.bench, written)
+        return replace(judgement, adequacy=left), written, gap
 
     judgement, written, gap = handed_over(answer.judgement)
     place, notes = _place(answer, gap), list[str]()
@@ -336,11 +336,6 @@ def _written(answer: Conclusion, judgement: Judgement) -> Scored:
     scored = bench.sized(chosen if len(kept) == len(chosen.terms) else bench.scored(kept, chosen.fit))
     inside = within_file(scored.fit)
     return scored if inside is scored.fit else replace(scored, fit=inside)
-
-
-def _left(answer: Conclusion, written: Scored) -> Adequacy:
-    """Whether noise alone is left beside the effects of the verdict."""
-    return left_by_names(answer.partial.bench, written) if answer.partial else remains(answer.bench, written)
 
 
 def _beside_a_remainder(partial: PartialDiagnosis, scored: Scored) -> Scored:

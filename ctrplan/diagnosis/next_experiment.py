@@ -101,18 +101,14 @@ def _expected(parts: Sequence[Residuals], fits: Sequence[Fit], poses: NDArray[np
 def proposed_waypoints(proposed: Sequence[Proposal]) -> tuple[NDArray[np.int_], Array, Array]:
     """Runs (R,), rotations (R, n) [rad] and translations (R, n) [m]: every proposal from all directions of approach."""
     sequence, theta, places = list[int](), list[Array](), list[Array]()
-    for number, proposal in enumerate(_distinct(proposed)):
+    distinct = {(p.theta_commanded.tobytes(), p.l_commanded.tobytes()): p for p in proposed}
+    for number, proposal in enumerate(distinct.values()):
         n = len(proposal.theta_commanded)
         for side, turns in enumerate(_approaches(n)):
             sequence += [number * 2**n + side] * 2
             theta += [proposal.theta_commanded - turns, proposal.theta_commanded]
             places += [proposal.l_commanded] * 2
     return np.array(sequence), np.array(theta), np.array(places)
-
-
-def _distinct(proposed: Sequence[Proposal]) -> list[Proposal]:
-    known = {(p.theta_commanded.tobytes(), p.l_commanded.tobytes()): p for p in proposed}
-    return list(known.values())
 
 
 def _approaches(n: int) -> list[Array]:

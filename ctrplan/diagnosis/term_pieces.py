@@ -268,7 +268,8 @@ def _probed(bench: CorrelatedBench, here: Scored, targets: Sequence[Target]) -> 
 
 def _shapes(piece: TermPiece, probed: _Probed, n: int) -> tuple[Array, dict[str, InputRange]]:
     """(K, 6, S) poses by the coefficients of a piece, and the ranges of its inputs."""
-    at, start = probed.situations[_stage(piece.on)], probed.starts[replace(piece.on, of_way=False)]
+    stage = "plate" if piece.on.kind_name == "plate" else piece.on.kind.stage
+    at, start = probed.situations[stage], probed.starts[replace(piece.on, of_way=False)]
     ranges, columns, by = _ranges(piece, at, n), list[Array](), probed.by
     for name in piece.names:
         axis, part = _split(name, piece.on, n)
@@ -287,10 +288,6 @@ def _probe(on: Target, n: int) -> Term:
     effect = learned(on, named(on, "constant"), {}, n)
     effect.name = f"probe_{on.effect_name}"
     return Term(effect, effect.parameters_of())
-
-
-def _stage(on: Target) -> str:
-    return "plate" if on.kind_name == "plate" else on.kind.stage
 
 
 def _situations(chain: ParametricChain, p: Array, predicted: SensorPrediction) -> dict[str, Situation]:
