@@ -99,14 +99,15 @@ bank-core: $(VENV)/.deps
 	build/core/parts_test 1000
 
 # Data with hidden effects, drawn from a seed, diagnosed and scored: hours; what is there is not made again. BANK_FIRST=20
-# makes a small one, BANK_JOBS is the number of processors to give it.
+# makes a small one, BANK_ROWS='"null, correlated"' one of some lines of the table, BANK_JOBS is the number of processors to give it.
 BANK ?= build/bank
 BANK_SEED ?= 1
 BANK_FIRST ?= 1000
+BANK_ROWS ?=
 BANK_JOBS ?= 2
 bank-diagnosis: install
 	cd tests/oracles && ../../$(BIN)/python -m hidden_effects.bank make $(abspath $(BANK))/data --seed $(BANK_SEED) \
-	  --first $(BANK_FIRST) --jobs $(BANK_JOBS)
+	  $(if $(BANK_ROWS),--row $(BANK_ROWS)) --first $(BANK_FIRST) --jobs $(BANK_JOBS)
 	cd tests/oracles && ../../$(BIN)/python -m hidden_effects.run $(abspath $(BANK))/data $(abspath $(BANK))/diagnoses --jobs $(BANK_JOBS)
 	cd tests/oracles && ../../$(BIN)/python -m hidden_effects.score $(abspath $(BANK))/data $(abspath $(BANK))/diagnoses \
 	  --figure $(abspath $(BANK))/power.png --power $(abspath $(BANK))/power.json | tee $(abspath $(BANK))/table.md
