@@ -405,10 +405,11 @@ def _processes(bench: Workbench, base: Scored, counts: Array) -> Iterator[tuple[
     constants = {on: TermPiece(on, ("constant",)) for on in targets if not on.of_way}
     plain = CorrelatedBench(bench.robot, data, replace(base.fit.noise, discrepancy=None), bench.group)
     table = wide_linearisation(plain, base, list(constants.values()))
+    lengths = {"time": LENGTHS if data.is_stream else (*LENGTHS, SHORTEST)}  # where pieces in time are
     modes = {
         (name, length): kernel_modes(square / length**2)
         for name, square in input_distances(data)
-        for length in (*LENGTHS, *([SHORTEST] if name == "time" else []))
+        for length in lengths.get(name, LENGTHS)
     }
     seen = {on: table.whole.J[:, :, table.places[piece]] * counts[:, None, None] for on, piece in constants.items()}
     at_sensor = seen.pop(SENSOR)
