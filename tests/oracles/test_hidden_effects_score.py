@@ -72,14 +72,17 @@ def test_rows_count_their_own_trials() -> None:
         trial("look-alike", ["a|b"], "named", [["a"]], after=0.8, far={"after": {"rms_mm": 1.1}}),
         trial("not in the catalogue", ["unknown"], "named", [["drift"]]),
         trial("not in the catalogue", ["unknown"], "unexplained", []),
+        trial("null, correlated", ["unknown"], "unexplained", []),
     ]
     counted = [(goal.hits, goal.trials) for goal in goals(trials)]
     singles = [(1, 2), (1, 1), (0, 0)]
     assert counted == [
+        (1, 3),
+        (0, 1),
         (1, 2),
         (0, 0),
         *singles,
-        (3, 10),
+        (3, 11),
         (0, 0),
         (1, 2),
         (0, 2),
@@ -91,7 +94,7 @@ def test_rows_count_their_own_trials() -> None:
         (2, 4),
         (3, 4),
         (3, 4),
-        (9, 10),
+        (10, 11),
     ]
     assert power(trials)["lag"] == [(0.4, False), (2.0, False), (2.0, True)]
     before, after = pooled_gap(trials)
