@@ -1,7 +1,8 @@
 """What walked pieces keep in every friction state, not in the solved shapes alone.
 
 Every few samples are solved in states of the cube, those between them are interpolated along the path
-(`sample_states.py`). What that, or the mesh of the search, would refuse is solved itself on the certificate mesh.
+(`sample_states.py`). What that, or the mesh of the search, would refuse is solved itself on the certificate mesh; what
+the allowance for that would refuse, with exact geometry.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from collections.abc import Generator, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from threading import Lock
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,14 +27,14 @@ from ctrplan.certificate.friction_cube import (
     StateMinima,
     minima_of_cubes,
 )
-from ctrplan.certificate.friction_states import LOOK_EVERY, TIGHT_M, Solved, State
+from ctrplan.certificate.friction_states import LOOK_EVERY, TIGHT_M, Solved, State, exact_gives_back_m
 from ctrplan.certificate.narrow_samples import NARROWEST, CloserLooks, closer_looks, key_of
 from ctrplan.certificate.sample_states import SampleStates, StatesBetween
 from ctrplan.certificate.walked_piece import Piece, narrowest_of
+from ctrplan.mechanics.shapes import Accuracy
 from ctrplan.motion.limits import path_limits
 
 if TYPE_CHECKING:
-    from ctrplan.mechanics.shapes import Accuracy
     from ctrplan.scenario.scenario import Scenario
 
 
@@ -43,25 +44,27 @@ NEAR_M, CLOSE_EVERY, CLOSE_DEPTH = 3e-3, 16, 2
 AT_ONCE = 64  # efforts: of most samples there is little to compute of each
 NARROW_EFFORT = 3  # of a sample that has to be solved on the certificate mesh, in those of any other
 SPARE_M = 0.15e-3  # of a sample that may be interpolated: with less, what is taken off for that is too much
-ACCURACIES: tuple[Accuracy, ...] = ("search", "certificate")  # of friction states
 CLOSE_TUBES = 4  # of five tubes, cells halved twice have 881 corners and middles
 
 
-def in_every_friction_state(scenario: Scenario, pieces: Sequence[Piece], spare_m: float) -> list[Piece]:
+def in_every_friction_state(
+    scenario: Scenario, pieces: Sequence[Piece], spare_m: float, more_m: float = 0.0
+) -> list[Piece]:
     """The pieces with clearance, stability and strain of every friction state.
 
     Where no state is found to have less than the solved shapes of the whole path, the least clearance is that of those
-    shapes less TIGHT_M; no more than `spare_m` beyond the limit is asked for.
+    shapes less TIGHT_M; no more than `spare_m` beyond the limit is asked for, which is `more_m` above the scenario's.
     """
     limits = path_limits(scenario)
+    limit_m = limits.clearance_m + more_m
     is_known = scenario.robot.n == 1 or not scenario.robot.friction.any()
     if is_known and not any(piece.variants.large for piece in pieces):
         return list(pieces)
     solved, distance = narrowest_of(pieces), AnatomyDistance.of(scenario)
-    enough = max(limits.clearance_m, min(solved - TIGHT_M, limits.clearance_m + spare_m))
-    limited = Needed(limits.clearance_m, limits.stability, limits.max_strain)
+    enough = max(limit_m, min(solved - TIGHT_M, limit_m + spare_m))
+    limited = Needed(limit_m, limits.stability, limits.max_strain)
     needed = replace(limited, clearance_m=enough)
-    looks = [_PieceView(scenario, piece, needed, limits.clearance_m, distance) for piece in pieces]
+    looks = [_PieceView(scenario, piece, needed, limit_m, distance) for piece in pieces]
     known = closer_looks(spare_m)
     for look in looks:
         look.recall(known)
@@ -72,7 +75,7 @@ def in_every_friction_state(scenario: Scenario, pieces: Sequence[Piece], spare_m
             for look in looks:
                 look.remember(known)
             return [look.ended(_with(look.piece, *_of_piece(k, places, first))) for k, look in enumerate(looks)]
-        enough = max(limits.clearance_m, min([enough, *(minima.clearance_m for minima in first)]))
+        enough = max(limit_m, min([enough, *(minima.clearance_m for minima in first)]))
         for look in looks:
             look.needed = replace(needed, clearance_m=enough)
             look.recall(known)
@@ -222,6 +225,13 @@ class _PieceView:
 
     def _tries(self, sample: int) -> Generator[_Try]:
         """From the cheapest on; what the last says holds."""
+        if (sample, "exact") not in self.piece.finer:
+            yield from self._on_meshes(sample)
+            if not 0 < self.limit_m - self._found[sample].clearance_m <= exact_gives_back_m(self.scenario.robot):
+                return
+        yield _Try("exact", DEPTH, is_last=True)
+
+    def _on_meshes(self, sample: int) -> Generator[_Try]:
         own, is_walked_closely = self.piece.accuracy, self.piece.accuracy == "certificate"
         if is_walked_closely or self.piece.as_walked_m[sample] >= self.needed.clearance_m:
             depth = DEPTH if is_walked_closely else LEAST_DEPTH
@@ -276,7 +286,7 @@ class _PieceView:
 
     def _known_states(self, sample: int) -> list[SampleStates]:
         with self._lock:
-            return [states for key in ACCURACIES if (states := self._states.get((sample, key)))]
+            return [states for key in get_args(Accuracy) if (states := self._states.get((sample, key)))]
 
     def _of(self, sample: int, accuracy: Accuracy) -> SampleStates:
         key = sample, accuracy

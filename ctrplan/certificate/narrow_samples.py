@@ -1,7 +1,8 @@
 """The narrowest samples of walked pieces, solved on the certificate mesh and at the ends of what is first order.
 
-Pieces are walked on the mesh of the search, whose allowance may take too much from a clearance. Samples one after the
-other are walked to as pieces are, the first of them from scratch.
+Pieces are walked on the mesh of the search, whose allowance may take too much from a clearance; so may that of the
+certificate mesh, most of which is first order in the clearance between tubes, where little is left. Samples one after
+the other are walked to as pieces are, the first of them from scratch.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import groupby
 from typing import TYPE_CHECKING
 
@@ -23,6 +25,7 @@ from ctrplan.certificate.friction_states import (
     POINT_SPACING_M,
     CornerShapes,
     corner_states,
+    exact_gives_back_m,
     mesh_allowance_m,
 )
 from ctrplan.certificate.variants import NO_EQUILIBRIUM
@@ -36,6 +39,7 @@ from ctrplan.uncertainty.body_clearance import GRADIENT_STEP_M
 
 if TYPE_CHECKING:
     from ctrplan.certificate.friction_cube import StateMinima
+    from ctrplan.mechanics.shapes import Accuracy
     from ctrplan.robot.robot import Robot
     from ctrplan.scenario.scenario import Scenario
 
@@ -86,39 +90,48 @@ def key_of(piece: Piece) -> Hashable:
     return piece.scenario.robot, *ways, piece.accuracy, piece.variants.large
 
 
-def closely_solved(scenario: Scenario, pieces: Sequence[Piece], spare_m: float) -> list[Piece]:
+def closely_solved(scenario: Scenario, pieces: Sequence[Piece], spare_m: float, more_m: float = 0.0) -> list[Piece]:
     """The narrowest samples solved on the certificate mesh: all for which the search mesh shows less than is left.
 
     So the least clearance does not depend on the mesh that a sample happened to be walked on, unless it is more than
-    `spare_m` beyond the limit.
+    `spare_m` beyond the limit, which is `more_m` above the scenario's. Samples that lack no more than the mesh's own
+    allowance are solved with exact geometry.
     """
-    distance, limits = AnatomyDistance.of(scenario), path_limits(scenario)
+    distance, limit_m = AnatomyDistance.of(scenario), path_limits(scenario).clearance_m + more_m
     if distance is None or spare_m < 0:
         return list(pieces)
     closer = [piece.clearance_m.copy() for piece in pieces]
-    finer: list[dict[int, CornerShapes]] = [{} for _ in pieces]
+    finer: list[dict[tuple[int, Accuracy], CornerShapes]] = [{} for _ in pieces]
     rows = sorted((float(c), p, k) for p, piece in enumerate(pieces) for k, c in enumerate(piece.clearance_m))
     narrow = [row for row in rows if pieces[row[1]].accuracy == "search"]
-    ceiling = limits.clearance_m + spare_m  # of the least clearance that is asked for
+    ceiling = limit_m + spare_m  # of the least clearance that is asked for
     known = closer_looks(spare_m)
 
-    def solve(run: Run) -> Closely:
+    def solve(accuracy: Accuracy, run: Run) -> Closely:
         piece, samples = pieces[run[0]], run[1]
-        key = key_of(piece), tuple(samples)
+        key = key_of(piece), tuple(samples), accuracy
         if key not in known.closely:
-            known.closely[key] = _on_certificate_mesh(scenario, distance, piece, samples)
+            known.closely[key] = _solved_anew(scenario, distance, piece, samples, accuracy)
         return known.closely[key]
+
+    def look(places: Sequence[tuple[int, int]], accuracy: Accuracy) -> float:
+        """Solves these samples; the least clearance that is left at any of them."""
+        runs = _runs(places)
+        for (p, samples), result in zip(runs, pool.map(partial(solve, accuracy), runs), strict=True):
+            for k, (clearance, shapes) in zip(samples, result, strict=True):
+                closer[p][k] = max(closer[p][k], clearance)
+                if shapes:
+                    finer[p][k, accuracy] = shapes
+        return min((float(closer[p][k]) for p, k in places), default=np.inf)
 
     with ThreadPoolExecutor(cores()) as pool:
         for some in (narrow[:NARROWEST], narrow[NARROWEST:]):
-            runs = _runs([(p, k) for value, p, k in some if value < ceiling])
-            solved = pool.map(solve, runs)
-            for (p, samples), result in zip(runs, solved, strict=True):
-                for k, (clearance, shapes) in zip(samples, result, strict=True):
-                    closer[p][k] = max(closer[p][k], clearance)
-                    ceiling = min(ceiling, closer[p][k])
-                    if shapes:
-                        finer[p][k] = shapes
+            ceiling = min(ceiling, look([(p, k) for value, p, k in some if value < ceiling], "certificate"))
+        short = sorted((closer[p][k], p, k) for _, p, k in rows if closer[p][k] < limit_m)
+        if short and short[0][0] >= limit_m - exact_gives_back_m(scenario.robot):
+            for some in (short[:NARROWEST], short[NARROWEST:]):
+                if look([(p, k) for _, p, k in some], "exact") < limit_m:
+                    break
     changed = zip(pieces, closer, finer, strict=True)
     return [replace(piece, clearance_m=values, finer=shapes) for piece, values, shapes in changed]
 
@@ -132,17 +145,17 @@ def _runs(places: Sequence[tuple[int, int]]) -> list[Run]:
     return results
 
 
-def _on_certificate_mesh(
-    scenario: Scenario, distance: AnatomyDistance, piece: Piece, samples: Sequence[int]
+def _solved_anew(
+    scenario: Scenario, distance: AnatomyDistance, piece: Piece, samples: Sequence[int], accuracy: Accuracy
 ) -> Closely:
     """Clearance of each sample's solved shapes, all allowances taken off, and these; -inf on another branch."""
     joints, variants = piece.joints[samples], piece.variants
-    walks = [_these(scenario.robot, piece.theta_b[samples], piece.l_b[samples])]
+    walks = [_these(scenario.robot, piece.theta_b[samples], piece.l_b[samples], accuracy)]
     if piece.walks.corners:
         points = [variants.at(s) for s in corner_states(len(variants.large))]
-        walks += [_these(variants.robot(point), *variants.collars(point, joints)) for point in points]
+        walks += [_these(variants.robot(point), *variants.collars(point, joints), accuracy) for point in points]
     places = [_rows_by_sample(walk) for walk in walks]
-    offset, nothing = piece.offset_m(scenario, "certificate"), (-np.inf, None)
+    offset, nothing = piece.offset_m(scenario, accuracy), (-np.inf, None)
     solved: Closely = [nothing] * len(samples)
     for at, sample in enumerate(samples):
         if not all(at in rows for rows in places):
@@ -158,8 +171,8 @@ def _on_certificate_mesh(
     return solved
 
 
-def _these(robot: Robot, theta_b: Array, l_b: Array) -> PathSamples:
-    return robot.mechanics.check_path(theta_b, l_b, density=ONLY_THESE, accuracy="certificate", bodies=True)
+def _these(robot: Robot, theta_b: Array, l_b: Array, accuracy: Accuracy) -> PathSamples:
+    return robot.mechanics.check_path(theta_b, l_b, density=ONLY_THESE, accuracy=accuracy, bodies=True)
 
 
 def _rows_by_sample(walk: PathSamples) -> dict[int, int]:

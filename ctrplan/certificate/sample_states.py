@@ -76,8 +76,8 @@ class SampleStates:
         """What was walked to, on the certificate mesh solved once more."""
         if self.accuracy == self.piece.accuracy:
             return self.walked
-        if self.sample in self.piece.finer:
-            return self.piece.finer[self.sample]
+        if (finer := self.piece.finer.get((self.sample, self.accuracy))) is not None:
+            return finer
         with self._lock:
             result = self.solve(self.states)
             self._compare(result.point_m)
@@ -114,7 +114,7 @@ class SampleStates:
     @property
     def _pattern(self) -> Array:
         """(N, 3) the body whose points those of other robots are."""
-        finer = self.piece.finer.get(self.sample) if self.accuracy != self.piece.accuracy else None
+        finer = self.piece.finer.get((self.sample, self.accuracy))
         body: Array = (finer or self.walked).bodies_m[0]
         return body
 

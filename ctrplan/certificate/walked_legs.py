@@ -15,7 +15,7 @@ from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.base.long_work import Progress
 from ctrplan.certificate.certificate import CertificateSamples
 from ctrplan.certificate.every_state import in_every_friction_state
-from ctrplan.certificate.friction_cube import refuse_many_tubes
+from ctrplan.certificate.friction_cube import WITHIN_M, refuse_many_tubes
 from ctrplan.certificate.friction_states import bound_allowance_m, mesh_allowance_m
 from ctrplan.certificate.narrow_samples import at_worst_ends, closely_solved
 from ctrplan.certificate.other_equilibria import other_equilibrium, other_start, other_start_within
@@ -168,6 +168,7 @@ class _Judged:
     samples: CertificateSamples
     bounds: StatedBounds
     problems: list[str]
+    beyond_m: float  # what friction that differs along contacts, and the ends of small axes, took beyond allowances
 
     @property
     def is_too_close(self) -> bool:
@@ -178,9 +179,14 @@ class _Judged:
 def _closely_judged(
     scenario: Scenario, space: JointSpace, corners: Array, pieces: list[Piece], spare_m: float
 ) -> _Judged:
-    """What is said of walked pieces, which are walked in shorter steps where these may clear them."""
+    """What is said of walked pieces, which are walked in shorter steps where these may clear them.
+
+    Cells of friction states tell no more clearance than is asked for: what is taken off it later is asked for then.
+    """
     judged, limit_m = _judged(scenario, space, corners, pieces, spare_m), path_limits(scenario).clearance_m
     for _ in range(FINER):
+        if judged.is_too_close and judged.beyond_m:
+            judged = _judged(scenario, space, corners, pieces, spare_m, judged.beyond_m + WITHIN_M)
         finer = walked_finely(judged.pieces, pieces, limit_m, space) if judged.is_too_close else None
         if finer is None:
             break
@@ -195,9 +201,14 @@ def _may_keep_more(judged: _Judged, limit_m: float) -> bool:
     return all(bool((piece.clearance_m + piece.added_up_m >= limit_m).all()) for piece in judged.pieces)
 
 
-def _judged(scenario: Scenario, space: JointSpace, corners: Array, pieces: list[Piece], spare_m: float) -> _Judged:
-    """What keeps walked pieces of the polyline `corners` (K, m) from being valid; the cheap reasons come first."""
-    samples = joined_samples(scenario, space, pieces)
+def _judged(
+    scenario: Scenario, space: JointSpace, corners: Array, pieces: list[Piece], spare_m: float, more_m: float = 0.0
+) -> _Judged:
+    """What keeps walked pieces of the polyline `corners` (K, m) from being valid; the cheap reasons come first.
+
+    Friction states are asked for `more_m` of clearance beyond the scenario's.
+    """
+    beyond_m, samples = 0.0, joined_samples(scenario, space, pieces)
     with ThreadPoolExecutor(1) as beside:  # a few bounds and a few narrow samples leave half of the machine idle each
         stated = beside.submit(_bounds, scenario, samples, pieces)
 
@@ -213,7 +224,8 @@ def _judged(scenario: Scenario, space: JointSpace, corners: Array, pieces: list[
         problems = problems or _parted_at_end(scenario, space, pieces[-1])
         for look_closer in (closely_solved, in_every_friction_state):
             if not problems:
-                pieces, samples, problems = looked(partial(look_closer, spare_m=spare_m), pieces)
+                pieces, samples, problems = looked(partial(look_closer, spare_m=spare_m, more_m=more_m), pieces)
+        before = pieces
         if not problems:
             equilibria = beside.submit(_other_equilibria, scenario, space, pieces)
             pieces, samples, problems = looked(with_uneven_friction, pieces)
@@ -221,7 +233,9 @@ def _judged(scenario: Scenario, space: JointSpace, corners: Array, pieces: list[
         bounds = stated.result()
     if not problems:
         pieces, samples, problems = looked(at_worst_ends, pieces)
-    return _Judged(pieces, samples, bounds, problems)
+    if before is not pieces:
+        beyond_m = max(float((a.clearance_m - b.clearance_m).max()) for a, b in zip(before, pieces, strict=True))
+    return _Judged(pieces, samples, bounds, problems, beyond_m)
 
 
 def _other_within(scenario: Scenario, space: JointSpace, first: Piece) -> str:

@@ -25,6 +25,7 @@ from ctrplan.certificate.friction_states import (
     SPACING_M,
     UNEVEN_FRICTION_M,
     CornerShapes,
+    exact_gives_back_m,
     mesh_allowance_m,
 )
 from ctrplan.certificate.variants import (
@@ -81,9 +82,7 @@ class Piece:
     height_m: Array  # (K,) least of a body point over the front plate, beyond FROM_PLATE_M; inf where there is none
     phi: Array  # (K, P + A) state in which less than in the solved shapes was found, else 0
     apart_m: float = 0.0  # how far bodies solved from scratch lay from those walked to, where that was looked at
-    finer: Mapping[int, CornerShapes] = field(
-        default_factory=dict
-    )  # on the certificate mesh, of samples solved closely
+    finer: Mapping[tuple[int, Accuracy], CornerShapes] = field(default_factory=dict)  # of samples solved closely
 
     @property
     def pairs(self) -> int:
@@ -249,7 +248,7 @@ def walked_finely(
     results = list[Piece]()
     for piece, before in zip(pieces, as_walked, strict=True):
         short = np.flatnonzero(piece.clearance_m < limit_m)
-        given_back = piece.allowance_m - UNEVEN_FRICTION_M - FINE_M / 2
+        given_back = piece.allowance_m - UNEVEN_FRICTION_M - FINE_M / 2 + exact_gives_back_m(piece.scenario.robot)
         if (piece.clearance_m[short] + given_back[short] < limit_m).any():
             return None
         if not len(short):
