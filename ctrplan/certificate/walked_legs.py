@@ -208,7 +208,7 @@ def _judged(
 
     Friction states are asked for `more_m` of clearance beyond the scenario's.
     """
-    beyond_m, samples = 0.0, joined_samples(scenario, space, pieces)
+    samples = joined_samples(scenario, space, pieces)
     with ThreadPoolExecutor(1) as beside:  # a few bounds and a few narrow samples leave half of the machine idle each
         stated = beside.submit(_bounds, scenario, samples, pieces)
 
@@ -233,8 +233,8 @@ def _judged(
         bounds = stated.result()
     if not problems:
         pieces, samples, problems = looked(at_worst_ends, pieces)
-    if before is not pieces:
-        beyond_m = max(float((a.clearance_m - b.clearance_m).max()) for a, b in zip(before, pieces, strict=True))
+    changed = ((a, b) for a, b in zip(before, pieces, strict=True) if a is not b)
+    beyond_m = max((float((a.clearance_m - b.clearance_m).max()) for a, b in changed), default=0.0)
     return _Judged(pieces, samples, bounds, problems, beyond_m)
 
 

@@ -141,7 +141,7 @@ def test_samples_of_a_path_before_are_solved_closely_once(monkeypatch: pytest.Mo
     assert any(piece.finer for piece in fresh)
     with remembered_looks():
         first = closely_solved(scenario, pieces, MUCH_M)
-        monkeypatch.setattr(narrow_samples, "_on_certificate_mesh", lambda *_: pytest.fail("solved once more"))
+        monkeypatch.setattr(narrow_samples, "_solved_anew", lambda *_: pytest.fail("solved once more"))
         again = closely_solved(scenario, pieces, MUCH_M)
     for same in (first, again):
         for ours, piece in zip(same, fresh, strict=True):
