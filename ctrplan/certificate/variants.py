@@ -47,12 +47,15 @@ Point = tuple[float, ...]  # of the box, one number an axis
 
 @dataclass(frozen=True, eq=False)
 class Variants:
-    """The box of a scenario's robot: axes of its parameters first, then of collars with play. Empty of most robots."""
+    """The box of a scenario's robot: axes of its parameters first, then of collars with play, then of joints whose
+    delay is an interval. Empty of most robots.
+    """
 
     scenario: Scenario
     parameters: UncertainParameters
     box: OffsetBox
     play: tuple[Array, ...]  # (2 n,) each: rotations [rad] and translations [m] of one collar with play
+    late: tuple[Array, ...]  # (m,) each: how far one joint [rad or m] may be behind or ahead
     large: tuple[int, ...] = ()  # axes that are looked at in cells
     _robots: dict[bytes, Robot] = field(default_factory=dict, repr=False)
 
@@ -66,25 +69,24 @@ class Variants:
         """
         robot, parameters = scenario.robot, uncertain_parameters(scenario.robot)
         half_widths = np.zeros(2 * robot.n) if robot.drive.play is None else np.concatenate(robot.drive.play)
-        half_widths = half_widths + _late_by(robot)
-        play = tuple(row for row in np.diag(half_widths) if row.any())
+        play, late = (tuple(row for row in np.diag(by) if row.any()) for by in (half_widths, _late_by(robot)))
         box = OffsetBox.of(parameters) if parameters.count else OffsetBox(np.zeros(0), np.zeros((0, 0)))
-        result = cls(scenario, parameters, box, play, large or ())
+        result = cls(scenario, parameters, box, play, late, large or ())
         if not result.count or large is not None:
             return result
         rows = joints[np.unique(np.linspace(0, len(joints) - 1, PLACES).round().astype(int))]
         moved_m = result.tip_moves(rows)
         order = np.argsort(-moved_m, kind="stable")[: max(0, min(most, MOST_TUBES - robot.n))]
-        return cls(scenario, parameters, box, play, tuple(sorted(int(k) for k in order if moved_m[k] > LARGE_M)))
+        return cls(scenario, parameters, box, play, late, tuple(sorted(int(k) for k in order if moved_m[k] > LARGE_M)))
 
     @property
     def count(self) -> int:
         """Number of axes."""
-        return self.of_parameters + len(self.play)
+        return self.of_parameters + len(self.play) + len(self.late)
 
     @property
     def of_parameters(self) -> int:
-        """Number of axes that are the parameters'; the others are the play's."""
+        """Number of axes that are the parameters'; the others are the play's and the delays'."""
         return int(self.box.axes.shape[1])
 
     @property
@@ -138,9 +140,12 @@ class Variants:
 
     def collars(self, point: Point, joints: Array) -> tuple[Array, Array]:
         """(K, n) [rad], (K, n) [m] where the drive may hold collars there, joints (K, m) driven; nested."""
-        robot = self.robot(point)
-        theta_b, l_b = clamped_collars(self.parameters, robot, *self.scenario.robot.drive.commanded(joints))
-        for row, s in zip(self.play, point[self.of_parameters :], strict=True):
+        robot, drive = self.robot(point), self.scenario.robot.drive
+        if self.late:  # on its path, which keeps the limits; effects of the drive follow from where joints are
+            behind = np.array(self.late).T @ np.array(point[-len(self.late) :])
+            joints = np.clip(joints + behind, drive.lower, drive.upper)
+        theta_b, l_b = clamped_collars(self.parameters, robot, *drive.commanded(joints))
+        for row, s in zip(self.play, point[self.of_parameters :], strict=False):
             theta_b, l_b = theta_b + s * row[: robot.n], l_b + s * row[robot.n :]
         return theta_b, nested(robot, l_b)
 
@@ -164,18 +169,19 @@ class Variants:
 
 
 def _late_by(robot: Robot) -> Array:
-    """(2 n,) [rad], [m] how far collars may be behind or ahead where their delay is known by an interval only.
+    """(m,) [rad or m] how far joints may be behind or ahead where their delay is known by an interval only.
 
     At their largest speed, everywhere: more than there is where they go slowly.
     """
-    drive, result = robot.drive, np.zeros(2 * robot.n)
-    speed = np.abs(np.vstack([drive.matrix_theta, drive.matrix_l])) @ drive.max_velocity
+    drive, delay_s = robot.drive, np.zeros(len(robot.drive.joints))
+    moves = np.vstack([drive.matrix_theta, drive.matrix_l]) != 0
     for name, table in robot.effects.items():
         effect = effect_of(name, table, robot.n)
         for key, (low, high) in table.get("ci95", {}).items() if effect.stage == "clock" else ():
             value = float(table.get(key, 0.0))
-            result += speed * effect.drive_delays_s({key: max(high - value, value - low)}, robot.n)
-    return result
+            of_collars = effect.drive_delays_s({key: max(high - value, value - low)}, robot.n)
+            delay_s += np.where(moves, of_collars[:, None], 0.0).max(axis=0)
+    return np.asarray(delay_s * drive.max_velocity)
 
 
 # A variant is walked along the samples of the file's robot; more are taken where it moves farther between them.
@@ -290,7 +296,7 @@ def _with_axes(
         walks,
         reach_m=tuple(reach),
         bound_m=bound,
-        play_m=np.interp(every, rows, play) if variants.play else None,
+        play_m=np.interp(every, rows, play) if variants.count > variants.of_parameters else None,
         softer=spread[0],
         end_tips_m=(tips_at(ends, 0), tips_at(ends, -1)),
         strain=spread[1],

@@ -150,7 +150,18 @@ def test_a_late_drive_is_followed_between_the_samples_of_its_timing() -> None:
 def test_a_delay_that_is_known_by_an_interval_is_play_by_speed() -> None:
     lag = {"drive_lag": {"theta_s": 0.1, "ci95": {"theta_s": [0.05, 0.2]}}}
     box = Variants.of(bare_scenario(robot(effects=lag)), joints(0, 30, 60, -40)[None])
-    np.testing.assert_allclose(np.sum(box.play, axis=0), [*[np.radians(60) * 0.1] * 3, 0, 0, 0])  # at 60 deg/s
+    np.testing.assert_allclose(np.sum(box.late, axis=0), [*[np.radians(60) * 0.1] * 3, 0])  # at 60 deg/s
+
+
+def test_a_late_joint_takes_along_what_the_drive_adds_where_it_is() -> None:
+    """A built term turned the inner tube by where its translation was commanded, 2.6 deg off at the ends of a delay."""
+    lag = {"drive_lag": {"l_s": 0.2, "ci95": {"l_s": [0.0, 0.4]}}}
+    late, q = robot(effects={**lag, "learned_theta_3": BUMP}), joints(0, 0, 100, -45)
+    box = Variants.of(bare_scenario(late), q[None])
+    for side in (-1.0, 1.0):
+        there = q + side * np.array([0, 0, 0, 0.2 * late.drive.max_velocity[3]])
+        for found, collars in zip(box.collars(box.end(0, side), q[None]), late.drive.collars(there), strict=True):
+            np.testing.assert_allclose(found[0], collars, atol=1e-12)
 
 
 def test_a_late_drive_waits_where_it_rests_for_what_follows_late() -> None:
