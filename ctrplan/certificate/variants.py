@@ -25,7 +25,7 @@ from ctrplan.mechanics.shapes import Status
 from ctrplan.mechanics.walk import PathDensity, PathSamples
 from ctrplan.pipeline.tip_table import nested
 from ctrplan.uncertainty.parameters import UncertainParameters, uncertain_parameters
-from ctrplan.uncertainty.tip_slopes import clamped_collars, friction_states
+from ctrplan.uncertainty.tip_slopes import friction_states, half_widths
 from ctrplan.uncertainty.worst_case import BaseBall, IntervalSides, OffsetBox, farthest
 
 if TYPE_CHECKING:
@@ -68,8 +68,7 @@ class Variants:
         Axes are large where they move the tip by more than LARGE_M on it, `most` at most, unless it is said which are.
         """
         robot, parameters = scenario.robot, uncertain_parameters(scenario.robot)
-        half_widths = np.zeros(2 * robot.n) if robot.drive.play is None else np.concatenate(robot.drive.play)
-        play, late = (tuple(row for row in np.diag(by) if row.any()) for by in (half_widths, _late_by(robot)))
+        play, late = (tuple(r for r in np.diag(by) if r.any()) for by in (_widest_play(parameters), _late_by(robot)))
         box = OffsetBox.of(parameters) if parameters.count else OffsetBox(np.zeros(0), np.zeros((0, 0)))
         result = cls(scenario, parameters, box, play, late, large or ())
         if not result.count or large is not None:
@@ -144,7 +143,7 @@ class Variants:
         if self.late:  # on its path, which keeps the limits; effects of the drive follow from where joints are
             behind = np.array(self.late).T @ np.array(point[-len(self.late) :])
             joints = np.clip(joints + behind, drive.lower, drive.upper)
-        theta_b, l_b = clamped_collars(self.parameters, robot, *drive.commanded(joints))
+        theta_b, l_b = robot.drive.reached(*drive.commanded(joints))
         for row, s in zip(self.play, point[self.of_parameters :], strict=False):
             theta_b, l_b = theta_b + s * row[: robot.n], l_b + s * row[robot.n :]
         return theta_b, nested(robot, l_b)
@@ -168,6 +167,21 @@ class Variants:
         return np.where((tips.status == Status.FAILED)[:, None], np.nan, tips.position_m)
 
 
+def _widest_play(parameters: UncertainParameters) -> Array:
+    """(2 n,) [rad], [m] half widths of the play of collars, all parameters of the drive where they widen it most."""
+    own = half_widths(parameters.robot)
+    widest = own.copy()
+    for k, name in enumerate(parameters.names):
+        kind, *rest = name.split(".")
+        if (
+            kind == "effects"
+            and effect_of(rest[0], parameters.robot.effects[rest[0]], parameters.robot.n).stage == "drive"
+        ):
+            ends = np.outer([parameters.low[k], parameters.high[k]] - parameters.value[k], np.eye(parameters.count)[k])
+            widest += np.max([half_widths(parameters.robot_at(end)) - own for end in ends], axis=0).clip(0.0)
+    return widest
+
+
 def _late_by(robot: Robot) -> Array:
     """(m,) [rad or m] how far joints may be behind or ahead where their delay is known by an interval only.
 
@@ -186,6 +200,7 @@ def _late_by(robot: Robot) -> Array:
 
 # A variant is walked along the samples of the file's robot; more are taken where it moves farther between them.
 VARIANT_SPACING_M = 1.5 * SPACING_M
+EVEN = 1e-6  # rad or m, between what is the same but for rounding
 NO_EQUILIBRIUM = "a robot that the stated intervals and play allow has no equilibrium, or snaps"
 
 
@@ -252,7 +267,8 @@ def _with_axes(
     if not variants.has_middle:
         middle = _at_rows(variants, variants.end(-1), joints[rows], density, accuracy)
     single = {k: _at_rows(variants, variants.end(k), joints[rows], density, accuracy) for k in range(variants.count)}
-    other = {k: _at_rows(variants, variants.end(k, -1.0), joints[rows], density, accuracy) for k in variants.large}
+    both = (*variants.large, *(k for k in variants.small if not _moves_evenly(variants, k, joints[rows])))
+    other = {k: _at_rows(variants, variants.end(k, -1.0), joints[rows], density, accuracy) for k in both}
     if middle is None or any(walk is None for walk in [*single.values(), *other.values()]):
         return replace(walks, fault=NO_EQUILIBRIUM)
     shapes, squares = 1 + 2 ** (variants.scenario.robot.n - 1), signed_square(middle.shape_stability)
@@ -265,11 +281,12 @@ def _with_axes(
             play += np.max([lengths(side.tip_m - middle.tip_m) for side in sides], axis=0)
         if k in variants.large:
             continue
-        softer += np.abs(signed_square(walk.shape_stability) - squares).max(axis=1)
-        strain += np.abs(walk.shape_max_strain - middle.shape_max_strain).max(axis=1)
+        softer += np.max([np.abs(signed_square(s.shape_stability) - squares).max(axis=1) for s in sides], axis=0)
+        strain += np.max([np.abs(s.shape_max_strain - middle.shape_max_strain).max(axis=1) for s in sides], axis=0)
         for j, row in enumerate(rows):
-            off = _points(walk, j, shapes, nominal[row]) - _points(middle, j, shapes, nominal[row])
-            moved[j] += np.linalg.norm(off, axis=2).max(axis=0)
+            here = _points(middle, j, shapes, nominal[row])
+            off = [lengths(_points(side, j, shapes, nominal[row]) - here) for side in sides]
+            moved[j] += np.max(off, axis=(0, 1))
     if not variants.has_middle:  # the small axes are counted from the middle, the file's robot lies beside it
         softer += np.abs(squares - signed_square(samples.shape_stability[rows])).max(axis=1)
         strain += np.abs(middle.shape_max_strain - samples.shape_max_strain[rows]).max(axis=1)
@@ -301,6 +318,16 @@ def _with_axes(
         end_tips_m=(tips_at(ends, 0), tips_at(ends, -1)),
         strain=spread[1],
     )
+
+
+def _moves_evenly(variants: Variants, axis: int, joints: Array) -> bool:
+    """Whether collars at both ends of an axis stand as far from the middle: not where a limit or a nested tube stops
+    them, or where an effect of the drive is not linear.
+    """
+    middle, *ends = (
+        np.hstack(variants.collars(variants.end(k, s), joints)) for k, s in ((-1, 0), (axis, 1), (axis, -1))
+    )
+    return bool(np.allclose(ends[0] - middle, middle - ends[1], rtol=0.0, atol=EVEN))
 
 
 def _softest(variants: Variants, squares: Sequence[Array], by: Mapping[int, Array]) -> Point:

@@ -58,7 +58,7 @@ def clamped_collars(parameters: UncertainParameters, robot: Robot, theta: Array,
 
     They are commanded to theta, l (K, n). Play that is wider than stated counts as a displacement to one side.
     """
-    reached = _clamped(robot, theta, l) - _play(parameters.robot)
+    reached = _clamped(robot, theta, l) - half_widths(parameters.robot)
     return reached[:, : robot.n], nested(robot, reached[:, robot.n :])
 
 
@@ -157,11 +157,11 @@ def _collars_by(parameters: UncertainParameters, theta: Array, l: Array) -> Arra
 
 
 def _clamped(robot: Robot, theta: Array, l: Array) -> Array:  # noqa: E741
-    return np.hstack(robot.drive.reached(theta, l)) + _play(robot)
+    return np.hstack(robot.drive.reached(theta, l)) + half_widths(robot)
 
 
-def _play(robot: Robot) -> Array:
-    """(2 n,) [rad], [m] half widths."""
+def half_widths(robot: Robot) -> Array:
+    """(2 n,) [rad], [m] half widths of the play of a robot's collars."""
     return np.zeros(2 * robot.n) if robot.drive.play is None else np.concatenate(robot.drive.play)
 
 

@@ -266,3 +266,27 @@ def test_points_of_another_body_stand_at_the_same_shares_of_the_length() -> None
     coarse = alike(body[None], body[::3])[0]
     np.testing.assert_allclose(shares_of_length(coarse), shares_of_length(body[::3]), atol=0.02)
     np.testing.assert_array_equal(coarse[[0, -1]], body[[0, -1]])
+
+
+@pytest.mark.parametrize("stated_deg", [0.0, 2.0, 6.0])
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_play_that_is_known_by_an_interval_reaches_to_both_sides(stated_deg: float, side: float) -> None:
+    """It was a displacement to one side: with 0 deg in the file and up to 6 in the interval, half of it was left out."""
+    play = {"effects": {"backlash": {"theta_3_deg": stated_deg, "ci95": {"theta_3_deg": [0.0, 6.0]}}}}
+    q, turned = joints(0, 30, 100, -45), joints(0, 30, 100 + side * 3, -45)
+    plain = robot(**FRICTIONLESS)
+    tip, farthest = (plain.solve(*plain.drive.collars(at)).tip_m for at in (q, turned))
+    ball = Sphere(farthest + 1.5e-3 * (farthest - tip) / np.linalg.norm(farthest - tip), 1e-3)
+    case = replace(bare_scenario(robot(**FRICTIONLESS, **play)), start=q, anatomy=(AnatomyPart(ball),))
+    case = replace(case, goal=Goal(joints=q, tip_m=None, tolerance_m=1e-3))
+    assert not certify(case, q[None], restart=False).valid
+    assert certify(replace(case, robot=plain), q[None], restart=False).valid
+
+
+@pytest.mark.parametrize("inner_mm", [0.0, -86.4])
+def test_play_counts_where_a_limit_lets_it_move_to_one_side_alone(inner_mm: float) -> None:
+    """Of small axes one end was looked at, which at home is stopped by the tube around: nothing was taken off."""
+    play = robot(**FRICTIONLESS, effects={"backlash": {"l_3_mm": 0.3}})
+    ends = joints(0, 30, 100, inner_mm), joints(0, 31, 100, inner_mm)
+    play_m = certified(scene(play, *ends)).samples.play_m
+    np.testing.assert_allclose(play_m, 0.15e-3, atol=0.01e-3)
