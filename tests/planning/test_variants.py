@@ -271,7 +271,7 @@ def test_points_of_another_body_stand_at_the_same_shares_of_the_length() -> None
 @pytest.mark.parametrize("stated_deg", [0.0, 2.0, 6.0])
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 def test_play_that_is_known_by_an_interval_reaches_to_both_sides(stated_deg: float, side: float) -> None:
-    """It was a displacement to one side: with 0 deg in the file and up to 6 in the interval, half of it was left out."""
+    """It was a displacement to one side: of 0 deg in the file and up to 6 in the interval half was left out."""
     play = {"effects": {"backlash": {"theta_3_deg": stated_deg, "ci95": {"theta_3_deg": [0.0, 6.0]}}}}
     q, turned = joints(0, 30, 100, -45), joints(0, 30, 100 + side * 3, -45)
     plain = robot(**FRICTIONLESS)
