@@ -4,7 +4,7 @@
     python benchmarks/run.py clearances meshes [SCENARIO ...]
 
 claims: random configurations of the three-tube robot at rest beside a sphere of 1 mm, which stands beside a random body
-of a grid of 17 x 17 friction states, solved on the certificate mesh, at four distances from its centreline: from just
+of a grid of 17 x 17 friction states, solved with exact geometry, at four distances from its centreline: from just
 hit to a millimetre off. A claim is above the truth where the certificate states more clearance than the nearest body of
 the grid has. meshes: the clearances of a plan of each scenario, certified on both meshes.
 """
@@ -49,7 +49,7 @@ def beside(joints: Array, center_m: Array) -> Scenario:
 def claims(rng: np.random.Generator) -> Iterator[Claim]:
     """Claims about one random configuration; None where a state has no equilibrium."""
     joints = np.array([*np.radians(rng.uniform(-180, 180, 3)), rng.uniform(-60e-3, -5e-3)])
-    bodies = ROBOT.mechanics.friction_bodies(*ROBOT.drive.collars(joints), STATES, accuracy="certificate")
+    bodies = ROBOT.mechanics.friction_bodies(*ROBOT.drive.collars(joints), STATES, accuracy="exact")
     if not bodies.solved.all():
         return
     for away_m in AWAY_M:
