@@ -23,7 +23,7 @@ from ctrplan.base.package import shown
 from ctrplan.certificate.certificate import SAME, SHARE, Certificate, Difference, Settling, joined_certificates
 from ctrplan.certificate.certify import certify, either_arrives
 from ctrplan.drive.drive import SAME_JOINTS
-from ctrplan.drive.trajectory import PERIOD_S, remade_trajectory
+from ctrplan.drive.trajectory import PERIOD_S, remade_trajectory, too_fast
 from ctrplan.errors import CtrplanError
 from ctrplan.files.plan_file import WrittenPlan, check_origin, load_plan
 from ctrplan.mechanics.shapes import Accuracy
@@ -39,7 +39,6 @@ from ctrplan.scenario.start_branch import led_on, standing
 # Of plan.json, what follows from scenario and legs; None where a hand-made plan says nothing.
 KEYS = ("base", "goal", "via", "margins", "cost", "joints", "legs", "certificate", "trajectory", "follow_the_leader_m")
 SETTLED = ("min_clearance_m", "goal_predicted_after_m", "duration_s")
-SPEEDING = 1e-3  # share of a joint's largest speed by which samples may exceed it: rounding of what was written
 
 
 def recomputed_differences(plan: WrittenPlan, progress: Progress | None = None) -> tuple[Difference, ...]:
@@ -113,12 +112,8 @@ def _period(plan: WrittenPlan) -> float:
 
 def _played(plan: WrittenPlan) -> Iterator[Difference]:
     """Speeds between the trajectory's samples beyond what the drive can do."""
-    drive = plan.scenario.robot.drive
-    steps, times = np.abs(np.diff(plan.position, axis=0)), np.diff(plan.time_s)[:, None]
-    speeds: Array = steps / times if len(times) else np.zeros((1, len(drive.names)))
-    for name, speed, limit in zip(drive.names, speeds.max(axis=0), drive.max_velocity, strict=True):
-        if speed > limit * (1 + SPEEDING):
-            yield Difference(f"largest speed of joint {name!r} in the trajectory", float(limit), float(speed))
+    for name, speed, limit in too_fast(plan.scenario.robot.drive, plan.time_s, plan.position):
+        yield Difference(f"largest speed of joint {name!r} in the trajectory", limit, speed)
 
 
 def _differences(figure: str, stated: Any, result: Any) -> Iterator[Difference]:

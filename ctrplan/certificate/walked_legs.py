@@ -40,6 +40,7 @@ from ctrplan.certificate.walked_piece import (
     walked_finely,
 )
 from ctrplan.drive.legs import merge_legs
+from ctrplan.drive.trajectory import too_fast
 from ctrplan.errors import InputError
 from ctrplan.mechanics.equilibria import SAME_SHAPE_M, is_unique
 from ctrplan.mechanics.shapes import Accuracy
@@ -142,9 +143,12 @@ def walk_legs(
     How much clearance is left is told where it is less than `spare_m` beyond what the scenario asks for; of more it is
     only known that it is more, which takes less time. What is refused already is not looked at more closely. Pieces of
     legs that `failed` in the same scenario are not walked again. `timing` is what a late drive is followed by, None the
-    motion that ctrplan makes of the legs. Raises InputError for too many tubes.
+    motion that ctrplan makes of the legs. Raises InputError for too many tubes, and for a timing that no drive follows.
     """
     refuse_many_tubes(scenario.robot)
+    for name, speed, limit in () if timing is None else too_fast(scenario.robot.drive, timing.time_s, timing.position):
+        rule = f"turns or moves {name} {speed / limit:.3g} times as fast as it can go"
+        raise InputError(rule, file=scenario.path, key="timing")
     scenario = standing(scenario, corners)
     space = JointSpace.of(scenario)
     known = failed.walked if failed and failed.scenario is scenario else ()

@@ -327,6 +327,9 @@ def _unit(drive: Drive, j: int, order: int = 0) -> str:
     return ("rad" if drive.is_rotation[j] else "m") + ("", "/s", "/s^2", "/s^3")[order]
 
 
+SPEEDING = 1e-3  # share of a joint's largest speed by which samples may exceed it: rounding of what was written
+
+
 def driven_ways(drive: Drive, corners: Array, timing: Trajectory | None = None) -> list[LegWay]:
     """The ways of the legs between waypoints (K, m), one after the other; of one waypoint a way of no length.
 
@@ -337,6 +340,13 @@ def driven_ways(drive: Drive, corners: Array, timing: Trajectory | None = None) 
     if not drive.is_late:
         return [(leg, np.vstack(ends)) for leg, ends in enumerate(pairwise(corners))]
     return _late_ways(drive, corners, timing)
+
+
+def too_fast(drive: Drive, time_s: Array, position: Array) -> list[tuple[str, float, float]]:
+    """Joints that are faster between samples, position (T, m) at times (T,), than they can go: name, speed, limit."""
+    speeds = (np.abs(np.diff(position, axis=0)) / np.diff(time_s)[:, None]).max(axis=0, initial=0.0)
+    each = zip(drive.names, speeds.tolist(), drive.max_velocity.tolist(), strict=True)
+    return [(name, speed, limit) for name, speed, limit in each if speed > limit * (1 + SPEEDING)]
 
 
 def late_rows(drive: Drive, time_s: Array, position: Array, at_s: Array) -> Array:

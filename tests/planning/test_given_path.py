@@ -165,5 +165,8 @@ def test_a_drive_that_follows_late_needs_a_timing_by_which_it_is_followed(scenar
         np.testing.assert_allclose(driven[[0, -1]], straight[[0, -1]], atol=1e-9)
         apart.append(distance_from_polyline(driven, straight).max())
     assert apart[1] < apart[0] / 10  # a slow motion hardly leaves its leg
+    faster = replace(fast, time_s=fast.time_s / 2)  # by delays that are intervals more would be behind than is allowed
+    with pytest.raises(InputError, match="timing: turns or moves rotate .* times as fast as it can go"):
+        ctrplan.certify(late, straight, timing=faster)
     with pytest.raises(InputError, match="period_s"):
         ctrplan.reorder(straight, late, period_s=0.02)
