@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from ctrplan.base.arrays import Array, alike, lengths, shares_of_length
 from ctrplan.certificate.friction_cube import MOST_TUBES
 from ctrplan.certificate.friction_states import LOOK_EVERY, POINT_SPACING_M, SPACING_M, corner_states
+from ctrplan.drive.drive import JOINT_ROUNDING
 from ctrplan.effects.learned.learned import effect_of
 from ctrplan.mechanics.shapes import Status
 from ctrplan.mechanics.walk import PathDensity, PathSamples
@@ -200,7 +201,6 @@ def _late_by(robot: Robot) -> Array:
 
 # A variant is walked along the samples of the file's robot; more are taken where it moves farther between them.
 VARIANT_SPACING_M = 1.5 * SPACING_M
-EVEN = 1e-6  # rad or m, between what is the same but for rounding
 NO_EQUILIBRIUM = "a robot that the stated intervals and play allow has no equilibrium, or snaps"
 
 
@@ -327,7 +327,7 @@ def _moves_evenly(variants: Variants, axis: int, joints: Array) -> bool:
     middle, *ends = (
         np.hstack(variants.collars(variants.end(k, s), joints)) for k, s in ((-1, 0), (axis, 1), (axis, -1))
     )
-    return bool(np.allclose(ends[0] - middle, middle - ends[1], rtol=0.0, atol=EVEN))
+    return bool(np.allclose(ends[0] - middle, middle - ends[1], rtol=0.0, atol=JOINT_ROUNDING))
 
 
 def _softest(variants: Variants, squares: Sequence[Array], by: Mapping[int, Array]) -> Point:
