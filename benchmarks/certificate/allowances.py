@@ -60,9 +60,10 @@ def errors(robot: Robot, mesh: Accuracy, count: int) -> Array:
     for q in JointSpace.of_robot(robot).sample(np.random.default_rng(2), count):
         if mesh == "exact":
             solve = partial(robot.mechanics.solve, *robot.drive.collars(q), accuracy="exact")
-            with suppress(ctrplan.SolverError):
+            with suppress(ctrplan.CtrplanError):
                 pairs = [(solve(np.array(phi), refinement=FINER), solve(np.array(phi))) for phi in states[:2]]
-                rows.append((max(np.linalg.norm(finer.tip_m - own.tip_m) for finer, own in pairs), 0.0))
+                if not any(shape.status for pair in pairs for shape in pair):
+                    rows.append((max(np.linalg.norm(finer.tip_m - own.tip_m) for finer, own in pairs), 0.0))
             continue
         exact, found = (
             robot.mechanics.friction_bodies(*robot.drive.collars(q), states, accuracy=accuracy)
