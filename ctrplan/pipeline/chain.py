@@ -309,18 +309,35 @@ def with_chain(robot: Robot, chain: Chain) -> Robot:
     given = replace(
         robot, tubes=built.tubes, contacts=built.contacts, loads=built.loads, drive=drive, ideal=chain.ideal
     )
-    return replace(given, model_error_m=robot.model_error_m + _not_in_shapes_m(chain))
+    return replace(given, model_error_m=robot.model_error_m + _not_in_shapes_m(robot, chain))
 
 
-def _not_in_shapes_m(chain: Chain) -> float:
-    """How far [m] effects may move any point of the robot that shapes do not have.
+def _not_in_shapes_m(robot: Robot, chain: Chain) -> float:
+    """How far [m] effects may move any point of the robot that shapes do not have, wherever its file's intervals let
+    its numbers be.
 
-    A turn of the plate moves it by its length at the largest angle.
+    A turn of the plate moves it by its length at the largest angle. That grows or shrinks with every number, so that of
+    each the end is taken where it is larger.
     """
-    robot = chain.mechanics
-    turn_rad = sum(given.effect.largest_turn_rad(given.values, robot) for given in chain.of_stage("mechanics"))
-    shift_m = sum(given.effect.largest_shift_m(given.values, robot) for given in chain.of_stage("mechanics"))
-    return turn_rad * max(tube.length_m for tube in robot.tubes) + shift_m
+
+    def reach_m(ideal: Robot, acting: Sequence[Acting]) -> float:
+        built = Chain(ideal, tuple(acting)).mechanics
+        of_mechanics = [given for given in acting if given.effect.stage == "mechanics"]
+        turn_rad = sum(given.effect.largest_turn_rad(given.values, built) for given in of_mechanics)
+        shift_m = sum(given.effect.largest_shift_m(given.values, built) for given in of_mechanics)
+        return turn_rad * max(tube.length_m for tube in built.tubes) + shift_m
+
+    ideal, acting = chain.ideal, list(chain.acting)
+    if not any(g.effect.overrides("largest_turn_rad") or g.effect.overrides("largest_shift_m") for g in acting):
+        return 0.0
+    for name, ends in robot.intervals.ci95.items():
+        ideal = max([ideal, *(with_values(ideal, {name: end}) for end in ends)], key=lambda one: reach_m(one, acting))
+    for k, given in enumerate(acting):
+        si = {parameter.name: parameter.si for parameter in given.effect.parameters(ideal)}
+        for key, ends in robot.effects.get(given.effect.name, {}).get("ci95", {}).items():
+            tried = [acting[k], *(replace(acting[k], values={**acting[k].values, key: end * si[key]}) for end in ends)]
+            acting[k] = max(tried, key=lambda one: reach_m(ideal, [*acting[:k], one, *acting[k + 1 :]]))
+    return reach_m(ideal, acting)
 
 
 def _at_rest(chain: Chain) -> tuple[DriveAtRest, ...]:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -138,6 +140,24 @@ def test_a_turned_plate_moves_the_tip_rigidly_and_plans_allow_for_it(name: str) 
     np.testing.assert_allclose(np.linalg.norm(turned, axis=1), np.linalg.norm(plain, axis=1), rtol=1e-9)
     moved = np.linalg.norm(turned - plain, axis=1).max()
     assert 1e-6 < moved < robot.model_error_m
+
+
+@pytest.mark.parametrize("name", ["plate_clearance", "plate_compliance", "bent_base"])
+def test_plans_allow_for_the_largest_turn_of_the_plate_within_what_is_stated(name: str) -> None:
+    """Every number at the end of its interval where the plate turns most."""
+
+    def kept_m(values: dict[str, Any], curvature: float, **more: Any) -> float:
+        content = copy.deepcopy({**PLAIN.content, "effects": {name: values}, **more})
+        content["tube"][1]["section"][-1]["curvature_y_per_m"] = curvature
+        return robot_from_dict(content).model_error_m
+
+    least, most = ({p.name: scale * p.prior for p in CATALOGUE[name].parameters(PLAIN)} for scale in (0.1, 1.0))
+    ci95 = {key: [0.0, value] for key, value in most.items()}
+    curvature = PLAIN.tubes[1].sections[-1].curvature_y_per_m
+    number = f"tube.2.section.{len(PLAIN.tubes[1].sections)}.curvature_y_per_m"
+    stated = {"ci95": {number: [0.9 * curvature, 1.2 * curvature]}}
+    found = kept_m({**least, "ci95": ci95}, curvature, uncertainty=stated)
+    assert found == pytest.approx(kept_m(most, 1.2 * curvature)) and found > 2 * kept_m(least, curvature)
 
 
 @pytest.mark.parametrize(
