@@ -244,11 +244,8 @@ class AuditedPlan:
         """
         at = self.middle if axes is None else axes
         robot = self.robot_at(at)
-        theta_b, l_b = robot.drive.reached(*self.way.commanded_at(place, at))
-        if robot.drive.play is None:
-            return theta_b, l_b
-        play, n = self.robots.play(at), robot.n
-        return theta_b + robot.drive.play[0] * play[:n], l_b + robot.drive.play[1] * play[n:]
+        off = None if robot.drive.play is None else self.robots.play(at) * np.concatenate(robot.drive.play)
+        return robot.drive.reached(*self.way.commanded_at(place, at), off)
 
     def robot_at(self, axes: Array) -> Robot:
         """The robot on axes (A,). Raises CtrplanError where there is none."""

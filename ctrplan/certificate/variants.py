@@ -144,9 +144,10 @@ class Variants:
         if self.late:  # on its path, which keeps the limits; effects of the drive follow from where joints are
             behind = np.array(self.late).T @ np.array(point[-len(self.late) :])
             joints = np.clip(joints + behind, drive.lower, drive.upper)
-        theta_b, l_b = robot.drive.reached(*drive.commanded(joints))
+        off = np.zeros(2 * robot.n)
         for row, s in zip(self.play, point[self.of_parameters :], strict=False):
-            theta_b, l_b = theta_b + s * row[: robot.n], l_b + s * row[robot.n :]
+            off += s * row
+        theta_b, l_b = robot.drive.reached(*drive.commanded(joints), off)
         return theta_b, nested(robot, l_b)
 
     def configuration(self, point: Point, joints: Array, accuracy: Accuracy) -> FrictionStates:

@@ -341,8 +341,8 @@ def _not_in_shapes_m(robot: Robot, chain: Chain) -> float:
 
 
 def _at_rest(chain: Chain) -> tuple[DriveAtRest, ...]:
-    able = [given for given in chain.on(None, {}).of_stage("drive") if given.effect.acts_at_rest]
-    return (DriveAtRest(Chain(chain.ideal, tuple(able))),) if able else ()
+    able = chain.on(None, {}).of_stage("drive")
+    return (DriveAtRest(Chain(chain.ideal, able)),) if any(given.effect.acts_at_rest for given in able) else ()
 
 
 def _play(chain: Chain) -> tuple[Array, Array] | None:
@@ -366,11 +366,30 @@ def _late_s(chain: Chain) -> tuple[Array, Array] | None:
 
 @dataclass(frozen=True)
 class DriveAtRest:
-    """The drive's stage at collars (K, n), (K, n) whose last directions nobody knows."""
+    """The drive's stage at collars (K, n), (K, n) whose last directions nobody knows.
+
+    Play comes where it has its turn in the stage, so that what acts after it acts on the played collars.
+    """
 
     chain: Chain
 
-    def __call__(self, theta: Array, l: Array) -> tuple[Array, Array]:  # noqa: E741 (as in the equations)
-        """Where collars stand that are commanded to theta [rad], l [m]."""
-        moved = self.chain.drive(Collars(theta, l), np.zeros((len(theta), 2 * theta.shape[1])))
+    def __call__(self, theta: Array, l: Array, off: Array) -> tuple[Array, Array]:  # noqa: E741 (as in the equations)
+        """Where collars stand that are commanded to theta [rad], l [m], `off` (2 n,) [rad], [m] by play.
+
+        Effects with play of one collar share it in proportion to theirs, alike where none has any.
+        """
+        n, moved = theta.shape[1], Collars(theta, l)
+        nowhere, plays = np.zeros((len(theta), 2 * n)), list[Array]()
+        for given in self.chain.acting:
+            if not given.effect.acts_at_rest:
+                own = given.effect.play(given.values, n)
+                plays.append(np.concatenate([own.theta[0], own.l[0]]))
+        whole = np.sum(plays, axis=0) if plays else np.zeros(2 * n)
+        taken = iter([off * np.where(whole > 0, own / np.where(whole > 0, whole, 1), 1 / len(plays)) for own in plays])
+        for given in self.chain.acting:
+            if given.effect.acts_at_rest:
+                moved = given.effect.drive(given.values, moved, nowhere)
+            else:
+                share = next(taken)
+                moved = Collars(moved.theta + share[:n], moved.l + share[n:])
         return moved.theta, moved.l

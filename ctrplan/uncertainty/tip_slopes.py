@@ -58,7 +58,7 @@ def clamped_collars(parameters: UncertainParameters, robot: Robot, theta: Array,
 
     They are commanded to theta, l (K, n). Play that is wider than stated counts as a displacement to one side.
     """
-    reached = _clamped(robot, theta, l) - half_widths(parameters.robot)
+    reached = _clamped(parameters, robot, theta, l)
     return reached[:, : robot.n], nested(robot, reached[:, robot.n :])
 
 
@@ -150,14 +150,14 @@ def _collars_by(parameters: UncertainParameters, theta: Array, l: Array) -> Arra
     columns = []
     for j in range(parameters.count):
         up, down, width = _beside(parameters, j)
-        columns.append((_clamped(up, theta, l) - _clamped(down, theta, l)) / width)
+        columns.append((_clamped(parameters, up, theta, l) - _clamped(parameters, down, theta, l)) / width)
     shape = (parameters.count, len(theta), 2 * parameters.robot.n)
     result: Array = np.array(columns).reshape(shape).transpose(1, 2, 0)
     return result
 
 
-def _clamped(robot: Robot, theta: Array, l: Array) -> Array:  # noqa: E741
-    return np.hstack(robot.drive.reached(theta, l)) + half_widths(robot)
+def _clamped(parameters: UncertainParameters, robot: Robot, theta: Array, l: Array) -> Array:  # noqa: E741
+    return np.hstack(robot.drive.reached(theta, l, half_widths(robot) - half_widths(parameters.robot)))
 
 
 def half_widths(robot: Robot) -> Array:

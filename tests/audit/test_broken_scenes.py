@@ -64,6 +64,14 @@ def play() -> WrittenPlan:
     return stated(scene_of(robot, *ends, sphere([32.397292, -16.312828, 172.741645], 0.5)), 0.06)
 
 
+def play_before_eccentricity() -> WrittenPlan:
+    """Play of the inner rotation, which an eccentricity behind it makes half as large again."""
+    friction = [f"contact.{k}.friction_coefficient=0.1" for k in (1, 2)]
+    robot = table_ii(*friction, "effects.backlash.theta_3_deg=10.0", "effects.eccentricity.sin_3_deg=30.0")
+    ball = sphere([74.03395692, 14.43749258, 166.86139617], 0.5)
+    return stated(scene_of(robot, [0, 0, -20, -40], [0, 0, 20, -40], ball), 0.0)
+
+
 def late() -> WrittenPlan:
     """Rotations follow 0.4 s late, translations at once."""
     turn = np.degrees(0.4)
@@ -94,6 +102,7 @@ def wound() -> WrittenPlan:
         (uncertain_curvature, -1.75, MORE),
         (turned_while_pushed, -1.2, WORK),
         (play, -0.35, WORK),
+        (play_before_eccentricity, -0.5, WORK),
         (late, -1.1, WORK),
         (maybe_late, -1.1, WORK),
         (wound, -0.4, MORE),

@@ -19,9 +19,10 @@ from ctrplan.certificate.certificate import Certificate
 from ctrplan.certificate.certify import certify
 from ctrplan.certificate.variants import Variants
 from ctrplan.drive.drive import STEP_M, STEP_RAD
-from ctrplan.drive.legs import distance_from_polyline
+from ctrplan.drive.legs import Collars, distance_from_polyline
 from ctrplan.drive.trajectory import driven_ways, time_parameterise
 from ctrplan.files.robot_file import robot_from_dict
+from ctrplan.pipeline.chain import Chain
 from ctrplan.robot.robot import Robot
 from ctrplan.scenario.joint_space import bare_scenario
 from ctrplan.scenario.scenario import Goal, Registration, Scenario
@@ -290,3 +291,28 @@ def test_play_counts_where_a_limit_lets_it_move_to_one_side_alone(inner_mm: floa
     ends = joints(0, 30, 100, inner_mm), joints(0, 31, 100, inner_mm)
     play_m = certified(scene(play, *ends)).samples.play_m
     np.testing.assert_allclose(play_m, 0.15e-3, atol=0.01e-3)
+
+
+ECCENTRIC = {"eccentricity": {"sin_3_deg": 30.0}}
+
+
+@pytest.mark.parametrize("effects", [{**PLAY["effects"], **ECCENTRIC}, {**ECCENTRIC, **PLAY["effects"]}])
+def test_effects_after_play_act_on_what_it_left(effects: Any) -> None:
+    """Collars at an end of the box are those of a drive that came from that side."""
+    loose, at = robot(effects=effects), joints(20, 10, 0, -40)
+    case = scene(loose, at, joints(20, 10, 5, -40))
+    variants, chain, behind = Variants.of(case, np.array([at])), Chain.of(loose), np.array([0, 0, -1.0, 0, 0, 0])
+    for side in (1.0, -1.0):
+        theta_b, l_b = variants.collars(variants.end(0, side), at[None])
+        theta, l = (part[None] for part in loose.drive.commanded(at))  # noqa: E741 (as in the equations)
+        simulated = chain.drive(Collars(theta, l), side * behind[None])
+        np.testing.assert_allclose(theta_b, simulated.theta, atol=1e-12)
+        np.testing.assert_allclose(l_b, simulated.l, atol=1e-12)
+
+
+def test_a_ball_that_amplified_play_reaches_is_refused() -> None:
+    ball = [74.03395692, 14.43749258, 166.86139617], 0.5
+    contact = [{"friction_coefficient": 0.1}] * 2
+    loose = robot(contact=contact, effects={"backlash": {"theta_3_deg": 10.0}, **ECCENTRIC})
+    result = certified(scene(loose, joints(0, 0, -20, -40), joints(0, 0, 20, -40), ball))
+    assert not result.valid and any("too close" in problem for problem in result.problems)
