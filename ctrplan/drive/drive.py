@@ -108,6 +108,7 @@ class Drive:
     home_theta_rad: Array  # (n,)
     home_l_m: Array  # (n,)
     terms: tuple[DriveTerm, ...] = ()  # of [effects.*]: what it makes of collars (K, n), (K, n), off by play (2 n,)
+    counted: frozenset[int] = frozenset()  # tubes, from 1, on whose rotations terms depend beyond whole turns
     play: tuple[Array, Array] | None = None  # (n,) [rad], (n,) [m]: how far collars may be off either way, likewise
     execution: ExecutionTolerance = ExecutionTolerance()
     late_s: tuple[Array, Array] | None = None  # (n,), (n,): how much later collars turn and slide, likewise
@@ -233,7 +234,8 @@ class Drive:
         moved = np.hstack(self.collars(2 * math.pi * np.eye(joints))) - here
         off = np.abs(moved)
         off[:, :collars] = np.abs(moved[:, :collars] - 2 * math.pi * np.round(moved[:, :collars] / (2 * math.pi)))
-        return read_only(self.is_unlimited & np.all(off < JOINT_ROUNDING, axis=1))
+        counts = np.any(self.matrix_theta[[tube - 1 for tube in sorted(self.counted)]] != 0, axis=0)
+        return read_only(self.is_unlimited & np.all(off < JOINT_ROUNDING, axis=1) & ~counts)
 
     @cached_property
     def lower(self) -> Array:

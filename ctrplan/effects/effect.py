@@ -158,6 +158,11 @@ class Effect(ABC):
         moved = self.drive(values, nowhere, ahead)
         return Collars(np.abs(moved.theta), np.abs(moved.l))
 
+    @property
+    def counts_turns_of(self) -> frozenset[int]:
+        """Tubes, from 1, on whose rotations an effect of the drive depends beyond whole turns."""
+        return frozenset()
+
     def stated(self, values: Values) -> Mapping[str, Any]:
         """What its table in a robot file says besides the parameters."""
         return {}

@@ -305,7 +305,8 @@ def installed(robot: Robot) -> Robot:
 def with_chain(robot: Robot, chain: Chain) -> Robot:
     """`robot` with the mechanics and the drive of a chain."""
     built = chain.mechanics
-    drive = replace(built.drive, terms=_at_rest(chain), play=_play(chain), late_s=_late_s(chain))
+    counted = frozenset[int]().union(*(given.effect.counts_turns_of for given in chain.of_stage("drive")))
+    drive = replace(built.drive, terms=_at_rest(chain), counted=counted, play=_play(chain), late_s=_late_s(chain))
     given = replace(
         robot, tubes=built.tubes, contacts=built.contacts, loads=built.loads, drive=drive, ideal=chain.ideal
     )

@@ -85,6 +85,23 @@ def test_margins_allow_for_what_shapes_do_not_have() -> None:
     assert robot.model_error_m == pytest.approx(0.7e-3 + largest * reach)
 
 
+@pytest.mark.parametrize(
+    ("table", "counting"),
+    [
+        (RIPPLE, []),
+        ({"knot_4_of_5_theta_2_deg": 12.0, "range": {"theta_2": [-180, 180]}}, [2]),  # nothing at 0 and at a turn
+        ({"slope_theta_2_times_slope_l_2_deg": 12.0, "range": {"theta_2": [-180, 180], "l_2": [-5, 5]}}, [2]),
+        ({"knot_4_of_5_turn_2_deg": 12.0, "range": {"turn_2": [-180, 180]}}, [1, 2]),
+    ],
+)
+def test_a_whole_turn_is_another_place_where_a_term_is_other_there(table: dict[str, Any], counting: list[int]) -> None:
+    """Rotations that count turns are those of tubes on whose angle the term depends, whatever it is at zero."""
+    robot = with_terms(theta_2=table)
+    once, again = (turned_deg(robot, 90.0 + turn, -21.0) for turn in (0.0, 360.0))
+    assert (abs(once - again) > 0.1) == bool(counting)
+    assert robot.drive.wraps.tolist() == [tube not in counting for tube in (1, 2)] + [False, False]
+
+
 def test_play_covers_a_term_that_depends_on_the_way() -> None:
     table = {"sign_theta_2_deg": 2.0, "slope_l_2_times_sign_theta_2_deg": 3.0, "range": {"l_2": [-30, 0]}}
     robot, effect = with_terms(theta_2_way=table), effect_of("learned_theta_2_way", table, 2)

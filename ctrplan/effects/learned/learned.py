@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
@@ -13,7 +14,17 @@ from ctrplan.drive.legs import Collars
 from ctrplan.effects.effect import CATALOGUE, Effect, Parameter, Values, with_column
 from ctrplan.effects.learned import learned as learned_table
 from ctrplan.effects.learned import parts
-from ctrplan.effects.learned.inputs import AXES, PREFIX, InputRange, Ranges, Situation, Target, outside, target
+from ctrplan.effects.learned.inputs import (
+    AXES,
+    PREFIX,
+    InputRange,
+    Ranges,
+    Situation,
+    Target,
+    is_rotation,
+    outside,
+    target,
+)
 from ctrplan.effects.learned.parts import Part, formula, likeness
 from ctrplan.measurement.measurements import Measurements, Poses
 from ctrplan.robot.robot import Robot
@@ -114,6 +125,12 @@ class LearnedDrive(Learned):
         if self.target.kind_name == "theta":
             return Collars(with_column(collars.theta, self.target.tube, amount), collars.l)
         return Collars(collars.theta, with_column(collars.l, self.target.tube, amount))
+
+    @property
+    def counts_turns_of(self) -> frozenset[int]:
+        counted = (name.split("_") for name, periodic in self.inputs.items() if is_rotation(name) and not periodic)
+        pairs = ((int(tube), int(tube) - (kind == "turn")) for kind, tube in counted)
+        return frozenset(itertools.chain.from_iterable(pairs))
 
     def play(self, values: Values, n: int) -> Collars:
         results = {kind: np.zeros((1, n)) for kind in ("theta", "l")}
