@@ -85,6 +85,14 @@ def test_margins_allow_for_what_shapes_do_not_have() -> None:
     assert robot.model_error_m == pytest.approx(0.7e-3 + largest * reach)
 
 
+@pytest.mark.parametrize(("ends", "times"), [([2.0, 6.0], 2.0), ([-9.0, 3.5], 3.0), ([1.0, 3.0], 1.0)])
+def test_margins_allow_for_coefficients_within_their_interval(ends: list[float], times: float) -> None:
+    """A property that changes by so many times as much moves tips by so many times what it did in its data."""
+    table = {"slope_l_2_percent": 3.0, "range": {"l_2": [-30, 0]}, "largest_mm": 0.7}
+    robot = with_terms(curvature_2={**table, "ci95": {"slope_l_2_percent": ends}})
+    assert robot.model_error_m == pytest.approx(times * 0.7e-3)
+
+
 @pytest.mark.parametrize(
     ("table", "counting"),
     [

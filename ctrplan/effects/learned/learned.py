@@ -141,6 +141,8 @@ class LearnedDrive(Learned):
 class LearnedMechanics(Learned):
     """A built term of a tube's property, as small changes: shapes at rest lack them, margins allow for them."""
 
+    noted: Values = {}  # the coefficients of a file, with which it moved a tip by `largest_mm`
+
     def changing(self, values: Values, robot: Robot, data: Measurements) -> Mapping[str, Array]:
         rows = data.rows
         joints = data.theta_commanded[rows], data.l_commanded[rows]
@@ -159,7 +161,8 @@ class LearnedMechanics(Learned):
         return changes
 
     def largest_shift_m(self, values: Values, robot: Robot) -> float:
-        return self.largest_mm * 1e-3
+        noted = self.most(self.noted)
+        return self.largest_mm * 1e-3 * (self.most(values) / noted if noted else 1.0)
 
 
 class LearnedPlate(Learned):
@@ -242,7 +245,10 @@ def learned_in(name: str, table: Mapping[str, Any], notes: tuple[str, ...], n: i
     on = target(name, n)
     assert on is not None
     names = [key for key in table if key not in (*notes, *NOTES)]
-    return learned(on, names, ranges_of(table), n, float(table.get("largest_mm", 0.0)))
+    term = learned(on, names, ranges_of(table), n, float(table.get("largest_mm", 0.0)))
+    if isinstance(term, LearnedMechanics):
+        term.noted = {parameter.name: float(table[parameter.name]) * parameter.si for parameter in term.parameters_of()}
+    return term
 
 
 def faults(name: str, table: Mapping[str, Any], notes: tuple[str, ...], n: int) -> Iterator[tuple[str, str]]:
