@@ -286,7 +286,7 @@ def test_play_that_is_known_by_an_interval_reaches_to_both_sides(stated_deg: flo
 
 @pytest.mark.parametrize("inner_mm", [0.0, -86.4])
 def test_play_counts_where_a_limit_lets_it_move_to_one_side_alone(inner_mm: float) -> None:
-    """Of small axes one end was looked at, which at home is stopped by the tube around: nothing was taken off."""
+    """One end of a small axis was looked at, which at home is stopped by the tube around: nothing was taken off."""
     play = robot(**FRICTIONLESS, effects={"backlash": {"l_3_mm": 0.3}})
     ends = joints(0, 30, 100, inner_mm), joints(0, 31, 100, inner_mm)
     play_m = certified(scene(play, *ends)).samples.play_m
