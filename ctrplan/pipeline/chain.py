@@ -379,18 +379,20 @@ class DriveAtRest:
 
         Effects with play of one collar share it in proportion to theirs, alike where none has any.
         """
-        n, moved = theta.shape[1], Collars(theta, l)
-        nowhere, plays = np.zeros((len(theta), 2 * n)), list[Array]()
-        for given in self.chain.acting:
-            if not given.effect.acts_at_rest:
-                own = given.effect.play(given.values, n)
-                plays.append(np.concatenate([own.theta[0], own.l[0]]))
-        whole = np.sum(plays, axis=0) if plays else np.zeros(2 * n)
-        taken = iter([off * np.where(whole > 0, own / np.where(whole > 0, whole, 1), 1 / len(plays)) for own in plays])
+        n, moved, shares = theta.shape[1], Collars(theta, l), iter(self._shares)
+        nowhere = np.zeros((len(theta), 2 * n))
         for given in self.chain.acting:
             if given.effect.acts_at_rest:
                 moved = given.effect.drive(given.values, moved, nowhere)
             else:
-                share = next(taken)
-                moved = Collars(moved.theta + share[:n], moved.l + share[n:])
+                own = next(shares) * off
+                moved = Collars(moved.theta + own[:n], moved.l + own[n:])
         return moved.theta, moved.l
+
+    @cached_property
+    def _shares(self) -> list[Array]:
+        """(2 n,) each: what the effects with play have of that of each collar; asked for with every configuration."""
+        played = [g.effect.play(g.values, self.chain.ideal.n) for g in self.chain.acting if not g.effect.acts_at_rest]
+        plays = [np.concatenate([own.theta[0], own.l[0]]) for own in played]
+        whole = np.sum(plays, axis=0) if plays else np.zeros(0)
+        return [np.where(whole > 0, own / np.where(whole > 0, whole, 1), 1 / len(plays)) for own in plays]

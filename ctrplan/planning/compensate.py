@@ -26,10 +26,10 @@ from ctrplan.motion.checker import MotionChecker
 from ctrplan.planning.endings import settled_again
 from ctrplan.planning.reach import tips_by_joints
 from ctrplan.plans.planned_motion import Compensation
-from ctrplan.robot.robot import Robot
 from ctrplan.scenario.prediction import (
     TIP_TOLERANCE_M,
     FrictionStart,
+    frictionless_tips,
     offset_m,
     predict_end,
     predict_from,
@@ -203,12 +203,6 @@ def brought_to_goal(checker: MotionChecker, corners: Array) -> Array | None:
             return path
         delta = delta + _newton_step(checker, path[-1], miss, tangent[0], np.ones(len(delta), bool))
     return None
-
-
-def frictionless_tips(robot: Robot, joints: Array) -> tuple[Array, Array]:
-    """Frictionless tips (K, 3) [m] and tangents (K, 3) at joints (K, m), robot's frame."""
-    tips = robot.mechanics.tips_with_friction(*robot.drive.collars(joints), np.zeros((len(joints), robot.n - 1)))
-    return tips.position_m, tips.tangent
 
 
 def arrival_error(certificate: Certificate) -> float:

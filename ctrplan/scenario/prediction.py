@@ -171,7 +171,8 @@ def predict_from(robot: Robot, states: Sequence[HistoryState], joints: Array) ->
 
 def goal_error(robot: Robot, joints: Array, starts: Sequence[FrictionStart]) -> float:
     """Largest distance [m] of a simulated tip from the frictionless one after the path (K, m); inf if any failed."""
-    error = float(np.linalg.norm(end_tips(robot, joints, starts) - _frictionless_end(robot, joints), axis=1).max())
+    off = end_tips(robot, joints, starts) - frictionless_tips(robot, joints[-1:])[0]
+    error = float(np.linalg.norm(off, axis=1).max())
     return error if np.isfinite(error) else np.inf
 
 
@@ -195,7 +196,7 @@ def end_tips(robot: Robot, joints: Array, starts: Sequence[FrictionStart]) -> Ar
 
 def offset_m(scenario: Scenario, corners: Array, beside: Array | None = None) -> Array:
     """(3,) [m] from the frictionless tip at a path's end (K, m) to `end_middle_m`, in the robot's frame."""
-    return end_middle_m(scenario, corners, beside) - _frictionless_end(scenario.robot, corners)
+    return np.asarray(end_middle_m(scenario, corners, beside) - frictionless_tips(scenario.robot, corners[-1:])[0][0])
 
 
 def end_middle_m(scenario: Scenario, corners: Array, beside: Array | None = None) -> Array:
@@ -222,10 +223,10 @@ def _ends(scenario: Scenario, corners: Array) -> Array:
 _MIDDLES: WeakKeyDictionary[Scenario, dict[bytes, Array]] = WeakKeyDictionary()  # by the corners of paths
 
 
-def _frictionless_end(robot: Robot, joints: Array) -> Array:
-    """(3,) [m] the frictionless tip at the end of a path (K, m), robot's frame."""
-    tips = robot.mechanics.tips_with_friction(*robot.drive.collars(joints[-1:]), np.zeros((1, robot.n - 1)))
-    return np.asarray(tips.position_m[0])
+def frictionless_tips(robot: Robot, joints: Array) -> tuple[Array, Array]:
+    """Frictionless tips (K, 3) [m] and tangents (K, 3) at joints (K, m), robot's frame."""
+    tips = robot.mechanics.tips_with_friction(*robot.drive.collars(joints), np.zeros((len(joints), robot.n - 1)))
+    return tips.position_m, tips.tangent
 
 
 def step_error(

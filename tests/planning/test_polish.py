@@ -15,12 +15,12 @@ from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.drive.legs import merge_legs
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.motion.checker import MotionChecker
-from ctrplan.planning.compensate import CLOSE_M, aimed, brought_to_goal, frictionless_tips
+from ctrplan.planning.compensate import CLOSE_M, aimed, brought_to_goal
 from ctrplan.planning.goal_states import goal_state
 from ctrplan.planning.search.path_model import NearPlaces, PathModel, _valleys, levels_of, slope_along
 from ctrplan.planning.search.polish import FOLLOWED_M, LEAST_GAIN_MM, Polish
 from ctrplan.scenario.joint_space import bare_scenario
-from ctrplan.scenario.prediction import TIP_TOLERANCE_M, end_middle_m, predict_end, start_states
+from ctrplan.scenario.prediction import TIP_TOLERANCE_M, end_middle_m, frictionless_tips, predict_end, start_states
 from ctrplan.scenario.scenario import CostTerm, Goal, Scenario
 from ctrplan.scenario.tip_solver import target_in_robot_frame
 

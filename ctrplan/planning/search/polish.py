@@ -22,13 +22,13 @@ from ctrplan.base.long_work import ROOM_NS
 from ctrplan.drive.legs import merge_legs
 from ctrplan.mechanics.walk import PathSamples
 from ctrplan.motion.checker import ASTRAY_M, DEFINITE_COLLISION_M, MotionChecker
-from ctrplan.planning.compensate import aimed, brought_to_goal, frictionless_tips
+from ctrplan.planning.compensate import aimed, brought_to_goal
 from ctrplan.planning.goal_states import CORRECTIONS, FIRST_MM, LEAST_MM, LONGER, TIP_STEPS
 from ctrplan.planning.reach import SHORTER
 from ctrplan.planning.reordering import Reordered, as_given, least_error_order
 from ctrplan.planning.search.path_model import NearPlaces, PathModel, levels_of, slope_along
 from ctrplan.planning.search.roadmap_search import RoadmapSearch
-from ctrplan.scenario.prediction import end_middle_m
+from ctrplan.scenario.prediction import end_middle_m, frictionless_tips
 from ctrplan.scenario.tip_solver import LEAST_DAMPING, TipSolver, TipTarget, angle_to, target_in_robot_frame, tip_target
 
 LEAST_GAIN_MM = 0.05  # of the cost: a step that gains less is not worth a walk
