@@ -9,7 +9,7 @@ from matplotlib import colormaps
 
 from ctrplan import Robot
 from ctrplan.base.arrays import Array
-from ctrplan.mechanics.shapes import Accuracy
+from ctrplan.mechanics.shapes import LONG_STEPS, Accuracy
 from ctrplan.reports import looks
 
 TURNS_DEG = np.array([2, 5, 10, 15, 20, 30, 45, 60, 90, 120])
@@ -109,23 +109,29 @@ def numerics() -> None:
 
 
 def halving() -> None:
-    """Largest change of any tip of a path when all steps are halved; paths without snaps."""
+    """Largest change of any tip of a path when all steps are halved, or long ones; paths without snaps."""
     rows = []
+    cases = [(*paths, "halved", finer(2)) for paths in HALVED_PATHS.items()]
+    cases.append(("search", HALVED_PATHS["search"], "long", LONG_STEPS))
     for label, robot in LABELLED:
-        for accuracy, paths in HALVED_PATHS.items():
+        for accuracy, paths, steps, options in cases:
             changes_mm, snapped = [], 0
             for number in range(paths):
                 waypoints = random_path(robot, np.random.default_rng((number, robot.n, 8)))
                 one = robot.history(accuracy=accuracy).follow(*waypoints)
-                other = robot.history(accuracy=accuracy, options=finer(2)).follow(*waypoints)
+                other = robot.history(accuracy=accuracy, options=options).follow(*waypoints)
                 if one.snaps.sum() + other.snaps.sum():
                     snapped += 1
                 else:
                     changes_mm += norm_mm(one.position_m - other.position_m).tolist()
             share = 100 * np.mean(np.array(changes_mm) <= 0.05)
             shown = [f"{value:.3f}" for value in np.quantile(changes_mm, (0.5, 0.95, 1))]
-            rows.append((label, accuracy, paths - snapped, len(changes_mm), *shown, f"{share:.1f} %"))
-    table("halving", "robot | mesh | paths | waypoints | median, mm | 95 %, mm | largest, mm | within 0.05 mm", rows)
+            rows.append((label, accuracy, steps, paths - snapped, len(changes_mm), *shown, f"{share:.1f} %"))
+    table(
+        "halving",
+        "robot | mesh | steps | paths | waypoints | median, mm | 95 %, mm | largest, mm | within 0.05 mm",
+        rows,
+    )
 
 
 def energy() -> None:

@@ -21,7 +21,7 @@ from ctrplan.base.long_work import cores
 from ctrplan.errors import SolverError
 from ctrplan.mechanics.core import Mechanics
 from ctrplan.mechanics.history import History, HistoryPath, Start
-from ctrplan.mechanics.shapes import HistoryOptions, Status
+from ctrplan.mechanics.shapes import LONG_STEPS, Status
 from ctrplan.robot.slow_states import Slow, SlowModel
 
 if TYPE_CHECKING:
@@ -191,7 +191,6 @@ class SharedWork:
 
 RobotWith = Callable[[Mapping[str, float]], Mechanics]
 
-COARSE = HistoryOptions(state_change=0.1)  # of histories that no tip has told apart yet, docs/observer.md
 STALE = np.array([0.1, 2e-3, 0.25])  # rad, m and friction state, after which derivatives by parameters are taken anew
 
 
@@ -325,4 +324,4 @@ class Histories:
         return self._robot_with(dict(zip(self._slow.names, values.tolist(), strict=True)))
 
     def _history(self, mechanics: Mechanics, start: Start = "released") -> History:
-        return History(mechanics, start, accuracy=self._accuracy, options=None if self._is_measured else COARSE)
+        return History(mechanics, start, accuracy=self._accuracy, options=None if self._is_measured else LONG_STEPS)

@@ -17,7 +17,7 @@ from ctrplan.base.arrays import Array, read_only
 from ctrplan.base.long_work import cores
 from ctrplan.errors import SolverError
 from ctrplan.mechanics.history import OSCILLATION_DEG, History, HistoryState, Start
-from ctrplan.mechanics.shapes import HistoryOptions, Status
+from ctrplan.mechanics.shapes import LONG_STEPS, HistoryOptions, Status
 from ctrplan.robot.friction_calibration import friction_law
 from ctrplan.robot.observer import ObservedHistory
 from ctrplan.robot.observer_histories import SAME_M, SAME_PHI
@@ -179,7 +179,8 @@ def goal_error(robot: Robot, joints: Array, starts: Sequence[FrictionStart]) -> 
 def end_tips(robot: Robot, joints: Array, starts: Sequence[FrictionStart]) -> Array:
     """(S, 3) [m] simulated tips after the path (K, m); NaN where one failed.
 
-    Paths that begin alike share that part of their histories; a robot's last few are remembered.
+    For a search, by LONG_STEPS. Paths that begin alike share that part of their histories; a robot's last few are
+    remembered.
     """
     of_starts = _ENDS.setdefault(robot, {})
     while len(of_starts) >= MOST_STARTS and tuple(starts) not in of_starts:  # every observer's state is another
@@ -279,7 +280,8 @@ def _end_after(robot: Robot, q: Array, before: _PathEnd | None, starts: Sequence
     """Where histories are after moving on to q (m,) from where others ended, or at a start there."""
     if before is not None and not before.states:
         return before
-    histories = _restored(robot, before.states) if before else begun_histories(robot, starts)
+    begun = _restored(robot, before.states, options=LONG_STEPS) if before else None
+    histories = begun or begun_histories(robot, starts, options=LONG_STEPS)
     tips = _follow(robot, histories, q[None]).tip_m[:, -1]
     return _PathEnd(tips, _saved(histories) if np.all(np.isfinite(tips)) else [])
 
@@ -290,9 +292,14 @@ def _saved(histories: Sequence[History]) -> list[HistoryState]:
     return [states[history] for history in histories]
 
 
-def _restored(robot: Robot, states: Sequence[HistoryState], accuracy: Accuracy = "search") -> list[History]:
+def _restored(
+    robot: Robot,
+    states: Sequence[HistoryState],
+    accuracy: Accuracy = "search",
+    options: HistoryOptions | None = None,
+) -> list[History]:
     """A history for each state, one and the same where a state stands for several."""
-    histories = {id(state): robot.history(accuracy=accuracy) for state in states}
+    histories = {id(state): robot.history(accuracy=accuracy, options=options) for state in states}
     for state in states:
         histories[id(state)].restore(state)
     return [histories[id(state)] for state in states]

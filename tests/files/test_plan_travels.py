@@ -38,8 +38,9 @@ def saved(tmp_path_factory: pytest.TempPathFactory) -> Path:
     goal = {"joints": START | {"rotate inner": 20.0}}
     content = {"name": "a task", "robot": "../pair.toml", "start": START, "goal": goal, "anatomy": [part]}
     (home / "task" / "task.toml").write_text(tomli_w.dumps(content))
-    scenario = ctrplan.load_scenario(home / "task" / "task.toml", ["margins.stability=0.05"], allow_outside=True)
-    plan = ctrplan.plan(scenario, seed=0, time_s=0.2)
+    changes = ["planner.time_s=0.2", "margins.stability=0.05"]
+    scenario = ctrplan.load_scenario(home / "task" / "task.toml", changes, allow_outside=True)
+    plan = ctrplan.plan(scenario, seed=0)
     away = tmp_path_factory.mktemp("away")
     plan.save(away / "out")
     plan.save(away / "plan.ctrplan")

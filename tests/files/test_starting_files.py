@@ -88,7 +88,7 @@ def test_a_scenario_is_planned_as_it_is(robot: str, folder: Path, capsys: pytest
     assert f"next: ctrplan plan {task} -o out" in capsys.readouterr().out
     scenario = ctrplan.load_scenario(task)
     assert scenario.warnings == () and ctrplan.check(task).flags == ()
-    plan = ctrplan.plan(scenario, seed=0, time_s=0.3)
+    plan = ctrplan.plan(ctrplan.load_scenario(task, ["planner.time_s=0.3"]), seed=0)
     assert plan.certificate.valid
     assert main(["init", "scenario", str(task), "--robot", str(folder / robot)]) == 2
     assert "is there already" in capsys.readouterr().err
@@ -117,10 +117,10 @@ def test_a_scenario_with_a_shipped_anatomy_is_planned_as_it_is(mesh: str, robot:
         shutil.copy(file, tmp_path)
     said = ["--robot", str(tmp_path / f"{robot}.toml"), "--mesh", str(tmp_path / f"{mesh}.stl")]
     assert main(["init", "scenario", str(tmp_path / "t.toml"), *said]) == 0
-    scenario = ctrplan.load_scenario(tmp_path / "t.toml")
+    scenario = ctrplan.load_scenario(tmp_path / "t.toml", ["planner.time_s=1"])
     assert scenario.anatomy[0].role == ("avoid" if mesh == "ribs" else "inside")
     assert scenario.warnings == () and ctrplan.check(scenario).flags == ()
-    assert ctrplan.plan(scenario, seed=0, time_s=1.0).certificate.valid
+    assert ctrplan.plan(scenario, seed=0).certificate.valid
 
 
 def test_a_mesh_that_the_robot_can_t_stand_clear_of_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -218,7 +218,7 @@ def test_the_smallest_ball_holds_all_points() -> None:
 
 @pytest.fixture(scope="module")
 def planned() -> ctrplan.Plan:
-    return ctrplan.plan(pair(), time_s=0.2)
+    return ctrplan.plan(pair("planner.time_s=0.2"))
 
 
 def test_plans_are_compensated_and_say_where_they_arrive(planned: ctrplan.Plan) -> None:

@@ -70,10 +70,10 @@ def test_on_another_mesh_friction_starts_at_its_average() -> None:
 
 
 def test_plan_takes_the_state_and_its_files_say_that_they_lack_it(tmp_path: Path) -> None:
-    case = load_scenario(SCENARIOS / "pair_free.toml")
+    case = load_scenario(SCENARIOS / "pair_free.toml", ["planner.time_s=0.5"])
     observer = case.robot.observer(NOISE_M)
     observer.observe(*case.robot.drive.collars(case.start))
-    plan = ctrplan.plan(case, time_s=0.5, start_state=observer.state())
+    plan = ctrplan.plan(case, start_state=observer.state())
     assert (
         plan.certificate.start_friction == "observed" and plan.to_json()["certificate"]["start_friction"] == "observed"
     )

@@ -15,6 +15,7 @@ from ctrplan.certificate.certificate import Certificate
 from ctrplan.certificate.certify import certify
 from ctrplan.errors import InputError
 from ctrplan.files.scenario_file import load_scenario
+from ctrplan.mechanics.shapes import LONG_STEPS
 from ctrplan.motion.checker import COEFFICIENTS, MotionChecker
 from ctrplan.planning.compensate import compensate, corrected
 from ctrplan.planning.endings import SHAPE, Settled, oscillation, settle, turnings
@@ -26,7 +27,14 @@ from ctrplan.planning.reordering import (
     with_translation_last,
 )
 from ctrplan.plans.plan import Plan
-from ctrplan.scenario.prediction import predict, predict_end, predict_from, start_states
+from ctrplan.scenario.prediction import (
+    TIP_TOLERANCE_M,
+    end_tips,
+    predict,
+    predict_end,
+    predict_from,
+    start_states,
+)
 from ctrplan.scenario.scenario import Goal, Scenario
 
 START = np.array([0.0, 0.0, -0.03])
@@ -81,6 +89,23 @@ def test_prediction_is_the_history_of_every_start() -> None:
         np.testing.assert_allclose(tips[-1], step.shape.tip_m, atol=1e-9)
     _, states = predict_end(robot, TURN_FIRST[:2], start_states(pair()))
     np.testing.assert_allclose(predict_from(robot, states, TURN_FIRST[1:]).tip_m[:, -1], whole.tip_m[:, -1], atol=5e-5)
+
+
+def test_a_search_simulates_what_a_plan_is_certified_by_in_fewer_steps() -> None:
+    """Tips of both are alike to what histories are simulated to, and a path costs the search fewer steps."""
+    case = load_scenario(SCENARIOS / "sinus.toml")
+    robot, starts, rng = case.robot, start_states(case), np.random.default_rng(0)
+    for _ in range(3):
+        turned, slid = np.array([0.4, -0.5, 0.6, 0, 0]), np.array([0, 0, 0, 0.01, 0.02])
+        steps = [turned * rng.uniform(-1, 1, 5), slid * rng.uniform(0.3, 1, 5)]
+        path = np.vstack([case.start, case.start + np.cumsum(steps, axis=0)])
+        exact = predict(robot, path, starts).tip_m[:, -1]
+        np.testing.assert_allclose(end_tips(robot, path, starts), exact, atol=TIP_TOLERANCE_M)
+        counts = []
+        for options in (None, LONG_STEPS):
+            history = robot.history(options=options)
+            counts.append(sum(history.advance(*robot.drive.collars(q)).steps for q in path))
+        assert counts[1] < 0.7 * counts[0]
 
 
 def test_search_pays_for_what_no_slip_erases(checker: MotionChecker, turned_last: Array) -> None:
@@ -198,7 +223,7 @@ def test_correction_keeps_the_kinds_of_legs() -> None:
 
 
 def test_a_goal_in_joint_values_is_driven_to_as_it_is() -> None:
-    plan = ctrplan.plan(pair(), time_s=0.2)
+    plan = ctrplan.plan(pair("planner.time_s=0.2"))
     assert plan.compensation is None
     turned = plan.waypoints[-1] - plan.scenario.goal.joints
     np.testing.assert_allclose(turned / np.array([2 * np.pi, 2 * np.pi, 1]), np.round(turned / 2 / np.pi), atol=1e-9)

@@ -153,7 +153,7 @@ def test_robot_and_scenario_on_the_page_about_extending_are_planned(tmp_path: Pa
     (tmp_path / "my_pair.toml").write_text(robot)
     (tmp_path / "first.toml").write_text(scenario)
     assert load_robot(tmp_path / "my_pair.toml").n == 2
-    found = plan(load_scenario(tmp_path / "first.toml"), time_s=0.3)
+    found = plan(load_scenario(tmp_path / "first.toml", ["planner.time_s=0.3"]))
     assert found.certificate.valid
 
 

@@ -26,7 +26,7 @@ CONFIGURATION = [0.0, 1.3, 2.9], [0.0, -0.017, -0.07]
 
 @pytest.fixture(scope="module")
 def plan() -> ctrplan.Plan:
-    return ctrplan.plan(ctrplan.load_scenario(SCENARIOS / "pair_free.toml", [NEAR]), seed=0, time_s=0.2)
+    return ctrplan.plan(ctrplan.load_scenario(SCENARIOS / "pair_free.toml", [NEAR, "planner.time_s=0.2"]), seed=0)
 
 
 @pytest.fixture(scope="module")
