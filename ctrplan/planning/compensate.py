@@ -19,7 +19,7 @@ from ctrplan.base.long_work import Progress, part_of
 from ctrplan.certificate.arrival import beside_nominal, friction_variants
 from ctrplan.certificate.certificate import Certificate
 from ctrplan.certificate.certify import finished, predicted_arrives
-from ctrplan.certificate.walked_legs import walk_legs
+from ctrplan.certificate.walked_legs import WalkedLegs, walk_legs
 from ctrplan.drive.drive import JOINT_ROUNDING
 from ctrplan.mechanics.history import HistoryState
 from ctrplan.motion.checker import MotionChecker
@@ -71,7 +71,7 @@ def compensate(
     checker: MotionChecker,
     corners: Array,
     certificate: Certificate,
-    driven: Array | None = None,
+    driven: WalkedLegs | None = None,
     *,
     starts: Sequence[FrictionStart] | None = None,
     progress: Progress | None = None,
@@ -81,7 +81,7 @@ def compensate(
     The change stays within limits and margins, and the target within the worst-case envelope of the commanded
     configuration; the path is certified again. Changing the last legs costs no stop, but moves the body all along them.
     Where that is not certified, two short legs at the end correct the path, or slides alone, or part of the change is
-    made. Where the corrected path is known to be about `driven` (K, m), that is tried first. A path that can't be
+    made. Where the corrected path is known to be about what was `driven`, that is tried first. A path that can't be
     improved so is returned as it was.
     """
     start_friction = start_states(checker.scenario) if starts is None else list(starts)
@@ -109,40 +109,38 @@ def compensate(
 def _corrected_once(
     checker: MotionChecker,
     before: Compensated,
-    driven: Array | None,
+    driven: WalkedLegs | None,
     start_friction: Sequence[FrictionStart],
     starts: Sequence[FrictionStart] | None,
     progress: Progress | None,
 ) -> tuple[Compensated, bool]:
-    """The best certified correction of a path, itself without one; and whether a joint's limit stopped any."""
-    best, is_beyond_limits, corners = before, False, before.corners
-    known = [] if driven is None else [_Corrected(driven, driven[-1] - corners[-1], True)]
+    """The first certified correction that brings a path nearer, itself without one; and whether a joint's limit stopped
+    any.
+    """
+    is_beyond_limits, corners = False, before.corners
+    known = [] if driven is None else [_Corrected(driven.corners, driven.corners[-1] - corners[-1], True)]
     for k, way in enumerate(
         itertools.chain(known, _corrected_ways(checker, corners, before.certificate, start_friction))
     ):
         moved = way.corners
         is_beyond_limits |= _is_at_limit(checker, moved[-1], way.delta)
-        if not way.is_whole and best is not before:
-            break
         if not checker.space.allowed(moved):
             is_beyond_limits = True
             continue
         reporter = part_of(progress, k, MOST_WAYS)
-        walk = walk_legs(checker.scenario, moved, progress=reporter)
+        walk = driven if driven and k == 0 else walk_legs(checker.scenario, moved, progress=reporter)
         if walk.problems:  # no history makes it valid
             continue
         checked = finished(walk, predicted_arrives, starts)
         error = arrival_error(checked)
-        if checked.valid and error < best.compensation.error_with_m:
+        if checked.valid and error < before.compensation.error_with_m:
             if settling := before.certificate.settling:
                 checked = replace(checked, settling=settled_again(settling, checked, len(moved) - len(corners)))
             whole = replace(
-                best.compensation, correction=before.compensation.correction + way.delta, error_with_m=error
+                before.compensation, correction=before.compensation.correction + way.delta, error_with_m=error
             )
-            best = Compensated(moved, checked, whole)
-            if is_on_target(checked):
-                break
-    return best, is_beyond_limits
+            return Compensated(moved, checked, whole), is_beyond_limits  # the next round corrects what is left
+    return before, is_beyond_limits
 
 
 def _is_at_limit(checker: MotionChecker, joints: Array, delta: Array) -> bool:
@@ -203,6 +201,15 @@ def brought_to_goal(checker: MotionChecker, corners: Array) -> Array | None:
             return path
         delta = delta + _newton_step(checker, path[-1], miss, tangent[0], np.ones(len(delta), bool))
     return None
+
+
+def on_target(checker: MotionChecker, corners: Array) -> Array:
+    """A path (K, m) that a search moved, with its last legs moved by what histories of ordinary steps still miss."""
+    scenario, place = checker.scenario, _CorrectedEnd(corners, len(corners) - 1)
+    aim, nothing = target_in_robot_frame(scenario), np.zeros(corners.shape[1])
+    delta = _correction(checker, place, aim, start_states(scenario), nothing)
+    path = place.path(checker.space.drive.is_rotation, delta)
+    return path if checker.space.allowed(path) else corners
 
 
 def arrival_error(certificate: Certificate) -> float:

@@ -243,6 +243,7 @@ def _stages(
             )
             search.refuse_start, search.moves_goal = refuse_start, not begins_line
             search.is_compensated = request.compensated
+            search.is_all_moved = request.compensated and not stages and stage.planner.settle != "oscillate"
             search.before, search.whole = request.before + spent, request.whole
             stages.append(run(search))
             spent += clock.now()

@@ -14,6 +14,7 @@ from places import ROBOTS, SCENARIOS
 
 import ctrplan
 from ctrplan.certificate.certify import certify
+from ctrplan.certificate.walked_legs import walk_legs
 from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.motion.checker import MotionChecker
@@ -22,6 +23,7 @@ from ctrplan.planning.compensate import _CorrectedEnd, compensate
 from ctrplan.scenario import prediction
 from ctrplan.scenario.joint_space import bare_scenario
 from ctrplan.scenario.prediction import TIP_TOLERANCE_M, predict, start_states
+from ctrplan.scenario.tip_solver import target_in_robot_frame
 from ctrplan.storage.toml_document import read_document
 
 
@@ -90,17 +92,29 @@ def test_what_the_first_correction_leaves_is_corrected_again(monkeypatch: pytest
 
 
 def test_the_way_that_is_known_to_be_driven_is_tried_first(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nothing is corrected where it is certified and arrives; where it does not arrive, corrections follow."""
+    """Nothing is corrected or walked where it is certified and arrives; else corrections follow."""
     case, turned_last = pair(), np.array([START, [*START[:2], GOAL[2]], GOAL])
     checker, before = MotionChecker(case), certify(case, turned_last)
     found = compensate(checker, turned_last, before)
     assert np.any(found.corners != turned_last)
-    in_vain = compensate(checker, turned_last, before, turned_last + 1e-6)
+    in_vain = compensate(checker, turned_last, before, walk_legs(case, turned_last + [0, 1e-6, 1e-6]))
     np.testing.assert_array_equal(in_vain.corners, found.corners)
+    driven = walk_legs(case, found.corners)
     monkeypatch.setattr(compensation, "_correction", None)
-    known = compensate(checker, turned_last, before, found.corners)
+    monkeypatch.setattr(compensation, "walk_legs", None)
+    known = compensate(checker, turned_last, before, driven)
     np.testing.assert_array_equal(known.corners, found.corners)
     np.testing.assert_allclose(known.compensation.correction, found.compensation.correction, atol=1e-12)
+
+
+def test_a_path_that_a_search_moved_is_brought_on_target_by_histories_of_ordinary_steps() -> None:
+    case = pair()
+    checker, delta = MotionChecker(case), np.array([0.0, 0.003, 0.0004])
+    path = compensation.on_target(
+        checker, compensate(checker, PATH, certify(case, PATH)).corners + delta * [[0], [1], [1]]
+    )
+    middle = predict(case.robot, path, start_states(case)).end_middle_m
+    assert np.linalg.norm(middle - target_in_robot_frame(case)) < compensation.CLOSE_M
 
 
 @pytest.mark.parametrize("slope", [0.13, -1.05, -0.9, 0.5])

@@ -23,6 +23,7 @@ from ctrplan.drive.legs import merge_legs
 from ctrplan.errors import NoAnswerError
 from ctrplan.motion.checker import MotionChecker
 from ctrplan.motion.limits import path_limits
+from ctrplan.planning.compensate import on_target
 from ctrplan.planning.goal_states import descended, distinct
 from ctrplan.planning.reordering import Reordered, as_given, least_error_order
 from ctrplan.planning.search.ompl_set_up import SearchProblem
@@ -67,7 +68,7 @@ class Candidate:
     found_by: str
     reordered: Reordered | None = None  # in order, and compared with other orders
     progress: Callable[[float], None] | None = None  # of the certificate
-    driven: Array | None = None  # (K, m) as compensation may move it, where that is known
+    driven: WalkedLegs | None = None  # as compensation may move it, where that is known and certified
     as_driven_mm: float | None = None  # the cost beside others', where it is known how compensation will change both
 
     @cached_property
@@ -122,6 +123,7 @@ class StageSearch:
     certified: list[Candidate] = field(default_factory=list)
     moves_goal: bool = True  # whether polish may leave the goal states, for others that reach the target
     is_compensated: bool = False  # whether what is found is moved, so that the tip with friction arrives
+    is_all_moved: bool = False  # whether nothing else changes it, as another start or an end that erases friction would
     has_chains: bool = False  # whether the roadmap has those that withdraw from the goals
 
     def run_to_first(self) -> Answer:
@@ -147,7 +149,8 @@ class StageSearch:
     def _polish(self, roadmap: RoadmapSearch) -> bool:
         """Improves known paths to different goal states as they will be driven; the cheapest that is certified is kept.
 
-        Whether there is one. Certificates come on top of counted work: all of them are tried until one holds.
+        Whether there is one. Certificates come on top of counted work: all of them are tried until one holds as it is
+        driven; compensation may correct the cheapest otherwise.
         """
         assert self.best is not None
         before, until = self.best, self.clock.now() + PHASE_SHARE * self.budget
@@ -158,17 +161,23 @@ class StageSearch:
         with self._ending(until):
             begun_mm = race.cost_mm(before.corners, before.cost_mm)
             race.run(self.clock.now, until, self._is_over)
+        cheapest: Callable[[], str] | None = None
         for result in race.results():
             gain_mm = begun_mm - result.cost_mm
             if self._is_enough() or not gain_mm > WORTH_A_CERTIFICATE * begun_mm:
                 break
             as_driven_mm = before.cost_mm - gain_mm if self.is_compensated else None
-            order = partial(race.ordered, result)
-            if not self._tidied(roadmap.checker, result.to_goal, ROADMAP, result.driven, as_driven_mm, order):
+            tidied = partial(
+                self._tidied, roadmap.checker, result.to_goal, ROADMAP, order=partial(race.ordered, result)
+            )
+            driven = result.driven if self.is_all_moved and result.driven is not result.to_goal else None
+            if not tidied(as_driven_mm=as_driven_mm, driven=driven):
                 return True
             if self.clock.timed and self._is_over(self.budget):
                 break
-        return False
+            if driven is not None:
+                cheapest = cheapest or partial(tidied, as_driven_mm=as_driven_mm)
+        return cheapest is not None and not self._is_enough() and not cheapest()
 
     def _without_reserve(self) -> None:
         """No path keeps more clearance than the certificate asks for: what keeps no more is looked for."""
@@ -388,8 +397,8 @@ class StageSearch:
     ) -> str:
         """Reorders and certifies a path (K, m), keeps it if it is the best; why it failed, empty if it did not.
 
-        `driven` (K, m) is how compensation may move it, and `as_driven_mm` what that costs beside others, if it stays
-        as it is.
+        `driven` (K, m) is how compensation may move it, which has to be certified too, and `as_driven_mm` what that
+        costs beside others, if it stays as it is.
         """
         found_s = time.monotonic() - self.began
         result = order(checker, merge_legs(corners))
@@ -399,22 +408,29 @@ class StageSearch:
             self.best = tidied
             return ""
         self._tell()
+        stays = np.array_equal(result.after, corners)
+        as_driven = None
+        if driven is not None and stays:
+            as_driven = self._walked(checker, on_target(checker, driven), np.inf)
+        if as_driven and as_driven.problems:
+            self.failure, self.failed = as_driven.problems[0], as_driven
+            return self.failure
         walk = self._walked(checker, result.after)
         if walk.failure:
             self.failure, self.failed = walk.failure, walk
             return self.failure
         certified_s = time.monotonic() - self.began
         candidate = Candidate(checker, result.after, walk, found_s, certified_s, found_by, result)
-        if np.array_equal(result.after, corners):
-            candidate = replace(candidate, driven=driven, as_driven_mm=as_driven_mm)
+        if stays:
+            candidate = replace(candidate, driven=as_driven, as_driven_mm=as_driven_mm)
         self._keep(candidate)
         return ""
 
-    def _walked(self, checker: MotionChecker, corners: Array) -> WalkedLegs:
+    def _walked(self, checker: MotionChecker, corners: Array, spare_m: float = NEAR_LIMIT_M) -> WalkedLegs:
         """Paths (K, m) that follow a failed one mostly share legs with it."""
         self.refuse_start()
         scenario, progress = checker.scenario, self._certifying
-        return walk_legs(scenario, corners, spare_m=NEAR_LIMIT_M, progress=progress, failed=self.failed)
+        return walk_legs(scenario, corners, spare_m=spare_m, progress=progress, failed=self.failed)
 
     def _certifying(self, share: float) -> None:
         self.report(Progress("certificate", share, None))
