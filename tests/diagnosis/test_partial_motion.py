@@ -16,7 +16,6 @@ from unbuilt import build_nothing
 from ctrplan.base.arrays import Array
 from ctrplan.calibration.discrepancy import decay
 from ctrplan.diagnosis import CATALOGUE, Diagnosis, diagnose
-from ctrplan.diagnosis.conclusion import Conclusion
 from ctrplan.diagnosis.held_out import opened
 from ctrplan.measurement.measurements import Measurements
 
@@ -112,11 +111,7 @@ def test_what_poses_kept_aside_are_nearer_without_is_taken_back() -> None:
     assert part is not None
     position, tangent, aside = found.data.position_m.copy(), found.data.tangent.copy(), part.split.held_out_set
     position[aside], tangent[aside] = against.position_m[aside], against.tangent[aside]
-    answer = Conclusion(
-        part.bench, (), part.chosen, part.base, part.judgement, part.split, part.block, part.bench.plain, False,
-        np.zeros(COUNT, bool), (), partial=part,
-    )  # fmt: skip
-    asked = opened(answer, replace(found.data, position_m=position, tangent=tangent))
+    asked = opened(part, replace(found.data, position_m=position, tangent=tangent))
     assert asked.gap.after.rms_m < asked.gap.before.rms_m  # so that nothing else would take it back
     assert any("lag, without which" in note for note in asked.notes)
     assert "lag" not in [finding.term.name for finding in asked.judgement.findings]
