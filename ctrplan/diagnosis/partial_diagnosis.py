@@ -56,17 +56,17 @@ def diagnose_partially(
     tell("looking for what holds beside a rest")
     block = blocks(data, _memory(robot, data, usable, noise, begun))
     parts = thinned(split(usable, block), data)
-    near = begun
-    if data.is_stream:
-        first = _bench(robot, data, noise, parts, block)
-        framed = first.scored([], begun)
-        certain = on_one_branch(*first.corrected(framed))
-        parts, near = Split(parts.selection[certain], parts.held_out_set), framed.fit
     bench = _bench(robot, data, noise, parts, block)
+    framed = bench.scored([], begun)
+    corrected, here = bench.corrected(framed)
+    if not (certain := on_one_branch(corrected, here)).all():
+        parts = Split(parts.selection[certain], parts.held_out_set)
+        bench = _bench(robot, data, noise, parts, block)
+        corrected, here = bench.corrected(bench.scored([], framed.fit))
     base = Workbench(robot, bench.data, noise, bench.group).scored([], begun)
     right, nothing = np.zeros(data.count, bool), Judgement("unexplained", (), remains(bench, base))
     calibrated = Conclusion(bench, known, parts, block, right, noise, base, base, nothing)
-    return most_probable(calibrated, *bench.corrected(bench.scored([], near)), tell)
+    return most_probable(calibrated, corrected, here, tell)
 
 
 def _bench(robot: Robot, data: Measurements, noise: Noise, parts: Split, block: NDArray[np.int_]) -> CorrelatedBench:

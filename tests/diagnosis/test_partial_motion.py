@@ -59,9 +59,9 @@ def test_a_lag_is_named_beside_a_rest_with_the_memory_that_it_has() -> None:
     assert found.verdict == "partial" and [t.name for t in found.listed] == ["lag"]
     tau = found.to_json()["effects"][0]["parameters"]["tau_s"]
     assert abs(tau["value"] - LATE_S) < 0.75 * (tau["ci95"][1] - tau["ci95"][0]) < 0.05
-    assert found.partial is not None and found.partial.rest.memory is not None
-    assert MEMORY_S / 3 < found.partial.rest.memory < 3 * MEMORY_S
-    assert 0.5e-3 < found.partial.rest.rms_m < 1.1e-3 and found.partial.rest.of_configuration < 0.4
+    assert found.partial is not None and (rest := found.partial.rest) is not None and rest.memory is not None
+    assert MEMORY_S / 3 < rest.memory < 3 * MEMORY_S
+    assert 0.5e-3 < rest.rms_m < 1.1e-3 and rest.of_configuration < 0.4
 
 
 @thorough("test_what_changes_slowly_is_no_effect_although_some_look_like_it")
