@@ -8,6 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+import numpy as np
+
+from ctrplan.base.arrays import Array
 from ctrplan.effects.effect import CATALOGUE, Effect, Parameter, Values
 from ctrplan.errors import InputError
 from ctrplan.measurement.measurements import Measurements
@@ -65,6 +68,19 @@ class BaseParameters(Effect):
             else:
                 changed[f"contact.{i}.friction_coefficient"] = value
         return changed
+
+
+def calibrated_moves(robot: Robot, theta_b: Array, l_b: Array) -> Array:
+    """(K, P, 3) [m] by which parameters of ordinary calibration, as far off as their priors have it, move tips."""
+    base, changes, names = BaseParameters(), list[dict[str, float]](), dict[str, None]()
+    for q in base.parameters(robot):
+        there, here = (base.mechanics({q.name: value}, robot) for value in (q.neutral + q.prior, q.neutral))
+        changes.append({name: there[name] - here[name] for name in there})
+        names |= dict.fromkeys(there)
+    released = np.zeros((len(theta_b), robot.n - 1))
+    by = robot.mechanics.tips_with_friction(theta_b, l_b, released, parameters=list(names)).position_by
+    moves: Array = by @ np.array([[change.get(name, 0.0) for change in changes] for name in names])
+    return moves.transpose(0, 2, 1)
 
 
 RELATIVE_PRIOR = 0.2  # of a named number: share of its size, or of one where it is zero

@@ -3,8 +3,8 @@
 Every gross fault that laboratories make leaves the uncalibrated robot centimetres off, and one other reading of the
 columns a few millimetres. Residuals of an uncalibrated robot are smooth: they are worth about a dozen independent
 numbers, whatever the count of poses. With the prior that one file in a hundred is misread, shared among some forty
-readings, another reading is believed where it leaves less than half of the error, and half of what tips that heed no
-joint would leave. Tangents are asked alike where positions are explained.
+readings, another reading is believed where it leaves less than half of the error, half of what tips that heed no joint
+would leave, and half of what ordinary calibration leaves. Tangents are asked alike where positions are explained.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
+from ctrplan.calibration.parameters import calibrated_moves
 from ctrplan.errors import InputError, NoAnswerError
 from ctrplan.measurement.approach import clock
 from ctrplan.measurement.measurements import Measurements
@@ -62,10 +63,8 @@ class Reading:
         """What a person should do first."""
         if not self.columns:
             return f"{self.what[:1].upper()}{self.what[1:]}."
-        known = math.isfinite(self.rms_before)
-        before = (
-            f"instead of {self.rms_before:.3g} {self.unit}" if known else "and as they stand no robot has such joints"
-        )
+        instead = f"instead of {self.rms_before:.3g} {self.unit}"
+        before = instead if math.isfinite(self.rms_before) else "and as they stand no robot has such joints"
         return (
             f"{self.what[:1].upper()}{self.what[1:]} ({', '.join(self.columns)}): read so, the uncalibrated robot is "
             f"{self.rms_after:.3g} {self.unit} off (rms) {before}."
@@ -201,7 +200,8 @@ def _displaced(off: Array, error: float, moves: Array) -> float:
     """
     J, r = moves.transpose(0, 2, 1).reshape(-1, moves.shape[1]), off.ravel()
     by = np.linalg.solve(J.T @ J + len(off) * error**2 / NUMBERS * np.eye(moves.shape[1]), J.T @ r)
-    return _rms((r - J @ by).reshape(-1, 3)) * float(np.exp(by @ by / 2 / NUMBERS))
+    with np.errstate(over="ignore"):  # what no effect does
+        return _rms((r - J @ by).reshape(-1, 3)) * float(np.exp(by @ by / 2 / NUMBERS))
 
 
 def refuse_misread(robot: Robot, data: Measurements) -> None:
@@ -224,9 +224,9 @@ class MisreadError(NoAnswerError):
 def _best(file: _File, before: float) -> tuple[_Again, float] | None:
     """The plainest of the readings that explain what is not explained so far, where `before` is left [m]."""
     errors = [(way, e) for way in _readings(file.robot) if (e := file.rms_m(way, before)) < np.inf]
-    if errors:
-        least = min(e for _, e in errors)
-        alike = [(way, e) for way, e in errors if e <= ALIKE * least]
+    least = min((e for _, e in errors), default=np.inf)
+    alike = [(way, e) for way, e in errors if e <= ALIKE * least]
+    if alike and file.displaced_m(least, alike[0][0]) * BETTER < file.displaced_m(least):
         same = [way.what for way, e in alike[1:] if abs(e - alike[0][1]) < SAME * least][:2]
         return replace(alike[0][0], what=", or ".join([alike[0][0].what, *same])), alike[0][1]
     if len(file.kept) < LEAST_POSES:
@@ -344,6 +344,7 @@ class _File:
     kept: NDArray[np.int_]
     done: tuple[_Again, ...]
     solved: dict[tuple[bytes, bytes], Array] = field(default_factory=dict)  # of the robot as the file has it
+    stood: dict[_Again, tuple[Robot, Array, Array]] = field(default_factory=dict)  # collars (M, n) in each way
 
     def pairs(self, way: _Again) -> Pair:
         """(M, 3) [m] measured and predicted tips, read in one more way, where there is an equilibrium."""
@@ -391,6 +392,7 @@ class _File:
         except InputError:  # no tube stands there
             return measured[:0], measured[:0]
         good = np.isfinite(model).all(axis=1) & (np.abs(l_b - inside).max(axis=1) < BASE_M)
+        self.stood[way] = read, theta_b[good], inside[good]
         return measured[good], model[good]
 
     def _solved(self, read: Robot, theta_b: Array, l_b: Array) -> Array:
@@ -414,13 +416,19 @@ class _File:
         after = _rms(measured - model) if len(model) >= 0.8 * len(self.kept) else np.inf
         return after if way is AS_READ or after * BETTER < min(before, _spread(measured)) else np.inf
 
-    def displaced_m(self, error_m: float) -> float:
-        """Rms error [m] as read beside what effects do to the base: a turn, a shift, and one that grows with time."""
-        measured, model = self.pairs(AS_READ)
+    def displaced_m(self, error_m: float, way: _Again = AS_READ) -> float:
+        """Rms error [m] beside what calibration does, and effects to the base; infinite where most poses do not stand.
+
+        Effects turn the base, shift it, and shift it by more and more with time.
+        """
+        measured, model = self.pairs(way)
+        if len(model) < 0.8 * len(self.kept):
+            return np.inf
         time = clock(self.data)[self.kept[: len(model)]] if len(model) == len(self.kept) else np.zeros(len(model))
         late = (time - time.min()) / (np.ptp(time) or 1.0)
         shift = np.broadcast_to(np.eye(3), (len(model), 3, 3))
         moves = [_turns(model), BASE_M * shift, BASE_M * late[:, None, None] * shift]
+        moves.append(calibrated_moves(*self.stood[way]))
         return _displaced(measured - model, error_m, np.concatenate(moves, axis=1))
 
     def registered(self, way: _Again) -> tuple[float, str]:

@@ -1,30 +1,111 @@
-"""From measurements to a set of effects and a verdict, before the test set is opened.
-
-The ordinary search comes first and names what leaves noise alone. Where nothing does, the partial diagnosis says what
-holds beside a remainder. A long log of a continuous motion, in which the ordinary search takes minutes, begins there.
+"""What was found on the poses that choose, as one value: of the ordinary search, of one beside a rest, and with a term
+built of the rest.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
-from ctrplan.calibration.fit_warnings import gross_outliers, too_many
+from ctrplan.calibration.estimates import estimates
 from ctrplan.calibration.residuals import Noise
-from ctrplan.diagnosis.adequacy import ignored, remains, rescaled_noise
-from ctrplan.diagnosis.built_term import Built, build
-from ctrplan.diagnosis.partial_diagnosis import PartialDiagnosis, diagnose_partially
-from ctrplan.diagnosis.posterior import Compared, settled
-from ctrplan.diagnosis.usable_poses import MOST_POSES, bench_of, checked_split, thinned, without_outliers
-from ctrplan.diagnosis.verdict import Judgement, judge
-from ctrplan.diagnosis.workbench import Candidates, Interrupted, Scored, SelectionStep, Teller, Workbench
-from ctrplan.measurement.measurements import Measurements, Split, groups
-from ctrplan.robot.robot import Robot
+from ctrplan.diagnosis.correlated_bench import FRAMES, CorrelatedBench
+from ctrplan.diagnosis.linear_fit import left_out_residuals
+from ctrplan.diagnosis.posterior import Compared
+from ctrplan.diagnosis.remainder import Remainder
+from ctrplan.diagnosis.term_pieces import TermPiece
+from ctrplan.diagnosis.verdict import Judgement
+from ctrplan.diagnosis.workbench import Candidates, Scored, SelectionStep, Workbench, linear
+from ctrplan.effects.learned.learned import Learned
+from ctrplan.measurement.measurements import Split
+from ctrplan.pipeline.term import Term
 
-INTERRUPTED = "Interrupted: this is what was found until then, not a verdict."
+
+@dataclass(frozen=True)
+class Closing:
+    """Rms errors [m] without an effect and with it; gap_m: what calibration alone leaves, beyond the noise."""
+
+    without_m: float
+    with_m: float
+    gap_m: float
+
+    @property
+    def share(self) -> float:
+        """The share of the gap, in squares. Where effects hide one another, it may be below 0 or above 1."""
+        return (self.without_m**2 - self.with_m**2) / max(self.gap_m**2, 1e-12)
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """An effect of the verdict, with what it closes of the gap alone, and last of all."""
+
+    term: Term
+    alone: Closing
+    last: Closing
+
+
+@dataclass(frozen=True, eq=False)
+class Round:
+    """Pieces of a round with what they make the poses more probable by (logarithm), best first."""
+
+    tried: tuple[tuple[TermPiece, float], ...]
+    gain: float  # of the best when fitted for good, its choice paid
+    taken: TermPiece | None
+
+    @property
+    def step(self) -> SelectionStep:
+        """The round as a step of a search."""
+        piece, gain = self.tried[0] if self.taken is None else (self.taken, self.gain)
+        return SelectionStep("build", piece.on.effect_name, piece.parts, round(gain, 2), self.taken is not None)
+
+
+@dataclass(frozen=True, eq=False)
+class Built:
+    """How terms were built of a rest, and what they are worth on blocks that were left out."""
+
+    named: Scored  # the set without the built ones
+    rounds: tuple[Round, ...]
+    share: float  # of the rest's squares
+    rest: Remainder  # what remains beside the built ones as well
+
+    @property
+    def gain(self) -> float:
+        """Logarithm of how much more probable the built terms make the poses, beside an error of tips."""
+        return sum(turn.gain for turn in self.rounds if turn.taken)
+
+    @property
+    def by_stage(self) -> dict[str, float]:
+        """Gain of the best first piece of each stage: what decided which stage it is."""
+        results: dict[str, float] = {}
+        for piece, gain in self.rounds[0].tried:
+            results.setdefault(piece.on.kind.stage, gain)
+        return results
+
+    def to_json(self, scored: Scored) -> dict[str, Any]:
+        """For diagnosis.json, with the coefficients of a fit."""
+        return {
+            "terms": list(_stated(scored)),
+            "share_of_rest": round(self.share, 3),
+            "log_bayes_factor": round(self.gain, 2),
+            "best_gain_by_stage": {stage: round(gain, 1) for stage, gain in self.by_stage.items()},
+            "rest_rms_mm": round(self.rest.rms_m * 1e3, 4),
+        }
+
+
+def _stated(scored: Scored) -> Iterator[dict[str, Any]]:
+    """Every built term with its coefficients."""
+    chain, p = scored.fit.chain, scored.fit.p
+    for t, values in zip(chain.terms, chain.values(p), strict=True):
+        if isinstance(t.effect, Learned):
+            found = estimates(scored.fit, t).items()
+            coefficients = {name: {"value": e.value, "ci95": list(e.ci95)} for name, e in found}
+            yield {"name": t.name, **t.effect.stated(values), "coefficients": coefficients}
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,165 +113,87 @@ class Conclusion:
     """What was found on the poses that choose; the arrays are over all poses (K,) of the data."""
 
     bench: Workbench
-    path: tuple[SelectionStep, ...]
-    chosen: Scored  # with the effects of the search
-    base: Scored  # calibrated, without effects
-    judgement: Judgement
+    known: Candidates  # that were asked
     split: Split
     group: NDArray[np.int_]  # (K,) poses that count as one
-    noise: Noise
-    is_rescaled: bool  # whether the noise is smaller than stated
     wrong: NDArray[np.bool_]  # (K,) poses that went wrong
-    notes: tuple[str, ...]
+    noise: Noise
+    base: Scored  # calibrated without effects, and without a free frame
+    chosen: Scored  # the most probable set
+    judgement: Judgement
+    path: tuple[SelectionStep, ...] = ()
+    notes: tuple[str, ...] = ()
+    is_rescaled: bool = False  # whether the noise is smaller than stated
     interrupted: bool = False
-    partial: PartialDiagnosis | None = None
-    built: Built | None = None  # a term of what the effects leave
-    otherwise: Conclusion | None = None  # what is said where the built term fails on the held-out set
-    compared: Compared | None = None  # sets of effects, as probable as they are on the poses of the ordinary search
+    compared: Compared | None = None  # sets of effects
+    rest: Remainder | None = None  # beside the effects that the catalogue has, where the search was beside one
+    built: Built | None = None  # terms of the rest, among those chosen
+    before: Conclusion | None = None  # what was concluded before this was asked
+
+    @property
+    def is_told(self) -> bool:
+        """Whether it says more than that something is unexplained."""
+        return self.interrupted or bool(self.built or self.judgement.findings or self.judgement.together)
+
+    @property
+    def told(self) -> Conclusion:
+        """This, or what came before where this says nothing more."""
+        return self if self.is_told or self.before is None else self.before
+
+    @property
+    def ordinary(self) -> Conclusion:
+        """The search for what leaves noise alone, where that came first."""
+        return self.before.ordinary if self.before else self
+
+    @cached_property
+    def handed_over(self) -> Scored:
+        """The most probable set as a robot file has it."""
+        return self.bench.handed_over(self.chosen)
+
+    @cached_property
+    def parts(self) -> tuple[Part, ...]:
+        """What the listed effects close beside a rest: some thirty fits, which a built term may make vain."""
+        return tuple(self._part(f.term) for f in self.judgement.findings)
+
+    def _part(self, t: Term) -> Part:
+        """The part of an effect; the gap is that of the base, which has no free frames."""
+        bench, base, chosen = self.bench, self.base, self.chosen
+        assert isinstance(bench, CorrelatedBench) and self.compared is not None
+        whole = left_out_residuals(linear(base.fit), bench.group)[:, :3] * bench.plain.position_m * bench.data.over_tip
+        before, after, none = _rms(whole), _rms(bench.left_out_m(chosen)), self.compared.base
+        gap = float(np.sqrt(max(before**2 - bench.plain.floor_m**2, 0.0)))
+        if t.name in FRAMES:
+            others = [frame for frame in none.fit.chain.terms if frame.name in FRAMES and frame.name != t.name]
+            alone, last = _rms(bench.left_out_m(none, *others)), _rms(bench.left_out_m(chosen, t))
+            return Part(t, Closing(before, alone, gap), Closing(last, after, gap))
+        free, alone = _rms(bench.left_out_m(none)), _rms(bench.left_out_m(bench.scored([t], chosen.fit)))
+        last = _rms(bench.left_out_m(bench.scored([other for other in chosen.terms if other is not t], chosen.fit)))
+        return Part(t, Closing(free, alone, gap), Closing(last, after, gap))
+
+    def shares_json(self, t: Term) -> dict[str, Any]:
+        """What an effect closes of the gap beside a rest, for diagnosis.json."""
+        (part,) = (part for part in self.parts if part.term.key == t.key)
+        return {
+            "share_of_gap_alone": round(part.alone.share, 3),
+            "share_of_gap_last": round(part.last.share, 3),
+            "alone_rms_mm": [round(x * 1e3, 4) for x in (part.alone.without_m, part.alone.with_m)],
+            "last_rms_mm": [round(x * 1e3, 4) for x in (part.last.without_m, part.last.with_m)],
+        }
+
+    def rest_json(self) -> dict[str, Any] | None:
+        """What remains, for diagnosis.json."""
+        rest, bench = self.rest, self.bench
+        if rest is None or not isinstance(bench, CorrelatedBench):
+            return None
+        blocks = {"blocks": len(np.unique(bench.group)), "poses_compared": bench.data.count, "restarts": bench.restarts}
+        return rest.to_json() | blocks
 
 
-def conclude(
-    robot: Robot, data: Measurements, usable: NDArray[np.bool_], noise: Noise, known: Candidates, teller: Teller
-) -> Conclusion:
-    """Searches what the catalogue has; `usable` (K,) are the poses to go by. Raises InputError where they are few."""
-    wrong, parts, bench = without_outliers(robot, data, usable, noise)
-    is_long = data.is_stream and int((usable & ~wrong).sum()) > 2 * MOST_POSES  # every other is compared at most
-    if is_long:
-        begun = _calibrated(data, thinned(parts, data), bench, wrong)
-        first = _beside_a_remainder(begun, data, usable, noise, known, teller)
-        if first.interrupted or (first.partial and not first.partial.is_noise):
-            return _with_built(first, first, teller)
-    if bench.data.count < len(parts.selection):
-        bench = bench_of(robot, data, parts, noise)
-    result = _ordinary(data, usable, wrong, bench, parts, known, teller)
-    is_explained = result.compared is None or result.compared.posterior.of_unknown < 1 / 2
-    if is_explained or is_long:
-        return result
-    part = _beside_a_remainder(result, data, usable, noise, known, teller)
-    is_told = part.interrupted or part.judgement.findings or part.judgement.together
-    return _with_built(part, part if is_told else result, teller)
+def _rms(error_m: Array) -> float:
+    """[m] of errors (K, 3)."""
+    return float(np.sqrt(mean_square(error_m)))
 
 
-def _with_built(part: Conclusion, otherwise: Conclusion, teller: Teller) -> Conclusion:
-    """What holds beside a rest with a term built of the rest; `otherwise` where there is none."""
-    if part.partial is None or part.interrupted:
-        return otherwise
-    try:
-        built = build(part.partial, teller)
-    except Interrupted:
-        return replace(otherwise, interrupted=True, notes=(*otherwise.notes, INTERRUPTED))
-    if built is None:
-        return otherwise
-    return replace(
-        part,
-        bench=built.partial.bench,
-        chosen=built.scored,
-        judgement=built.partial.judgement,
-        partial=built.partial,
-        built=built,
-        otherwise=otherwise,
-        path=(*part.path, *built.path, *built.partial.path),
-    )
-
-
-def _beside_a_remainder(
-    before: Conclusion,
-    data: Measurements,
-    usable: NDArray[np.bool_],
-    stated: Noise,
-    known: Candidates,
-    teller: Teller,
-) -> Conclusion:
-    """What holds although something remains; what there was before, where it is interrupted.
-
-    The noise may be smaller than stated. It is never enlarged, for the rest would hide in it.
-    """
-    noise = before.noise if before.is_rescaled else stated
-    try:
-        near = before.base.fit
-        part = diagnose_partially(before.bench.robot, data, usable & ~before.wrong, noise, known, teller, near)
-    except Interrupted:
-        return replace(before, interrupted=True, notes=(*before.notes, INTERRUPTED))
-    return replace(
-        before,
-        bench=part.bench,
-        noise=noise,
-        path=(*before.path, *part.path),
-        chosen=part.chosen,
-        base=part.base,
-        judgement=part.judgement,
-        split=part.split,
-        group=part.block,
-        partial=part,
-    )
-
-
-def _calibrated(data: Measurements, parts: Split, bench: Workbench, wrong: NDArray[np.bool_]) -> Conclusion:
-    """Before any search."""
-    base = bench.scored([])
-    judgement = Judgement("unexplained", (), remains(bench, base))
-    return Conclusion(bench, (), base, base, judgement, parts, groups(data), bench.noise, False, wrong, ())
-
-
-def _ordinary(
-    data: Measurements,
-    usable: NDArray[np.bool_],
-    wrong: NDArray[np.bool_],
-    bench: Workbench,
-    parts: Split,
-    known: Candidates,
-    teller: Teller,
-) -> Conclusion:
-    """The search for what leaves noise alone, once more without poses that something missing had hidden."""
-    result = _searched(data, parts, bench, wrong, known, teller)
-    more = gross_outliers(result.chosen.fit, data, usable & ~wrong)
-    if more.any() and not too_many(wrong | more, usable) and not result.interrupted:
-        parts = checked_split(data, usable & ~(wrong | more))
-        bench = bench_of(bench.robot, data, parts, bench.noise)
-        result = _searched(data, parts, bench, wrong | more, known, teller)
-    return result
-
-
-def _searched(
-    data: Measurements,
-    parts: Split,
-    bench: Workbench,
-    wrong: NDArray[np.bool_],
-    known: Candidates,
-    teller: Teller,
-) -> Conclusion:
-    """Search and judgement, once more with the noise that the data show if it is not the stated one."""
-    notes, stated = tuple[str, ...](), bench.noise
-    try:
-        teller("calibrating")
-        bench, compared, chosen, path, judgement = _most_probable(bench, known, teller)
-        scaled, note = rescaled_noise(judgement.adequacy, stated, *_norms(chosen))
-        notes = (note,) if note else ()
-        if scaled is not None:
-            bench = Workbench(bench.robot, bench.data, scaled, bench.group)
-            bench, compared, chosen, path, judgement = _most_probable(bench, known, teller)
-    except Interrupted:
-        return replace(_calibrated(data, parts, bench, wrong), notes=(*notes, INTERRUPTED), interrupted=True)
-    return replace(
-        _calibrated(data, parts, bench, wrong),
-        path=path,
-        chosen=chosen,
-        judgement=judgement,
-        is_rescaled=bench.noise.position_m < stated.position_m,
-        notes=notes,
-        compared=compared,
-    )
-
-
-def _most_probable(
-    bench: Workbench, known: Candidates, teller: Teller
-) -> tuple[Workbench, Compared, Scored, tuple[SelectionStep, ...], Judgement]:
-    bench, compared, chosen, path = settled(bench, bench.scored([]), known, teller)
-    judgement = judge(bench, chosen, known, compared.posterior, compared.sets)
-    return bench, compared, chosen, path, judgement
-
-
-def _norms(scored: Scored) -> tuple[Array, Array]:
-    """Norms of the residuals per pose, without outliers, and how many measured numbers each has."""
-    parts, kept = scored.fit.residuals, ~ignored(scored)
-    return parts.norm[kept], parts.given[kept].sum(axis=1)
+def mean_square(error_m: Array) -> float:
+    """[m^2] of errors (K, 3)."""
+    return float((error_m**2).sum(axis=1).mean())

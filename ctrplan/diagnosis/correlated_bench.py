@@ -93,12 +93,18 @@ class CorrelatedBench(Workbench):
         bench = replace(self, noise=noise, phi=phi, restarts=restarts)
         return bench, bench.scored(scored.terms, scored.fit)
 
+    @property
+    def is_noise_alone(self) -> bool:
+        """Whether nothing remains besides, so that the ordinary search would name all."""
+        return not self.noise.discrepancy or not self.noise.discrepancy.is_there
+
     def handed_over(self, scored: Scored) -> Scored:
-        """The set with its effects as they are and all else calibrated anew, every pose counting alike.
+        """The set with its effects as large as is most probable, all else calibrated anew, every pose counting alike.
 
         Beside a discrepancy, differences between poses count most, and tell an effect from others. For predictions the
         rest is an error as any other. The uncertainty stays the one beside the discrepancy.
         """
+        scored = self.sized(scored)
         chain, alike = scored.fit.chain, self._alike(scored)
         fit = fit_at(chain, self.noise, self.whitening_group, np.clip(alike.p, chain.lower, chain.upper))
         return replace(scored, fit=fit)
@@ -148,7 +154,6 @@ class CorrelatedBench(Workbench):
     def chain(self, terms: Sequence[Term]) -> ParametricChain:
         """The chain of terms, with friction as it is known by now."""
         chain = super().chain(terms)
-        chain.correction = None
         if self._has_friction(terms):
             chain.followed_phi = self.phi
         return chain

@@ -26,12 +26,11 @@ from ctrplan.diagnosis.adequacy import (
     ignored,
     left_out_probability,
     outliers,
-    remains,
     tail_weight,
 )
 from ctrplan.diagnosis.conclusion import Conclusion
 from ctrplan.diagnosis.linear_fit import predicted
-from ctrplan.diagnosis.partial_diagnosis import PartialDiagnosis, left_by_names
+from ctrplan.diagnosis.partial_diagnosis import left_by_names
 from ctrplan.diagnosis.remainder import Place, localise
 from ctrplan.diagnosis.term_pieces import is_built
 from ctrplan.diagnosis.verdict import NAMED, Judgement, Verdict, done_by, names_of
@@ -199,7 +198,7 @@ class Opened:
     gap: Gap
     place: Place
     notes: tuple[str, ...]
-    answer: Conclusion  # that it is of: without a built term where that failed
+    answer: Conclusion  # whose verdict that is: without a built term where that failed
     named_gap: Gap | None = None  # without the built term, where there is one
     framed_gap: Gap | None = None  # with free frames alone, where something remains
 
@@ -215,21 +214,20 @@ def opened(answer: Conclusion, data: Measurements) -> Opened:
         note = f"Found and taken back: {names}, without which tips of the poses kept aside are nearer."
         outcome = _opened(_without(outcome.answer, harmful), data)
         outcome = replace(outcome, notes=(*outcome.notes, note))
-    return replace(outcome, framed_gap=_framed(outcome.answer, data)) if outcome.answer.partial else outcome
+    return replace(outcome, framed_gap=_framed(outcome.answer, data)) if outcome.answer.rest else outcome
 
 
 def _harmful(outcome: Opened, data: Measurements) -> list[Term]:
     """Effects without which poses kept aside are predicted better."""
-    part = outcome.answer.partial
-    listed = _handed_over(outcome.judgement)
-    if part is None or outcome.answer.interrupted or not listed:
+    answer, listed = outcome.answer, _handed_over(outcome.judgement)
+    if answer.rest is None or answer.compared is None or answer.interrupted or not listed:
         return []
-    kept, results, chosen = outcome.answer.split.held_out_set, list[Term](), outcome.answer.chosen
-    aside, group, noise = data.subset(kept), outcome.answer.group[kept], outcome.answer.noise
+    kept, results, chosen = answer.split.held_out_set, list[Term](), answer.handed_over
+    aside, group, noise = data.subset(kept), answer.group[kept], answer.noise
     for t in (t for t in chosen.terms if t.key in listed):
         others = [other for other in chosen.terms if other.key != t.key]
-        rest = part.bench.scored(others, *(part.compared.places(others) or [chosen.fit]))
-        rms_m = rms_there_m(_beside_a_remainder(part, rest).fit, aside, group, noise, outcome.gap)
+        without = answer.bench.scored(others, *(answer.compared.places(others) or [chosen.fit]))
+        rms_m = rms_there_m(answer.bench.handed_over(without).fit, aside, group, noise, outcome.gap)
         if MOST_WORSE * rms_m < outcome.gap.after.rms_m:
             results.append(t)
     return results
@@ -242,38 +240,35 @@ def _handed_over(judgement: Judgement) -> set[str]:
 
 def _without(answer: Conclusion, harmful: Sequence[Term]) -> Conclusion:
     """The answer where some of its effects do not act: others are listed that are as certain without them."""
-    assert answer.partial is not None
-    gone, compared = {t.key for t in harmful}, answer.partial.compared
-    posterior = compared.posterior.without({t.name for t in harmful})
+    assert answer.compared is not None
+    gone, posterior = {t.key for t in harmful}, answer.compared.posterior.without({t.name for t in harmful})
     kept = [f for f in answer.judgement.findings if f.term.key not in gone]
     findings = tuple(f for f, names in zip(kept, names_of(kept), strict=True) if posterior.of_effect(*names) >= NAMED)
     told = {f.term.key for f in findings}
     others = [t for t in (*(f.term for f in kept), *answer.judgement.together) if t.key not in told | gone]
     rest = [t for t in answer.chosen.terms if t.key not in gone]
-    bench, chosen = answer.partial.bench.corrected(answer.partial.bench.scored(rest, answer.chosen.fit))
+    bench, chosen = answer.bench.corrected(answer.bench.scored(rest, answer.handed_over.fit))
     together = done_by(chosen, others, posterior, NAMED if findings else 1 / 2)
     verdict: Verdict = "partial" if findings else "unexplained"
     judgement = replace(answer.judgement, verdict=verdict, findings=findings, together=together)
-    compared = replace(compared, posterior=posterior)
-    partial = replace(answer.partial, bench=bench, chosen=chosen, judgement=judgement, compared=compared)
-    return replace(answer, bench=bench, partial=partial, chosen=chosen, judgement=judgement, built=None)
+    compared = replace(answer.compared, posterior=posterior)
+    return replace(answer, bench=bench, chosen=chosen, judgement=judgement, compared=compared, built=None)
 
 
 def _framed(answer: Conclusion, data: Measurements) -> Gap:
     """What frames alone do for the poses kept aside."""
-    assert answer.partial is not None
-    kept = answer.split.held_out_set
-    frames = answer.partial.bench.handed_over(answer.partial.compared.base)
+    assert answer.compared is not None
+    kept, frames = answer.split.held_out_set, answer.bench.handed_over(answer.compared.base)
     return open_test_set(answer.base.fit, frames.fit, data.subset(kept), answer.group[kept], answer.noise)
 
 
 def _with_or_without_built(answer: Conclusion, data: Measurements) -> Opened:
-    if answer.built is None or answer.otherwise is None:
+    if answer.built is None or answer.before is None:
         return _opened(answer, data)
     result, without = _opened(answer, data), _opened(replace(answer, chosen=answer.built.named, built=None), data)
     if result.gap.after.rms_m < without.gap.after.rms_m:
         return replace(result, named_gap=without.gap)
-    less = without if _handed_over(without.judgement) else _opened(answer.otherwise, data)
+    less = without if _handed_over(without.judgement) else _opened(answer.before.told, data)
     note = "A term was built and taken back: the poses kept aside are not nearer with it."
     return replace(less, notes=(*less.notes, note))
 
@@ -281,15 +276,12 @@ def _with_or_without_built(answer: Conclusion, data: Measurements) -> Opened:
 def _opened(answer: Conclusion, data: Measurements) -> Opened:
     """The verdict and the errors of the model that is handed over, without what these contradict."""
     kept = answer.split.held_out_set
-    if answer.partial:
-        answer = replace(answer, chosen=_beside_a_remainder(answer.partial, answer.chosen))
     aside, group = data.subset(kept), answer.group[kept]
 
     def handed_over(judgement: Judgement) -> tuple[Judgement, Scored, Gap]:
         written = _written(answer, judgement)
         gap = open_test_set(answer.base.fit, written.fit, aside, group, answer.noise)
-        left = left_by_names(answer.partial.bench, written) if answer.partial else remains(answer.bench, written)
-        return replace(judgement, adequacy=left), written, gap
+        return replace(judgement, adequacy=left_by_names(answer.bench, written)), written, gap
 
     judgement, written, gap = handed_over(answer.judgement)
     place, notes = _place(answer, gap), list[str]()
@@ -298,8 +290,7 @@ def _opened(answer: Conclusion, data: Measurements) -> Opened:
     if doubt := contradiction(verdict, gap, place) or _unlike(answer, judgement, written, gap):
         judgement, written, gap = handed_over(replace(judgement, verdict="unexplained", findings=(), together=()))
         notes.append(doubt)
-    settled = answer.chosen if answer.partial else answer.bench.sized(answer.chosen)
-    built = {t.name for t in settled.terms if is_built(t)}
+    settled, built = answer.handed_over, {t.name for t in answer.chosen.terms if is_built(t)}
     sentences = [symptom.sentence for symptom in symptoms(settled.fit) if symptom.owner not in built]
     return Opened(judgement, written, gap, place, (*notes, *sentences), answer)
 
@@ -325,22 +316,14 @@ def _solved(scored: Scored) -> Residuals:
 
 def _written(answer: Conclusion, judgement: Judgement) -> Scored:
     """The model with the effects of the verdict alone, as large as the data say, in numbers a robot file may have."""
-    bench, chosen = answer.bench, answer.chosen
-    built = answer.built.terms if answer.built else ()
-    listed = _handed_over(judgement) | {t.key for t in built}
-    kept = [t for t in chosen.terms if t.key in listed]
-    if answer.partial and len(kept) == len(chosen.terms):
-        return chosen
-    if answer.partial:
-        return _beside_a_remainder(answer.partial, answer.partial.bench.scored(kept, chosen.fit))
-    scored = bench.sized(chosen if len(kept) == len(chosen.terms) else bench.scored(kept, chosen.fit))
+    bench, whole, listed = answer.bench, answer.handed_over, _handed_over(judgement)
+    kept = [t for t in whole.terms if t.key in listed or (answer.built and is_built(t))]
+    is_whole = len(kept) == len(whole.terms)
+    if answer.rest:
+        return whole if is_whole else bench.handed_over(bench.scored(kept, whole.fit))
+    scored = whole if is_whole else bench.handed_over(bench.scored(kept, answer.chosen.fit))
     inside = within_file(scored.fit)
     return scored if inside is scored.fit else replace(scored, fit=inside)
-
-
-def _beside_a_remainder(partial: PartialDiagnosis, scored: Scored) -> Scored:
-    """A set as it is handed over where something remains."""
-    return partial.bench.handed_over(partial.bench.sized(scored))
 
 
 def _place(answer: Conclusion, gap: Gap) -> Place:

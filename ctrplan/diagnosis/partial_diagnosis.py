@@ -1,109 +1,43 @@
-"""A part of the truth: effects that act although something else remains. docs/diagnosis.md, partial.
+"""A part of the truth: effects that act although something else remains, and a term that is built of what remains.
 
 It begins where nothing in the catalogue leaves noise alone. What no effect explains gets a size and a memory, so that
 poses count for as much as they say, and sets of effects are compared beside everything unknown, `posterior.py`. An
 effect of the most probable set is told where it acts with 0.99, alone or together with what may stand for it.
+
+What acts at a stage of the chain is more probable as a term of that stage than as an error of tips. So pieces are taken
+one by one, each where it makes all poses more probable beside the most probable error of tips, by more than the choice
+among all pieces costs. Then the catalogue is asked anew beside what was built, which may have hidden a name or stood
+for one.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrplan.base.arrays import Array
+from ctrplan.calibration.discrepancy import Linearised
 from ctrplan.calibration.least_squares import Fit
 from ctrplan.calibration.residuals import Noise
 from ctrplan.diagnosis.adequacy import Adequacy, remains
+from ctrplan.diagnosis.conclusion import Built, Conclusion, Round, mean_square
 from ctrplan.diagnosis.correlated_bench import FRAMES, HOMED, SHIFT, CorrelatedBench, frames_beside
-from ctrplan.diagnosis.linear_fit import left_out_residuals
-from ctrplan.diagnosis.posterior import Compared, settled
+from ctrplan.diagnosis.next_experiment import SEPARATING_LOG_ODDS
+from ctrplan.diagnosis.posterior import MOST_EFFECTS, settled
 from ctrplan.diagnosis.remainder import Remainder, localise, shares
-from ctrplan.diagnosis.term_pieces import is_built
-from ctrplan.diagnosis.usable_poses import block_split, blocks, on_one_branch, thinned, thinning
+from ctrplan.diagnosis.term_pieces import TermPiece, WideLinearisation, is_built, pieces, wide_linearisation, with_piece
+from ctrplan.diagnosis.unknown_errors import Peak, UnknownErrors
+from ctrplan.diagnosis.usable_poses import blocks, on_one_branch, thinned, thinning
 from ctrplan.diagnosis.verdict import NAMED, Judgement, Verdict, done_by, findings_of, without_shared
-from ctrplan.diagnosis.workbench import Candidates, Scored, SelectionStep, Teller, Workbench, linear
-from ctrplan.measurement.measurements import Measurements, Split
+from ctrplan.diagnosis.workbench import Candidates, Scored, Teller, Workbench, linear
+from ctrplan.effects.learned.learned import Learned
+from ctrplan.measurement.measurements import Measurements, Split, split
 from ctrplan.pipeline.term import Term
 from ctrplan.robot.robot import Robot
 
-
-@dataclass(frozen=True)
-class Closing:
-    """Rms errors [m] without an effect and with it; gap_m: what calibration alone leaves, beyond the noise."""
-
-    without_m: float
-    with_m: float
-    gap_m: float
-
-    @property
-    def share(self) -> float:
-        """The share of the gap, in squares. Where effects hide one another, it may be below 0 or above 1."""
-        return (self.without_m**2 - self.with_m**2) / max(self.gap_m**2, 1e-12)
-
-
-@dataclass(frozen=True, eq=False)
-class Part:
-    """An effect of the verdict, with what it closes of the gap alone, and last of all."""
-
-    term: Term
-    alone: Closing
-    last: Closing
-
-
-@dataclass(frozen=True, eq=False)
-class PartialDiagnosis:
-    """What was found beside a rest, on poses of the selection that stand apart."""
-
-    bench: CorrelatedBench
-    split: Split
-    block: NDArray[np.int_]  # of all poses
-    base: Scored  # calibrated without effects, and without a free frame
-    chosen: Scored  # the most probable set
-    judgement: Judgement
-    rest: Remainder
-    path: tuple[SelectionStep, ...]
-    known: Candidates  # that were asked
-    compared: Compared
-
-    @cached_property
-    def parts(self) -> tuple[Part, ...]:
-        """What the listed effects close: some thirty fits, which a term that is built of the rest may make vain."""
-        ends = self.base, self.compared.base, self.chosen
-        return tuple(_part(self.bench, *ends, f.term) for f in self.judgement.findings)
-
-    def to_json(self) -> dict[str, Any]:
-        """What remains, for diagnosis.json."""
-        result = self.rest
-        return {
-            "rms_mm": round(result.rms_m * 1e3, 4),
-            **({"memory_rows" if result.memory_in_rows else "memory_s": result.memory and round(result.memory, 3)}),
-            "of_configuration": round(result.of_configuration, 3),
-            "of_history": round(result.of_history, 3),
-            "of_time": round(result.of_time, 3),
-            "where": result.place,
-            "blocks": len(np.unique(self.bench.group)),
-            "poses_compared": self.bench.data.count,
-            "restarts": self.bench.restarts,
-        }
-
-    def shares_json(self, t: Term) -> dict[str, Any]:
-        """What an effect closes of the gap, for diagnosis.json."""
-        (part,) = (part for part in self.parts if part.term.key == t.key)
-        return {
-            "share_of_gap_alone": round(part.alone.share, 3),
-            "share_of_gap_last": round(part.last.share, 3),
-            "alone_rms_mm": [round(x * 1e3, 4) for x in (part.alone.without_m, part.alone.with_m)],
-            "last_rms_mm": [round(x * 1e3, 4) for x in (part.last.without_m, part.last.with_m)],
-        }
-
-    @property
-    def is_noise(self) -> bool:
-        """Whether nothing but noise remains, so that the ordinary search would name all."""
-        return not self.bench.noise.discrepancy or not self.bench.noise.discrepancy.is_there
+TRIED = 4  # pieces that are fitted in each round, of those that promise more than one has or as much as the first
 
 
 def diagnose_partially(
@@ -114,23 +48,25 @@ def diagnose_partially(
     known: Candidates,
     tell: Teller,
     begun: Fit | None = None,
-) -> PartialDiagnosis:
+) -> Conclusion:
     """Searches, asks what holds, and describes the rest; `usable` (K,) are the poses to go by.
 
     begun: a calibration of like poses, near which these are calibrated.
     """
     tell("looking for what holds beside a rest")
     block = blocks(data, _memory(robot, data, usable, noise, begun))
-    parts = thinned(block_split(data, usable, block), data)
-    near = begun
-    if data.is_stream:
-        first = _bench(robot, data, noise, parts, block)
-        framed = first.scored([], begun)
-        certain = on_one_branch(*first.corrected(framed))
-        parts, near = Split(parts.selection[certain], parts.held_out_set), framed.fit
+    parts = thinned(split(usable, block), data)
     bench = _bench(robot, data, noise, parts, block)
+    framed = bench.scored([], begun)
+    corrected, here = bench.corrected(framed)
+    if not (certain := on_one_branch(corrected, here)).all():
+        parts = Split(parts.selection[certain], parts.held_out_set)
+        bench = _bench(robot, data, noise, parts, block)
+        corrected, here = bench.corrected(bench.scored([], framed.fit))
     base = Workbench(robot, bench.data, noise, bench.group).scored([], begun)
-    return most_probable(*bench.corrected(bench.scored([], near)), known, parts, block, base, tell)
+    right, nothing = np.zeros(data.count, bool), Judgement("unexplained", (), remains(bench, base))
+    calibrated = Conclusion(bench, known, parts, block, right, noise, base, base, nothing)
+    return most_probable(calibrated, corrected, here, tell)
 
 
 def _bench(robot: Robot, data: Measurements, noise: Noise, parts: Split, block: NDArray[np.int_]) -> CorrelatedBench:
@@ -138,19 +74,12 @@ def _bench(robot: Robot, data: Measurements, noise: Noise, parts: Split, block: 
     return CorrelatedBench(robot, data.subset(parts.selection), noise, block[parts.selection])
 
 
-def most_probable(
-    bench: CorrelatedBench,
-    begun: Scored,
-    known: Candidates,
-    parts: Split,
-    block: NDArray[np.int_],
-    base: Scored,
-    tell: Teller,
-) -> PartialDiagnosis:
+def most_probable(before: Conclusion, bench: CorrelatedBench, begun: Scored, tell: Teller) -> Conclusion:
     """The most probable set from a settled one on, and what is told of it.
 
     What remains is what the catalogue leaves: a built term explains nothing.
     """
+    known = before.known
     bench, compared, here, path = settled(bench, begun, testable_beside(known, bench), tell)
     testable = {SHIFT, HOMED, *(t.name for t in known.terms)}  # set-ups and homings are no matter of the catalogue
     free = [t for t in frames_beside(bench.robot, bench.data, here.terms) if t.name in testable]
@@ -163,8 +92,8 @@ def most_probable(
     unnamed = [t for t in here.terms if t.key not in told and not is_built(t)]
     together = done_by(here, unnamed, compared.posterior, NAMED)  # beside names, which their figures may not save
     judgement = Judgement(verdict, findings, left_by_names(beside, named), together=together)
-    rest = remainder_beside(beside, named, bench.plain)
-    return PartialDiagnosis(bench, parts, block, base, here, judgement, rest, path, known, compared)
+    rest, path = remainder_beside(beside, named, bench.plain), (*before.path, *path)
+    return replace(before, bench=bench, chosen=here, judgement=judgement, rest=rest, path=path, compared=compared)
 
 
 def testable_beside(known: Candidates, bench: CorrelatedBench) -> Candidates:
@@ -173,32 +102,10 @@ def testable_beside(known: Candidates, bench: CorrelatedBench) -> Candidates:
     return replace(known, terms=tuple(t for t in known.terms if t.name not in always and not t.effect.is_alone))
 
 
-def _part(bench: CorrelatedBench, base: Scored, none: Scored, chosen: Scored, t: Term) -> Part:
-    """The part of an effect in a set; `base` is without effects and without free frames, `none` with free frames."""
-    whole = left_out_residuals(linear(base.fit), bench.group)[:, :3] * bench.plain.position_m * bench.data.over_tip
-    before, after = _rms(whole), _rms(bench.left_out_m(chosen))
-    gap = float(np.sqrt(max(before**2 - bench.plain.floor_m**2, 0.0)))
-    if t.name in FRAMES:
-        others = [frame for frame in none.fit.chain.terms if frame.name in FRAMES and frame.name != t.name]
-        alone, last = _rms(bench.left_out_m(none, *others)), _rms(bench.left_out_m(chosen, t))
-        return Part(t, Closing(before, alone, gap), Closing(last, after, gap))
-    free, alone = _rms(bench.left_out_m(none)), _rms(bench.left_out_m(bench.scored([t], chosen.fit)))
-    last = _rms(bench.left_out_m(bench.scored([other for other in chosen.terms if other is not t], chosen.fit)))
-    return Part(t, Closing(free, alone, gap), Closing(last, after, gap))
-
-
-def _rms(error_m: Array) -> float:
-    """[m] of errors (K, 3)."""
-    return float(np.sqrt(mean_square(error_m)))
-
-
-def mean_square(error_m: Array) -> float:
-    """[m^2] of errors (K, 3)."""
-    return float((error_m**2).sum(axis=1).mean())
-
-
-def left_by_names(bench: CorrelatedBench, chosen: Scored) -> Adequacy:
+def left_by_names(bench: Workbench, chosen: Scored) -> Adequacy:
     """Whether noise alone is left without the built terms of a set, against the noise and not beside a rest."""
+    if not isinstance(bench, CorrelatedBench):
+        return remains(bench, chosen)
     beside, named = _by_name(bench, chosen)
     return remains(beside, beside.over_noise(named))
 
@@ -237,3 +144,94 @@ def remainder_beside(bench: CorrelatedBench, chosen: Scored, noise: Noise) -> Re
         parts = shares(error, data, floor, memory)
         return Remainder(size, memory, *parts, place.sentence, memory_in_rows=data.time_s is None)
     return Remainder(size, None, *shares(error, data, floor, 0.0), place.sentence)
+
+
+def build(partial: Conclusion, tell: Teller) -> Conclusion | None:
+    """A term of what remains, with the effects that hold beside it; None where none makes the poses more probable."""
+    bench = partial.bench
+    if not isinstance(bench, CorrelatedBench) or bench.is_noise_alone or partial.compared is None:
+        return None
+    in_time = partial.compared.posterior.along.get("time", 0.0) > 1 / 2
+    bench, here, rounds = _grown(bench, partial.chosen, partial.known.terms, in_time, tell)
+    if not any(is_built(t) for t in here.terms):
+        return None
+    steps = (*partial.path, *(turn.step for turn in rounds))
+    again = most_probable(replace(partial, path=steps, before=partial), bench, here, tell)
+    bench, scored = again.bench, again.chosen
+    if not isinstance(bench, CorrelatedBench) or not any(is_built(t) for t in scored.terms):
+        return None
+    plain = bench.scored([t for t in scored.terms if not is_built(t)], scored.fit)
+    before, after = mean_square(bench.left_out_m(plain)), mean_square(bench.left_out_m(scored))
+    share = (before - after) / max(before - bench.plain.floor_m**2, 1e-12)
+    rest = remainder_beside(bench, scored, bench.plain)
+    return replace(again, chosen=_with_sizes(scored), built=Built(plain, tuple(rounds), share, rest))
+
+
+def _grown(
+    bench: CorrelatedBench, chosen: Scored, named: Sequence[Term], in_time: bool, tell: Teller
+) -> tuple[CorrelatedBench, Scored, list[Round]]:
+    """The set with pieces beside it, its bench, and the rounds that were asked.
+
+    named: effects that no piece stands for; in_time: whether pieces may change with time.
+    """
+    here, rounds = chosen, list[Round]()
+    every = pieces(bench.robot, bench.data, named, in_time=in_time)
+    known = [piece for piece in every if piece.on.effect_name not in bench.robot.effects]
+    choice = float(np.log(max(len(known), 1)))
+    while len(rounds) < MOST_EFFECTS and known:
+        tell("building a term beside " + (", ".join(here.names) or "the calibrated robot"))
+        root = np.sqrt(np.where(here.failed, 0.0, here.fit.residuals.weight))
+        of_here = linear(here.fit).centred(bench.noise, root)
+        errors = UnknownErrors(bench, here, here, [of_here], root, with_stages=False)
+        before, peak = errors.evidence(of_here)
+        table = wide_linearisation(bench, here, known)
+        ranked = _ranked(table, table.whole.centred(bench.noise, root), peak, choice)
+        best: tuple[float, TermPiece, Scored] | None = None
+        for piece, promised in ranked[:TRIED]:
+            if best is not None and promised <= min(best[0], ranked[0][1] - SEPARATING_LOG_ODDS):
+                break
+            there = bench.scored(with_piece(here.terms, piece, table.ranges[piece], bench), here.fit)
+            after, _ = errors.evidence(linear(there.fit).centred(bench.noise, root))
+            gain = after - before - choice
+            if best is None or gain > best[0]:
+                best = gain, piece, there
+        assert best is not None
+        taken = best[1] if best[0] > 0 else None
+        rounds.append(Round(tuple(ranked), best[0], taken))
+        if taken is None:
+            break
+        bench, here = bench.corrected(best[2], is_followed=False)
+        known = [piece for piece in known if piece != taken]
+    if here is not chosen:  # friction states follow when all is built
+        bench, here = bench.corrected(here)
+    return bench, here, rounds
+
+
+def _ranked(table: WideLinearisation, whole: Linearised, peak: Peak, choice: float) -> list[tuple[TermPiece, float]]:
+    """Pieces by what they gain to first order beside the most probable error of tips, best first."""
+    spectrum, own = peak.error.at(whole, peak.position, peak.tangent), list(range(table.own))
+
+    def evidence(columns: list[int]) -> float:
+        return float(spectrum.of(columns).evidences(0, 0)) / 2
+
+    plain = evidence(own)
+    gains = [(piece, evidence([*own, *places]) - plain - choice) for piece, places in table.places.items()]
+    return sorted(gains, key=lambda entry: -entry[1])
+
+
+def _with_sizes(scored: Scored) -> Scored:
+    """The set with how far terms of the mechanics move a tip of the data, which margins allow for."""
+    chain, p, noted = scored.fit.chain, scored.fit.p, dict[str, Term]()
+    here = chain.predict(p, derivatives=False).position_m
+    for t, place in zip(chain.terms, chain.slices(), strict=True):
+        if isinstance(t.effect, Learned) and t.effect.stage == "mechanics" and t.effect.target.kind_name != "plate":
+            without = p.copy()
+            without[place] = 0.0
+            moved = np.linalg.norm(chain.predict(without, derivatives=False).position_m - here, axis=1)
+            largest_mm = float(f"{1e3 * moved.max():.3g}")
+            noted[t.key] = Term(t.effect.with_largest(largest_mm, chain.robot.n), t.parameters)
+    if not noted:
+        return scored
+    terms = [noted.get(t.key, t) for t in chain.terms]
+    own = tuple(noted.get(t.key, t) for t in scored.terms)
+    return Scored(own, replace(scored.fit, chain=chain.with_terms(terms)))

@@ -1,20 +1,16 @@
 """How probable it is that each effect acts, that something acts which the catalogue lacks, and that a verdict is true.
 
-A hypothesis is a set of effects, with or without something unknown besides. Its likelihood is the density of all poses
-that choose, with every parameter integrated out over its prior around the set's own fit (Laplace).
-An effect acts with a probability that is stated once, shared among its variants; so does something unknown. Posterior
-probabilities sum to one over the sets that were compared.
+Priors and likelihood are those of docs/diagnosis.md, probabilities; what something unknown may be, `unknown_errors.py`
+has. Posterior probabilities sum to one over the sets that were compared.
 
 Something unknown does what any effect does: beside noise it wins wherever the true set was not compared. So sets are
 searched by this number itself, with one effect more or less than the most probable of each size, nonlinear effects
 among them, until none is more probable. What is not worth a fit is compared to first order.
 
-Priors of parameters say where to look. How wide they have to be is itself uncertain, or an effect with a wide one would
-lose to another that does the same to the tips: a width w times the stated one has the density 2 / (pi (1 + w^2)), the
-half-Cauchy prior of scales, and is integrated out around its most probable value, one effect at a time. An effect that
-is a hundredth of what its prior states pays for that once, and not once for each of its parameters.
-
-What something unknown may be, `unknown_errors.py` has.
+How wide the priors of parameters have to be is itself uncertain, or an effect with a wide one would lose to another
+that does the same to the tips: a width w times the stated one has the density 2 / (pi (1 + w^2)), and is integrated out
+around its most probable value, one effect at a time. An effect that is a hundredth of what its prior states pays for
+that once, and not once for each of its parameters.
 """
 
 from __future__ import annotations
@@ -386,9 +382,8 @@ class _Comparison:
         if not others:
             return
         built, wide = sum(map(is_built, here.terms)), dict[Linearisation, Spectrum]()
-        for screened in self.bench.screened(here, others, self.known.completed):
-            terms = self.known.completed(here.terms, screened.term)
-            added = [t for t in terms if t.name not in here.names]
+        for screened in self.bench.screened(here, others, self.known):
+            added = [t for t in self.known.completed(here.terms, screened.term) if t.name not in here.names]
             names = mine.names | {t.name for t in added}
             widths = widths_of(screened.linear, screened.owners, {*names, *here.names})
             fit = screened.linear.widened(screened.owners, widths).centred(self.bench.noise, self.root)

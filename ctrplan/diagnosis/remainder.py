@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,6 +49,17 @@ class Remainder:
     of_time: float  # share that changes with the time of the experiment besides
     place: str  # where it is, as a sentence
     memory_in_rows: bool = False  # of a log without times
+
+    def to_json(self) -> dict[str, Any]:
+        """For diagnosis.json."""
+        return {
+            "rms_mm": round(self.rms_m * 1e3, 4),
+            ("memory_rows" if self.memory_in_rows else "memory_s"): self.memory and round(self.memory, 3),
+            "of_configuration": round(self.of_configuration, 3),
+            "of_history": round(self.of_history, 3),
+            "of_time": round(self.of_time, 3),
+            "where": self.place,
+        }
 
     @property
     def sentence(self) -> str:

@@ -16,38 +16,20 @@ from ctrplan.calibration.reading import MisreadError, Reading
 from ctrplan.calibration.residuals import Noise
 from ctrplan.calibration.robot_content import calibrated_content, model_error_m
 from ctrplan.diagnosis.adequacy import ChiSquare
-from ctrplan.diagnosis.built_term import Built
+from ctrplan.diagnosis.conclusion import Built, Conclusion
 from ctrplan.diagnosis.correlated_bench import FRAMES
 from ctrplan.diagnosis.held_out import Gap
 from ctrplan.diagnosis.next_experiment import Decision, Proposal
-from ctrplan.diagnosis.partial_diagnosis import PartialDiagnosis
 from ctrplan.diagnosis.remainder import Place, Remainder
+from ctrplan.diagnosis.slips import Slip
 from ctrplan.diagnosis.verdict import Judgement, Posterior, Verdict, names_of
 from ctrplan.diagnosis.workbench import Scored, SelectionStep
-from ctrplan.effects.drive.homing_shift import HomingShift
 from ctrplan.effects.learned.learned import Learned
-from ctrplan.effects.sensor.frame_shift import FrameShift
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.pipeline.term import Term
 from ctrplan.robot.robot import Robot
 
 SCHEMA_VERSION = 1
-TRACKER = "tracker"  # in the place of a joint that slipped
-
-
-@dataclass(frozen=True)
-class Slip:
-    """From the measured pose with a number on, in the order of the file, a joint's zero or the frame is another one."""
-
-    pose: int  # from 0
-    row: int  # of the file's waypoints, from 1
-    joint: str  # "theta_2", or "tracker"
-    instants: int = 1  # of which it is one, each as probable a priori
-
-    @property
-    def effect(self) -> str:
-        """Name of the effect that treats it so."""
-        return FrameShift.name if self.joint == TRACKER else HomingShift.name
 
 
 class ConfirmationResult(Protocol):
@@ -66,7 +48,6 @@ class ConfirmationResult(Protocol):
 class Diagnosis:
     """What `ctrplan diagnose` found; lengths in metres, angles in radians, parameters in their names' units."""
 
-    verdict: Verdict
     judgement: Judgement
     base: Scored  # calibrated, without effects
     chosen: Scored  # with those of the verdict
@@ -85,7 +66,7 @@ class Diagnosis:
     outlier_rows: tuple[int, ...]  # rows of the file, from 1
     interrupted: bool
     time_s: float
-    partial: PartialDiagnosis | None = None  # what remains beside the effects, where that is the verdict
+    partial: Conclusion | None = None  # what remains beside the effects, where that is the verdict
     built: Built | None = None  # a term of what the effects leave; of `chosen` too, and no cause
     named_gap: Gap | None = None  # the gap without the built term, where there is one
     framed_gap: Gap | None = None  # the gap with free frames alone, where something remains
@@ -94,6 +75,11 @@ class Diagnosis:
     decisions: tuple[Decision, ...] = ()  # between explanations, by poses measured to decide
     posterior: Posterior | None = None  # of effects and verdict; None where the search was interrupted
     slip: Slip | None = None  # a collar or the tracker stands elsewhere: `data` has another homing or frame from there
+
+    @property
+    def verdict(self) -> Verdict:
+        """One word for what was found."""
+        return self.judgement.verdict
 
     def headline(self) -> str:
         """The verdict and its effects, as it shows itself."""
@@ -164,7 +150,7 @@ class Diagnosis:
             "together": [t.name for t in self.together],
             "gap": _gap(self.gap) | self._partial_gaps(),
             "where": self.place.sentence,
-            "rest": self.partial.to_json() if self.partial else None,
+            "rest": self.partial.rest_json() if self.partial else None,
             "built": self.built.to_json(self.chosen) if self.built else None,
             "next_experiment": self.next_experiment,
             "not_testable": dict(self.not_testable),

@@ -285,9 +285,9 @@ def _split(name: str, on: Target, n: int) -> tuple[int, Part]:
 
 def _probe(on: Target, n: int) -> Term:
     """A constant amount of a target."""
-    effect = learned(on, named(on, "constant"), {}, n)
-    effect.name = f"probe_{on.effect_name}"
-    return Term(effect, effect.parameters_of())
+    probe = built_term(on, named(on, "constant"), {}, n)
+    probe.effect.name = f"probe_{on.effect_name}"
+    return probe
 
 
 def _situations(chain: ParametricChain, p: Array, predicted: SensorPrediction) -> dict[str, Situation]:

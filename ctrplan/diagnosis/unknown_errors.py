@@ -1,13 +1,9 @@
 """What may act besides on some poses that the catalogue lacks: errors of tips, and processes of the stages.
 
-An unknown error of tips belongs to the configuration, or is smooth in the joints or in time; on a continuous motion it
-is forgotten with time, exponentially or as a smooth function does. The error of a tangent is a small rotation whose
-axes stay where they are: a tangent that turns shows other components of it. One of a stage is a
-zero-mean Gaussian process of an angle, a travel, a precurvature, a stiffness or the tilt of the plate, seen through the
-chain's derivatives: of its own joint, of all joints, of all joints and the way they were reached, or of time; or the
-sensor or the robot was pushed between two configurations. Either acts alone, or both do; kinds and sizes, alike in
-their logarithm, are integrated out. Processes contain what named effects do (constants, slopes, first waves): an effect
-has to be more probable than something unknown at its stage.
+The kinds are those of docs/diagnosis.md, probabilities. An error of tips acts alone, a process of a stage, seen through
+the chain's derivatives, does, or both do; kinds and sizes, alike in their logarithm, are integrated out. Errors of tips
+on a continuous motion are forgotten with time, exponentially or as a smooth function does. The error of a tangent is a
+small rotation whose axes stay where they are: a tangent that turns shows other components of it.
 
 With B (N, m) the process in its leading modes, of the size s over the noise, and J the derivatives by a set's
 parameters with the precision P of their priors, s changes the logarithm of the evidence by

@@ -22,7 +22,7 @@ from ctrplan.diagnosis.correlated_bench import CorrelatedBench
 from ctrplan.diagnosis.workbench import Scored, Workbench
 from ctrplan.errors import InputError
 from ctrplan.measurement.approach import clock
-from ctrplan.measurement.measurements import LONGEST_LAG_S, SEED, VAULT_SHARE, Measurements, Split, groups, split
+from ctrplan.measurement.measurements import LONGEST_LAG_S, Measurements, Split, groups, split
 from ctrplan.mechanics.shapes import Status
 from ctrplan.pipeline.followed_runs import followed
 from ctrplan.pipeline.parametric_chain import ParametricChain
@@ -50,14 +50,6 @@ def blocks(data: Measurements, memory: float) -> NDArray[np.int_]:
         number[inside] = count + np.minimum((since / max(since.max(), 1e-9) * pieces).astype(np.int_), pieces - 1)
         count += pieces
     return _joined(number, _kin_pairs(data), share=KIN_SHARE)
-
-
-def block_split(data: Measurements, usable: NDArray[np.bool_], block: NDArray[np.int_]) -> Split:
-    """A quarter of the blocks, (K,) by number, is kept aside."""
-    numbers = np.random.default_rng(SEED).permutation(np.unique(block[usable]))
-    aside = int(round(VAULT_SHARE * len(numbers)))
-    held_out = np.isin(block, numbers[:aside]) & usable
-    return Split(np.flatnonzero(usable & ~held_out), np.flatnonzero(held_out))
 
 
 def _kin_pairs(data: Measurements) -> NDArray[np.int_]:
@@ -139,7 +131,7 @@ def checked_split(data: Measurements, usable: NDArray[np.bool_]) -> Split:
         what = "blocks of a continuous motion" if data.is_stream else "configurations"
         rule = f"has {count} usable {what}, too few to fit a model and keep a quarter aside: at least {LEAST_GROUPS}"
         raise InputError(rule, file=data.file)
-    return split(data, usable)
+    return split(usable, groups(data))
 
 
 def bench_of(robot: Robot, data: Measurements, parts: Split, noise: Noise) -> Workbench:

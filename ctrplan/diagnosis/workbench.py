@@ -292,6 +292,10 @@ class Workbench:
         seen = chain.predict(np.clip(p, chain.lower, chain.upper), derivatives=False)
         return residuals(self.data, seen, self.noise, self.whitening_group).loss
 
+    def handed_over(self, scored: Scored) -> Scored:
+        """The set for predictions of poses that were not fitted."""
+        return self.sized(scored)
+
     def sized(self, scored: Scored) -> Scored:
         """The set with priors of its effects as wide as is most probable, where that is wider than stated.
 
@@ -309,23 +313,17 @@ class Workbench:
         terms = [_widened(t, max(1.0, wide.get(t.name, 1.0))) for t in chain.terms]
         return replace(scored, fit=fit(chain.with_terms(terms), self.noise, self.whitening_group, scored.fit.p))
 
-    def screened(
-        self, here: Scored, others: Sequence[Term], completed: Callable[[Sequence[Term], Term], Sequence[Term]]
-    ) -> list[Screened]:
-        """Variants beside a fit by one Gauss-Newton step each: cheap, for choosing what to fit.
-
-        `completed` adds what a variant needs to the terms that it stands beside.
+    def screened(self, here: Scored, others: Sequence[Term], known: Candidates) -> list[Screened]:
+        """Variants, with what they need of the known ones, beside a fit by one Gauss-Newton step each: cheap, for
+        choosing what to fit.
         """
-        question = "screened", here, tuple(others), completed
-        return self._once(question, lambda: self._screened(here, others, completed))
+        return self._once(("screened", here, tuple(others), known), lambda: self._screened(here, others, known))
 
-    def _screened(
-        self, here: Scored, others: Sequence[Term], completed: Callable[[Sequence[Term], Term], Sequence[Term]]
-    ) -> list[Screened]:
+    def _screened(self, here: Scored, others: Sequence[Term], known: Candidates) -> list[Screened]:
         panel, screened = self.panel(here, others), list[Screened]()
         for other in others:
             if not self._is_as_in_panel(other):
-                screened.append(self._tried_out(here, other, completed))
+                screened.append(self._tried_out(here, other, known))
                 continue
             same = [t for t in here.terms if t.name != other.name]
             together = [*self.basis([*same, other]), *same, other]
@@ -351,11 +349,9 @@ class Workbench:
         whole = Linear(result.r, result.J, weight, 1 / chain.prior**2, p - chain.neutral, result.given)
         return Linearisation(chain.keys, whole)
 
-    def _tried_out(
-        self, here: Scored, other: Term, completed: Callable[[Sequence[Term], Term], Sequence[Term]]
-    ) -> Screened:
+    def _tried_out(self, here: Scored, other: Term, known: Candidates) -> Screened:
         """A variant that does not act in proportion, linearised where its first step promises most."""
-        terms = completed([t for t in here.terms if t.name != other.name], other)
+        terms = known.completed([t for t in here.terms if t.name != other.name], other)
         chain = self.chain([*self.basis(terms), *terms])
         start, _ = self._start(chain, [here.fit])
         return Screened(other, linear(start).refitted(), chain.owners)

@@ -1,22 +1,15 @@
 """The workflow, from measurements to a verdict: docs/diagnosis.md has the steps and their reasons.
 
-The held-out set is opened, once: what a verdict is worth on poses that nothing has read, and what is handed over.
-
-What happened once, at an instant that nobody wrote down, is asked first: a collar that slipped, a drive that lost
-steps, a tracker that was knocked. From there on a joint's zero is off, or the tracker has another frame, which is a
-homing or a set-up that the file does not tell of: the instant found, the rest of the diagnosis treats it as one
-(`homing_shift`, `frame_shift`). It is looked for beside an ordinary calibration, and beside the most probable effects
-where these leave something, linearised: of every joint that moves, of the tracker, and of every pose, what a constant
-change from there on would explain. It is asked after where it leaves less than half of the error beyond the noise, as
-another reading of the file does (`calibration/reading.py`), and less than anything smooth in time that the same could
-do. Whether it is believed, the posterior says, as of any other effect, for which every instant is a variant.
+The ordinary search comes first and names what leaves noise alone. Where nothing does, the partial diagnosis says what
+holds beside a rest. A long log of a continuous motion, in which the ordinary search takes minutes, begins there. The
+held-out set is opened, once: what a verdict is worth on poses that nothing has read, and what is handed over.
 """
 
 from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,37 +18,37 @@ from numpy.typing import NDArray
 from ctrplan.base.arguments import EVENT, PROGRESS, Flag, Made, Texts, checked
 from ctrplan.base.arrays import Array
 from ctrplan.base.long_work import StageProgress
-from ctrplan.calibration.fit_warnings import excused, outlier_sentences, unsolved_sentence
+from ctrplan.calibration.fit_warnings import excused, gross_outliers, outlier_sentences, too_many, unsolved_sentence
 from ctrplan.calibration.observed_noise import noise_floor
-from ctrplan.calibration.reading import BETTER, MisreadError, read_again
+from ctrplan.calibration.reading import MisreadError, read_again
 from ctrplan.calibration.residuals import Noise
-from ctrplan.diagnosis.adequacy import ignored
-from ctrplan.diagnosis.conclusion import Conclusion, conclude
+from ctrplan.diagnosis.adequacy import ignored, remains, rescaled_noise
+from ctrplan.diagnosis.conclusion import Conclusion
+from ctrplan.diagnosis.correlated_bench import CorrelatedBench
 from ctrplan.diagnosis.held_out import Opened, opened
-from ctrplan.diagnosis.linear_fit import Linear, solved
 from ctrplan.diagnosis.next_experiment import decision, next_experiment
-from ctrplan.diagnosis.result import TRACKER, Diagnosis, Slip
-from ctrplan.diagnosis.usable_poses import checked_split, usable_poses
-from ctrplan.diagnosis.verdict import names_of
+from ctrplan.diagnosis.partial_diagnosis import build, diagnose_partially
+from ctrplan.diagnosis.posterior import settled
+from ctrplan.diagnosis.result import Diagnosis
+from ctrplan.diagnosis.slips import REMEDIES, Slip, after_slip, most_probable_slip
+from ctrplan.diagnosis.usable_poses import MOST_POSES, bench_of, checked_split, thinned, usable_poses, without_outliers
+from ctrplan.diagnosis.verdict import Judgement, judge, names_of
 from ctrplan.diagnosis.workbench import (
     HELD_OUT_SHARE,
     Candidates,
-    Linearisation,
+    Interrupted,
+    Scored,
     Teller,
     Workbench,
     candidates,
     reduced,
 )
-from ctrplan.effects.drive.homing_shift import HomingShift
 from ctrplan.effects.effect import CATALOGUE, Effect
-from ctrplan.effects.sensor.frame_shift import FrameShift
 from ctrplan.errors import InputError
-from ctrplan.measurement.measurements import Measurements
-from ctrplan.pipeline.term import Term, term
+from ctrplan.measurement.measurements import Measurements, Split, groups
 from ctrplan.robot.robot import Robot
 
-LEAST_POSES = 5  # before and after a slip: fewer are outliers
-SMOOTH = 4  # functions of time that a drift is made of besides a line: cosines of up to three half waves, and 1
+INTERRUPTED = "Interrupted: this is what was found until then, not a verdict."
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,12 +65,6 @@ class Concluded:
         """Whether zeros that changed then are among what is told: the instant was only a place to look."""
         names = names_of(self.result.judgement.findings)
         return self.result.interrupted or self.slip is None or any(self.slip.effect in group for group in names)
-
-
-AFTER_SLIP = {
-    HomingShift: "tighten that collar, home the drive and measure some of the first poses again",
-    FrameShift: "fasten the tracker and the robot's base and measure some of the first poses again",
-}
 
 
 @checked(
@@ -124,13 +111,14 @@ def diagnose(
         concluded = conclude_from(after_slip(data, slip), slip) if slip else None
         if concluded is None or concluded.has_slip:
             return concluded
-        needs_none = concluded.result.partial is None  # it was asked as any effect, and acts in no fit that is told
+        needs_none = concluded.result.rest is None  # it was asked as any effect, and acts in no fit that is told
         return Concluded(data, None, candidates(robot, data, allowed), concluded.result) if needs_none else None
 
     concluded = after(most_probable_slip(robot, data, noise, among=allowed)) or conclude_from(data)
     found = concluded.result
-    if concluded.slip is None and found.judgement.verdict in ("partial", "unexplained") and found.compared:
-        concluded = after(most_probable_slip(robot, data, noise, found.compared.sets[0].terms, allowed)) or concluded
+    searched = found.ordinary.compared
+    if concluded.slip is None and found.judgement.verdict in ("partial", "unexplained") and searched:
+        concluded = after(most_probable_slip(robot, data, noise, searched.sets[0].terms, allowed)) or concluded
     data, slip, known, result = concluded.data, concluded.slip, concluded.known, concluded.result
 
     def tell(step: str) -> None:
@@ -141,15 +129,14 @@ def diagnose(
     outcome = opened(result, data)
     result = outcome.answer
     written, judgement = outcome.written, outcome.judgement
-    sets = result.partial.compared if result.partial else result.compared
     poses = _marked(result, outcome, data)
-    stated = replace(result.noise, discrepancy=None)
-    sentence, proposed = next_experiment(result.chosen, judgement, result.bench.data, stated, list(known.not_testable))
+    sentence, proposed = next_experiment(
+        result.chosen, judgement, result.bench.data, result.noise, list(known.not_testable)
+    )
     if slip:
-        for effect, remedy in AFTER_SLIP.items():
+        for effect, remedy in REMEDIES.items():
             sentence = sentence.replace(effect.experiment, remedy)
     return Diagnosis(
-        verdict=judgement.verdict,
         judgement=judgement,
         base=result.base,
         chosen=written,
@@ -173,17 +160,17 @@ def diagnose(
         ),
         robot=robot,
         data=data,
-        noise=stated,
+        noise=result.noise,
         coverage=float((usable & ~poses.left_out & ~result.wrong).mean()),
         outlier_rows=tuple((data.rows[poses.outlying] + 1).tolist()),
         interrupted=result.interrupted,
         time_s=time.monotonic() - began,
-        partial=result.partial if judgement.verdict == "partial" else None,
+        partial=result if result.rest and judgement.verdict == "partial" else None,
         built=result.built,
         named_gap=outcome.named_gap,
         framed_gap=outcome.framed_gap,
         reading=reading,
-        posterior=None if result.interrupted or sets is None else sets.posterior,
+        posterior=None if result.interrupted or result.compared is None else result.compared.posterior,
         slip=slip,
     )
 
@@ -253,77 +240,108 @@ def _coverage(usable: NDArray[np.bool_]) -> list[str]:
     return [f"{masked} of {len(usable)} poses were left out for all candidates alike: near snapping, or a run's start."]
 
 
-def most_probable_slip(
-    robot: Robot, data: Measurements, noise: Noise, beside: Sequence[Term] = (), among: Collection[str] = CATALOGUE
-) -> Slip | None:
-    """The slip that the poses show, if they show one; none on a continuous motion, of a joint where homings are given,
-    or of a tracker where frames are.
+def conclude(
+    robot: Robot, data: Measurements, usable: NDArray[np.bool_], noise: Noise, known: Candidates, tell: Teller
+) -> Conclusion:
+    """What holds before the held-out set is opened; `usable` (K,) are the poses to go by.
 
-    beside: effects that are fitted besides; among: names of those that may stand for a slip.
+    Raises InputError where they are few.
     """
-    number = np.full(len(data.sequence), 2)
-    after = replace(data, homing=number, frame=number)
-    shifts = [term(e, e.variants(robot, after)[0], robot) for e in _asked(robot, data, after) if e.name in among]
-    if data.is_stream or data.count < 2 * LEAST_POSES or not shifts:
-        return None
-    bench = Workbench(robot, data, noise, data.configuration)
-    panel = replace(bench, data=after).panel(bench.scored(beside), shifts)
-    moved = panel.places(shifts)
-    rest = panel.whole.columns([k for k in range(len(panel.keys)) if k not in moved]).refitted()
-    instants = slice(LEAST_POSES, data.count - LEAST_POSES + 1)
-    best: tuple[float, float, str, int, list[int]] | None = None
-    for joint, places in _events(panel, moved):
-        gains, evidence = _gains(rest, panel.whole.columns(places))
-        k = int(evidence[instants].argmax()) + LEAST_POSES
-        if best is None or evidence[k] > best[0]:
-            best = float(evidence[k]), float(gains[k]), joint, k, places
-    assert best is not None
-    _, gain, joint, pose, places = best
-    times = np.linspace(-1, 1, data.count)
-    drift = np.stack([times, *(np.cos(np.pi * wave * (times + 1) / 2) for wave in range(SMOOTH))], axis=1)
-    drifting = panel.whole.J[:, :, places, None] * drift[:, None, None]
-    before, left = rest.loss, rest.loss - gain
-    smooth = rest.beside(drifting.reshape(*drifting.shape[:2], -1)).refitted().loss
-    excess = [np.sqrt(max(value / rest.given.sum() - 1.0, 0.0)) for value in (before, left)]
-    if excess[0] < 1.0 / BETTER or excess[1] * BETTER > excess[0] or left >= smooth:
-        return None
-    return Slip(pose, int(data.rows[pose]) + 1, joint, instants.stop - instants.start)
+    wrong, parts, bench = without_outliers(robot, data, usable, noise)
+    is_long = data.is_stream and int((usable & ~wrong).sum()) > 2 * MOST_POSES  # every other is compared at most
+    if is_long:
+        first = _beside_a_rest(_calibrated(bench, known, thinned(parts, data), data, wrong), data, usable, noise, tell)
+        if first.interrupted or not (isinstance(first.bench, CorrelatedBench) and first.bench.is_noise_alone):
+            return _with_built(first, tell)
+    if bench.data.count < len(parts.selection):
+        bench = bench_of(robot, data, parts, noise)
+    result = _ordinary(_calibrated(bench, known, parts, data, wrong), data, usable, tell)
+    is_explained = result.compared is None or result.compared.posterior.of_unknown < 1 / 2
+    if is_explained or is_long:
+        return result
+    return _with_built(_beside_a_rest(result, data, usable, noise, tell), tell).told
 
 
-def _asked(robot: Robot, data: Measurements, after: Measurements) -> Iterator[Effect]:
-    """Effects that treat a slip as what the file would tell: none of a drive whose collars were measured."""
-    homing, frame = HomingShift(), FrameShift()
-    if not data.of_collars and len(np.unique(data.homings)) == 1 and not homing.untestable(robot, after):
-        yield homing
-    if len(np.unique(data.frames)) == 1:
-        yield frame
+def _with_built(part: Conclusion, tell: Teller) -> Conclusion:
+    """What holds beside a rest, with a term built of the rest if there is one."""
+    try:
+        return part if part.interrupted else build(part, tell) or part
+    except Interrupted:
+        return _interrupted(part.told)
 
 
-def _events(panel: Linearisation, moved: Sequence[int]) -> Iterator[tuple[str, list[int]]]:
-    """What may have slipped, and the places of its parameters: a joint alone, a tracker as a whole."""
-    tracker = [k for k in moved if panel.keys[k][0] == FrameShift.name]
-    yield from (("_".join(panel.keys[k][1].split("_")[:2]), [k]) for k in moved if k not in tracker)
-    if tracker:
-        yield TRACKER, tracker
+def _interrupted(begun: Conclusion) -> Conclusion:
+    return replace(begun, interrupted=True, notes=(*begun.notes, INTERRUPTED))
 
 
-def _gains(rest: Linear, more: Linear) -> tuple[Array, Array]:
-    """(K,) what further parameters take off a fit's loss if they act from each pose on only, and logarithms of how much
-    more probable they make the poses.
+def _beside_a_rest(
+    before: Conclusion, data: Measurements, usable: NDArray[np.bool_], stated: Noise, tell: Teller
+) -> Conclusion:
+    """What holds although something remains; what there was before, where it is interrupted.
+
+    The noise may be smaller than stated. It is never enlarged, for the rest would hide in it.
     """
-    root = np.sqrt(rest.weight)[:, None, None]
-    c, r, J = more.J * root, rest.r[:, :, None] * root, rest.J * root
-    along, square, shared = (
-        np.cumsum((np.swapaxes(c, 1, 2) @ other)[::-1], axis=0)[::-1] for other in (r, c, J)
-    )  # of all poses from each on
-    free = square + np.diag(more.precision)
-    inverse = solved(rest.information, np.eye(len(rest.precision)))
-    free -= shared @ inverse @ np.swapaxes(shared, 1, 2)
-    gains: Array = (np.swapaxes(along, 1, 2) @ np.linalg.solve(free, along))[:, 0, 0]
-    return gains, (gains + np.log(more.precision).sum() - np.linalg.slogdet(free)[1]) / 2
+    noise, known = before.noise if before.is_rescaled else stated, before.known
+    try:
+        near = before.base.fit
+        part = diagnose_partially(before.bench.robot, data, usable & ~before.wrong, noise, known, tell, near)
+    except Interrupted:
+        return _interrupted(before)
+    return replace(
+        part,
+        path=(*before.path, *part.path),
+        wrong=before.wrong,
+        notes=before.notes,
+        is_rescaled=before.is_rescaled,
+        before=before if before.compared else None,
+    )
 
 
-def after_slip(data: Measurements, slip: Slip) -> Measurements:
-    """The measurements with another homing, or another frame, from the slip on."""
-    number = np.where(np.arange(len(data.sequence)) >= slip.row - 1, 2, 1)
-    return replace(data, frame=number) if slip.joint == TRACKER else replace(data, homing=number)
+def _calibrated(
+    bench: Workbench, known: Candidates, parts: Split, data: Measurements, wrong: NDArray[np.bool_]
+) -> Conclusion:
+    """Before any search."""
+    base = bench.scored([])
+    nothing = Judgement("unexplained", (), remains(bench, base))
+    return Conclusion(bench, known, parts, groups(data), wrong, bench.noise, base, base, nothing)
+
+
+def _ordinary(begun: Conclusion, data: Measurements, usable: NDArray[np.bool_], tell: Teller) -> Conclusion:
+    """The search for what leaves noise alone, once more without poses that something missing had hidden."""
+    result, wrong = _searched(begun, data, tell), begun.wrong
+    more = gross_outliers(result.chosen.fit, data, usable & ~wrong)
+    if more.any() and not too_many(wrong | more, usable) and not result.interrupted:
+        parts = checked_split(data, usable & ~(wrong | more))
+        bench = bench_of(begun.bench.robot, data, parts, begun.noise)
+        result = _searched(_calibrated(bench, begun.known, parts, data, wrong | more), data, tell)
+    return result
+
+
+def _searched(begun: Conclusion, data: Measurements, tell: Teller) -> Conclusion:
+    """Search and judgement, once more with the noise that the data show if it is not the stated one."""
+    stated, bench = begun.noise, begun.bench
+    try:
+        tell("calibrating")
+        begun = _most_probable(begun, bench, data, tell)
+        scaled, note = rescaled_noise(begun.judgement.adequacy, stated, *_norms(begun.chosen))
+        begun = replace(begun, notes=(note,) if note else ())
+        if scaled is not None:
+            anew = Workbench(bench.robot, bench.data, scaled, bench.group)
+            begun = replace(_most_probable(begun, anew, data, tell), notes=begun.notes)
+    except Interrupted:
+        calibrated = _calibrated(begun.bench, begun.known, begun.split, data, begun.wrong)
+        return _interrupted(replace(calibrated, notes=begun.notes))
+    return replace(begun, is_rescaled=begun.noise.position_m < stated.position_m)
+
+
+def _most_probable(begun: Conclusion, bench: Workbench, data: Measurements, tell: Teller) -> Conclusion:
+    bench, compared, chosen, path = settled(bench, bench.scored([]), begun.known, tell)
+    judgement = judge(bench, chosen, begun.known, compared.posterior, compared.sets)
+    calibrated = _calibrated(bench, begun.known, begun.split, data, begun.wrong)
+    return replace(calibrated, path=path, chosen=chosen, judgement=judgement, compared=compared)
+
+
+def _norms(scored: Scored) -> tuple[Array, Array]:
+    """Norms of the residuals per pose, without outliers, and how many measured numbers each has."""
+    parts, kept = scored.fit.residuals, ~ignored(scored)
+    return parts.norm[kept], parts.given[kept].sum(axis=1)

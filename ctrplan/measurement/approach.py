@@ -11,6 +11,9 @@ joints move together linearly, as ever.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+from itertools import pairwise
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -40,22 +43,25 @@ def friction_state(data: Measurements, release_m: float = np.inf) -> Array:
 
 
 def _followed(data: Measurements, release_m: float) -> Array:
-    turns = np.diff(data.theta_commanded, axis=1)
-    slides = np.diff(data.l_commanded, axis=1)
-    state = np.zeros_like(turns)
-    for row in range(1, len(turns)):
-        if data.sequence[row] == data.sequence[row - 1]:
-            turn, slide = turns[row] - turns[row - 1], np.abs(slides[row] - slides[row - 1])
-            state[row] = _advanced(state[row - 1], turn / BREAKAWAY_RAD, slide / release_m)
-    return state[data.rows]
-
-
-def _advanced(state: Array, turn: Array, slide: Array) -> Array:
-    """The state after turning and sliding at constant rates: d state = d turn - state d slide, inside [-1, 1]."""
-    decay = np.exp(-slide)
+    """Turning and sliding at constant rates between waypoints: d state = d turn - state d slide, inside [-1, 1]."""
+    turn = np.diff(np.diff(data.theta_commanded, axis=1), axis=0) / BREAKAWAY_RAD
+    slide = np.abs(np.diff(np.diff(data.l_commanded, axis=1), axis=0)) / release_m
     driven = np.where(slide > 1e-9, turn * -np.expm1(-slide) / np.maximum(slide, 1e-9), turn)
-    moved: Array = np.clip(state * decay + driven, -1.0, 1.0)
-    return moved
+    decay = np.exp(-slide) * (np.diff(data.sequence) == 0)[:, None]  # every run starts anew
+    driven[np.diff(data.sequence) != 0] = 0.0
+    states = np.zeros((len(data.sequence), data.n - 1))
+    for pair in range(data.n - 1):
+        states[1:, pair] = _within_limits(driven[:, pair].tolist(), decay[:, pair].tolist())
+    return states[data.rows]
+
+
+def _within_limits(driven: Sequence[float], decay: Sequence[float]) -> list[float]:
+    """State after every step."""
+    states, state = list[float](), 0.0
+    for more, left in zip(driven, decay, strict=True):
+        state = min(max(state * left + more, -1.0), 1.0)
+        states.append(state)
+    return states
 
 
 def last_directions(data: Measurements) -> Array:
@@ -84,17 +90,17 @@ def _last_directions(data: Measurements) -> Array:
 
 def _directions_along(steps: Array, still: float) -> Array:
     """(R,) direction of an actuator at each waypoint of a run with R - 1 steps."""
-    directions, swings = np.zeros(len(steps) + 1), [0.0]
-    for k, step in enumerate(steps.tolist(), start=1):
+    directions, swings, sizes = [0.0], [0.0], [0.0]
+    for step in steps.tolist():
         if abs(step) > still:
             if step * swings[-1] > 0:
                 swings[-1] += step
             else:
                 swings.append(step)
-        last = np.abs(swings[-RELEASING_SWINGS:])
-        released = len(swings) > RELEASING_SWINGS and bool(np.all(np.diff(last) < 0))
-        directions[k] = 0.0 if released else np.sign(swings[-1])
-    return directions
+            sizes = [abs(swing) for swing in swings[-RELEASING_SWINGS:]]
+        released = len(swings) > RELEASING_SWINGS and all(b < a for a, b in pairwise(sizes))
+        directions.append(0.0 if released or not swings[-1] else math.copysign(1.0, swings[-1]))
+    return np.array(directions)
 
 
 def clock(data: Measurements) -> Array:

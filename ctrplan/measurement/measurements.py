@@ -253,9 +253,8 @@ def groups(data: Measurements) -> NDArray[np.int_]:
     return data.configuration
 
 
-def split(data: Measurements, usable: NDArray[np.bool_]) -> Split:
-    """A quarter of the configurations for the held-out set, the others for the selection."""
-    group = groups(data)
+def split(usable: NDArray[np.bool_], group: NDArray[np.int_]) -> Split:
+    """A quarter of the groups, (K,) by number, for the held-out set, the others for the selection."""
     numbers = np.random.default_rng(SEED).permutation(np.unique(group[usable]))
     sealed = int(round(VAULT_SHARE * len(numbers)))
     held_out = np.isin(group, numbers[:sealed]) & usable

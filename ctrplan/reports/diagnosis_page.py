@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from ctrplan.calibration.estimates import estimates
+from ctrplan.diagnosis.conclusion import Part
 from ctrplan.diagnosis.correlated_bench import FRAMES
 from ctrplan.diagnosis.next_experiment import Proposal
-from ctrplan.diagnosis.partial_diagnosis import Part
 from ctrplan.diagnosis.result import Diagnosis
 from ctrplan.effects.learned.inputs import unit
 from ctrplan.pipeline.term import Term

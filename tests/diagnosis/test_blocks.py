@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 from measured_data import pair_robot, waypoints
 
-from ctrplan.diagnosis.usable_poses import block_split, blocks
-from ctrplan.measurement.measurements import Measurements
+from ctrplan.diagnosis.usable_poses import blocks
+from ctrplan.measurement.measurements import Measurements, split
 
 PLAN = waypoints(pair_robot(), 18)
 
@@ -55,5 +55,5 @@ def test_mirrored_and_turned_configurations_are_kin_and_never_parted() -> None:
     data = replace(PLAN, theta_commanded=theta, l_commanded=l_commanded)
     found = blocks(data, 0.0)
     assert len(np.unique(found)) == count - 2
-    parts = block_split(data, np.ones(data.count, bool), found)
+    parts = split(np.ones(data.count, bool), found)
     assert not set(found[parts.selection]) & set(found[parts.held_out_set])

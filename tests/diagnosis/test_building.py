@@ -18,8 +18,7 @@ from ctrplan.__main__ import main
 from ctrplan.calibration.least_squares import Fit
 from ctrplan.calibration.observed_noise import noise_floor
 from ctrplan.calibration.residuals import Noise
-from ctrplan.diagnosis import CATALOGUE, Diagnosis, diagnose, held_out
-from ctrplan.diagnosis import built_term as term_building
+from ctrplan.diagnosis import CATALOGUE, Diagnosis, diagnose, held_out, partial_diagnosis
 from ctrplan.diagnosis.confirmation import confirm
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
 from ctrplan.diagnosis.held_out import Gap
@@ -70,17 +69,18 @@ def test_a_ripple_of_gears_is_built_in_the_drive_and_nothing_is_named() -> None:
     built, gap = found().built, found().gap
     assert built is not None and found().verdict == "unexplained" and not found().listed
     assert found().judgement.adequacy.total.p < 1e-3  # a built term explains nothing
-    assert [t.name for t in built.terms] == ["learned_theta_2"] and built.terms[0].effect.stage == "drive"
+    (term,) = found().built_terms
+    assert term.name == "learned_theta_2" and term.effect.stage == "drive"
     assert built.by_stage["drive"] > 1.5 * max(built.by_stage["mechanics"], built.by_stage["sensor"])
     rest = [np.sqrt(max(errors.rms_m**2 - gap.floor_m**2, 0.0)) for errors in (gap.before, gap.after)]
     assert rest[1] < 0.3 * rest[0]
-    (term,) = found().to_json()["built"]["terms"]
-    wave = [term["coefficients"][f"{name}_3_theta_2_deg"] for name in ("sin", "cos")]
+    (told,) = found().to_json()["built"]["terms"]
+    wave = [told["coefficients"][f"{name}_3_theta_2_deg"] for name in ("sin", "cos")]
     for one, true in zip(wave, RIPPLE_DEG * np.array([np.cos(0.5), np.sin(0.5)]), strict=True):
         low, high = one["ci95"]
         assert low - (high - low) / 2 < true < high + (high - low) / 2
     assert (
-        term["may_be"].endswith("like a ripple of gears; that is no proof of a cause") and "120 deg" in term["may_be"]
+        told["may_be"].endswith("like a ripple of gears; that is no proof of a cause") and "120 deg" in told["may_be"]
     )
 
 
@@ -102,7 +102,11 @@ def test_what_the_catalogue_has_is_named_beside_a_built_term_that_had_hidden_it(
     assert [t.name for t in after.built_terms] == ["learned_theta_2"]
     assert set(after.robot_content()["effects"]) == {"sensor_offset", "learned_theta_2", "base_misalignment"}
     assert after.built is not None and after.partial is not None
-    assert after.partial.rest.rms_m > 2 * after.built.rest.rms_m and after.judgement.adequacy.total.p < 1e-3
+    assert (
+        after.partial.rest is not None
+        and after.partial.rest.rms_m > 2 * after.built.rest.rms_m
+        and after.judgement.adequacy.total.p < 1e-3
+    )
     value = after.to_json()["effects"][0]["parameters"]["offset_x_mm"]["value"]
     assert value == pytest.approx(OFFSET["sensor_offset"]["offset_x_mm"], abs=0.15)
 
@@ -124,7 +128,7 @@ def test_names_stay_where_the_poses_kept_aside_take_the_term_back(monkeypatch: p
 
 def test_a_search_that_builds_nothing_leaves_what_was_found_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
     """Pieces that were looked for have a bench of their own: what remains is described on the one before."""
-    beside, corrected, grown = list[tuple[str, ...]](), CorrelatedBench.corrected, term_building._grown
+    beside, corrected, grown = list[tuple[str, ...]](), CorrelatedBench.corrected, partial_diagnosis._grown
     data = rippled()
     noise, usable = noise_floor(ROBOT, data)[0], usable_poses(ROBOT, data)
     before = diagnose_partially(ROBOT, data, usable, noise, candidates(ROBOT, data, {}), Teller())
@@ -137,9 +141,9 @@ def test_a_search_that_builds_nothing_leaves_what_was_found_as_it_is(monkeypatch
         return bench, chosen, grown(bench, chosen, *more)[2]
 
     noise_before = before.bench.noise
-    monkeypatch.setattr(term_building, "_grown", vain)
+    monkeypatch.setattr(partial_diagnosis, "_grown", vain)
     monkeypatch.setattr(CorrelatedBench, "corrected", noted)
-    assert term_building.build(before, Teller()) is None
+    assert partial_diagnosis.build(before, Teller()) is None
     assert ("learned_theta_2",) in beside
     assert before.bench.noise is noise_before and before.chosen.fit.noise is noise_before
 
@@ -163,9 +167,9 @@ def test_a_frame_beside_a_built_term_is_told_and_not_named() -> None:
 
 
 def test_a_sensor_that_drifts_with_the_temperature_is_told_from_the_drive() -> None:
-    term = diagnose(ROBOT, warmed(), catalogue={}).built
-    assert term is not None and [t.name for t in term.terms] == ["learned_sensor"]
-    assert list(term.terms[0].effect.inputs) == ["temperature_C"]  # type: ignore[attr-defined]
+    (term,) = diagnose(ROBOT, warmed(), catalogue={}).built_terms
+    assert term.name == "learned_sensor"
+    assert list(term.effect.inputs) == ["temperature_C"]  # type: ignore[attr-defined]
 
 
 def breathed() -> Measurements:
@@ -181,8 +185,8 @@ def breathed() -> Measurements:
 
 def test_a_tube_that_changes_with_time_is_told_from_the_sensor_and_other_runs_lack_it() -> None:
     diagnosis = diagnose(ROBOT, breathed(), catalogue={})
-    assert diagnosis.built is not None and [t.name for t in diagnosis.built.terms] == ["learned_curvature_2"]
-    assert list(diagnosis.built.terms[0].effect.inputs) == ["time"]  # type: ignore[attr-defined]
+    assert [t.name for t in diagnosis.built_terms] == ["learned_curvature_2"]
+    assert list(diagnosis.built_terms[0].effect.inputs) == ["time"]  # type: ignore[attr-defined]
     rest = [np.sqrt(max(e.rms_m**2 - diagnosis.gap.floor_m**2, 0)) for e in (diagnosis.gap.before, diagnosis.gap.after)]
     assert rest[1] < 0.6 * rest[0]  # the poses kept aside are of times before and after, too
     later = confirm(diagnosis, measured(ROBOT, PLAN, seed=9))

@@ -19,11 +19,11 @@ from measured_data import SIGMA_M, SIGMA_RAD, measured, pair_robot, waypoints, w
 from packed_page import library
 
 from ctrplan.__main__ import main
-from ctrplan.diagnosis import CATALOGUE, Diagnosis, built_term, diagnose
+from ctrplan.diagnosis import CATALOGUE, Diagnosis, diagnose, partial_diagnosis
 from ctrplan.diagnosis.remainder import localise
 from ctrplan.errors import InputError
 from ctrplan.files.robot_file import load_robot, write_robot
-from ctrplan.measurement.measurements import Measurements, split
+from ctrplan.measurement.measurements import Measurements, groups, split
 from ctrplan.reports.diagnosis_figures import selection_errors
 from ctrplan.reports.diagnosis_page import diagnosis_report_html
 
@@ -217,7 +217,7 @@ TIP_LOAD = BASE | {"tip_load": {"force_x_N": 0.15, "force_y_N": -0.12, "force_z_
 def test_poses_without_a_solution_are_left_out_and_told(monkeypatch: pytest.MonkeyPatch) -> None:
     """Poses of the selection and of the held-out set are left out; an effect that is right stays so."""
     data = measured(ROBOT, PLAN, TIP_LOAD)
-    parts = split(data, np.ones(data.count, bool))
+    parts = split(np.ones(data.count, bool), groups(data))
     configurations = [int(data.configuration[part[0]]) for part in (parts.selection, parts.held_out_set)]
     rows = without_solutions(PLAN, configurations, monkeypatch)
     found = diagnose(ROBOT, data, catalogue=FEW)
@@ -337,7 +337,7 @@ def test_a_stated_noise_at_the_ends_of_its_range_is_no_numerical_fault(
     sigma: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if not FUZZ:
-        monkeypatch.setattr(built_term, "MOST_EFFECTS", 1)  # pieces: noise of this size takes as many as it may
+        monkeypatch.setattr(partial_diagnosis, "MOST_EFFECTS", 1)  # pieces: noise of this size takes as many as it may
     stated = {"position_sigma_mm": sigma, "tangent_sigma_deg": 1e-6 if sigma < 1 else 180.0}
     robot = pair_robot(measurement=stated)
     found = diagnose(robot, measured(robot, waypoints(robot, 14)), without=sorted(set(CATALOGUE) - {"friction"}))

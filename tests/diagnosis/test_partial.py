@@ -18,12 +18,12 @@ from ctrplan.__main__ import main
 from ctrplan.calibration.observed_noise import noise_floor
 from ctrplan.diagnosis import CATALOGUE, Diagnosis, diagnose
 from ctrplan.diagnosis.adequacy import remains
-from ctrplan.diagnosis.conclusion import Conclusion
+from ctrplan.diagnosis.conclusion import Closing
 from ctrplan.diagnosis.confirmation import confirm
 from ctrplan.diagnosis.correlated_bench import frames
 from ctrplan.diagnosis.held_out import opened
 from ctrplan.diagnosis.next_experiment import next_experiment
-from ctrplan.diagnosis.partial_diagnosis import Closing, PartialDiagnosis, diagnose_partially
+from ctrplan.diagnosis.partial_diagnosis import diagnose_partially
 from ctrplan.diagnosis.usable_poses import usable_poses
 from ctrplan.diagnosis.verdict import Alternative, Finding
 from ctrplan.diagnosis.workbench import Teller, candidates
@@ -62,7 +62,7 @@ def partial() -> Diagnosis:
 def test_an_effect_is_named_beside_a_rest_that_nothing_explains() -> None:
     found = partial()
     assert found.verdict == "partial" and [t.name for t in found.listed] == ["backlash"]
-    assert found.partial is not None and 0.4e-3 < found.partial.rest.rms_m < 1.2e-3
+    assert found.partial is not None and found.partial.rest is not None and 0.4e-3 < found.partial.rest.rms_m < 1.2e-3
     assert found.partial.rest.of_configuration > 0.6
     assert found.gap.after.rms_m < found.gap.before.rms_m
     effect = found.to_json()["effects"][0]
@@ -92,7 +92,7 @@ def test_what_is_done_is_handed_over_without_a_name_unless_poses_kept_aside_cont
     assert part is not None
     effects = tuple(finding.term for finding in part.judgement.findings)
     unnamed = replace(part.judgement, verdict="unexplained", findings=(), together=effects)
-    answer = answer_of(replace(part, judgement=unnamed))
+    answer = replace(part, judgement=unnamed)
     asked = opened(answer, found.data)
     assert asked.judgement.verdict == "unexplained" and asked.judgement.together == effects
     assert asked.gap.after.rms_m == pytest.approx(found.gap.after.rms_m, rel=1e-9)
@@ -104,19 +104,11 @@ def test_what_is_done_is_handed_over_without_a_name_unless_poses_kept_aside_cont
 def test_an_effect_that_is_taken_back_leaves_figures_over_the_noise_alone() -> None:
     part = partial().partial
     assert part is not None
-    asked = opened(answer_of(part), contradicted())
+    asked = opened(part, contradicted())
     assert asked.judgement.verdict == "unexplained" and not asked.judgement.findings
     left, beside = asked.judgement.adequacy, remains(part.bench, asked.written)  # the latter with a rest allowed for
     assert left.total.ratio > 1.2 * beside.total.ratio
     assert left.total.ratio > part.judgement.adequacy.total.ratio > 3  # less is explained than with the effect
-
-
-def answer_of(part: PartialDiagnosis) -> Conclusion:
-    nothing_wrong = np.zeros(PLAN.count, bool)
-    return Conclusion(
-        part.bench, (), part.chosen, part.base, part.judgement, part.split, part.block, part.bench.plain, False,
-        nothing_wrong, (), partial=part,
-    )  # fmt: skip
 
 
 def test_a_rest_alone_names_nothing() -> None:

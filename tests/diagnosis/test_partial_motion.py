@@ -16,7 +16,6 @@ from unbuilt import build_nothing
 from ctrplan.base.arrays import Array
 from ctrplan.calibration.discrepancy import decay
 from ctrplan.diagnosis import CATALOGUE, Diagnosis, diagnose
-from ctrplan.diagnosis.conclusion import Conclusion
 from ctrplan.diagnosis.held_out import opened
 from ctrplan.measurement.measurements import Measurements
 
@@ -60,9 +59,9 @@ def test_a_lag_is_named_beside_a_rest_with_the_memory_that_it_has() -> None:
     assert found.verdict == "partial" and [t.name for t in found.listed] == ["lag"]
     tau = found.to_json()["effects"][0]["parameters"]["tau_s"]
     assert abs(tau["value"] - LATE_S) < 0.75 * (tau["ci95"][1] - tau["ci95"][0]) < 0.05
-    assert found.partial is not None and found.partial.rest.memory is not None
-    assert MEMORY_S / 3 < found.partial.rest.memory < 3 * MEMORY_S
-    assert 0.5e-3 < found.partial.rest.rms_m < 1.1e-3 and found.partial.rest.of_configuration < 0.4
+    assert found.partial is not None and (rest := found.partial.rest) is not None and rest.memory is not None
+    assert MEMORY_S / 3 < rest.memory < 3 * MEMORY_S
+    assert 0.5e-3 < rest.rms_m < 1.1e-3 and rest.of_configuration < 0.4
 
 
 @thorough("test_what_changes_slowly_is_no_effect_although_some_look_like_it")
@@ -112,11 +111,7 @@ def test_what_poses_kept_aside_are_nearer_without_is_taken_back() -> None:
     assert part is not None
     position, tangent, aside = found.data.position_m.copy(), found.data.tangent.copy(), part.split.held_out_set
     position[aside], tangent[aside] = against.position_m[aside], against.tangent[aside]
-    answer = Conclusion(
-        part.bench, (), part.chosen, part.base, part.judgement, part.split, part.block, part.bench.plain, False,
-        np.zeros(COUNT, bool), (), partial=part,
-    )  # fmt: skip
-    asked = opened(answer, replace(found.data, position_m=position, tangent=tangent))
+    asked = opened(part, replace(found.data, position_m=position, tangent=tangent))
     assert asked.gap.after.rms_m < asked.gap.before.rms_m  # so that nothing else would take it back
     assert any("lag, without which" in note for note in asked.notes)
     assert "lag" not in [finding.term.name for finding in asked.judgement.findings]

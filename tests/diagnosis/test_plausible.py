@@ -68,7 +68,7 @@ def test_symptoms_are_those_of_the_numbers_and_not_of_the_priors() -> None:
 def test_room_between_tubes_is_seen_by_the_screening(room_mm: float) -> None:
     bench = bench_of({"clearance": {"delta_1_mm": room_mm}})
     here, known = bench.scored([]), candidates(ROBOT, bench.data)
-    (alone,) = bench.screened(here, [t for t in known.terms if t.name == "clearance"], known.completed)
+    (alone,) = bench.screened(here, [t for t in known.terms if t.name == "clearance"], known)
     fitted = bench.scored([alone.term], here.fit)
     assert fitted.fit.p[-1] == pytest.approx(room_mm * 1e-3, rel=0.2)
     left = [float(robust_square(np.linalg.norm(alone.linear.r, axis=1)).sum()), fitted.fit.residuals.loss]

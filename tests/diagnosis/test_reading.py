@@ -115,6 +115,20 @@ def test_a_base_that_drifts_on_a_short_motion_is_no_other_frame() -> None:
         assert read_again(ROBOT, replace(near, position_m=position + late * by + noise)) == ()
 
 
+@pytest.mark.parametrize("seed", [0, 5, 9, 11, 21])
+def test_what_ordinary_calibration_explains_is_no_fault_of_reading(seed: int) -> None:
+    """A short motion of a robot that is as far from its file as priors have it, which others than its joints fit."""
+    rng, gone = np.random.default_rng(seed), np.linspace(0, 1, len(THETA))[:, None]
+    turn = rng.uniform(-3, 3) + np.sin(2 * np.pi * gone + rng.uniform(0, 6))
+    near = joints(np.hstack([0 * gone, turn]), L.mean(axis=0) - 4e-3 * gone)
+    names = ("precurvature_factor_1_1", "precurvature_factor_2_2", "stiffness_factor_2")
+    sizes = np.array([0.1, 0.1, 0.2, 0.15, 0.15]) * rng.standard_normal(5)
+    ratios = np.clip(0.3 + sizes[3:], 0.01, 0.6).tolist()
+    factors = dict(zip(names, (1 + sizes[:3]).tolist(), strict=True))
+    base = factors | {"poisson_ratio_1": ratios[0], "poisson_ratio_2": ratios[1]}
+    assert read_again(ROBOT, measured(ROBOT, near, {"calibration": base}, seed=seed)) == ()
+
+
 def test_tips_that_heed_no_joint_are_told_and_read_in_no_other_way() -> None:
     rng = np.random.default_rng(3)
     spread = np.sqrt(np.mean(np.sum((P - P.mean(axis=0)) ** 2, axis=1)) / 3)

@@ -17,7 +17,7 @@ from ctrplan.base.arrays import Array
 from ctrplan.calibration.residuals import Noise
 from ctrplan.diagnosis import CATALOGUE
 from ctrplan.diagnosis.remainder import localise
-from ctrplan.diagnosis.workflow import LEAST_POSES, after_slip, most_probable_slip
+from ctrplan.diagnosis.slips import LEAST_POSES, after_slip, most_probable_slip
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.pipeline.term import term
 from ctrplan.reports.diagnosis_words import headline, verdict_sentence

@@ -27,11 +27,11 @@ from ctrplan.diagnosis.correlated_bench import CorrelatedBench
 from ctrplan.diagnosis.posterior import Compared, compared
 from ctrplan.diagnosis.term_pieces import built_term
 from ctrplan.diagnosis.unknown_errors import Peak, SmoothError
-from ctrplan.diagnosis.usable_poses import block_split, blocks
+from ctrplan.diagnosis.usable_poses import blocks
 from ctrplan.diagnosis.verdict import Posterior, normalised, standing_for
 from ctrplan.diagnosis.workbench import candidates
 from ctrplan.effects.learned.inputs import InputRange, Target
-from ctrplan.measurement.measurements import Measurements
+from ctrplan.measurement.measurements import Measurements, split
 
 ROBOT = pair_robot()
 PLANS = {count: waypoints(ROBOT, count, seed=4) for count in (24, 48)}
@@ -64,7 +64,7 @@ def smooth_field(plan: Measurements) -> Array:
 def told_of(data: Measurements, *beside: object) -> Compared:
     """The most probable sets from a ripple's term on, or from nothing."""
     block = blocks(data, 0.0)
-    parts = block_split(data, np.ones(data.count, bool), block)
+    parts = split(np.ones(data.count, bool), block)
     chosen = parts.selection
     bench = CorrelatedBench(ROBOT, data.subset(chosen), Noise(SIGMA_M, SIGMA_RAD), block[chosen])
     known = partial_diagnosis.testable_beside(candidates(ROBOT, data, QUICK), bench)

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import pytest
 
-from ctrplan.diagnosis import conclusion
+from ctrplan.diagnosis import workflow
 
 
 def build_nothing(patch: pytest.MonkeyPatch) -> None:
     """Every search for a built term ends without one."""
-    patch.setattr(conclusion, "build", lambda part, tell: None)
+    patch.setattr(workflow, "build", lambda part, tell: None)

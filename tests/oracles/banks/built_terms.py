@@ -40,10 +40,11 @@ from hidden_effects.score import wilson
 
 from ctrplan.calibration.estimates import distances
 from ctrplan.calibration.observed_noise import noise_floor
-from ctrplan.diagnosis.built_term import build
-from ctrplan.diagnosis.partial_diagnosis import PartialDiagnosis, diagnose_partially
+from ctrplan.diagnosis.conclusion import Conclusion
+from ctrplan.diagnosis.partial_diagnosis import build, diagnose_partially
 from ctrplan.diagnosis.usable_poses import usable_poses
 from ctrplan.diagnosis.workbench import Scored, Teller, candidates
+from ctrplan.effects.learned.learned import Learned
 from ctrplan.files.measurement_file import load_measurements
 from ctrplan.files.robot_file import load_robot
 from ctrplan.measurement.measurements import Measurements
@@ -191,30 +192,34 @@ def asked(folder: Path) -> dict[str, Any]:
     noise, usable = noise_floor(robot, data)[0], usable_poses(robot, data)
     found = diagnose_partially(robot, data, usable, noise, candidates(robot, data), Teller())
     halfway = time.process_time()
-    bench, aside = found.bench, data.subset(found.split.held_out_set)
+    aside = data.subset(found.split.held_out_set)
     result: dict[str, Any] = {"named": names(found), "seconds": [round(halfway - began, 1)], "first": probable(found)}
     result["before_mm"] = gap_mm(found.base, aside, noise.floor_m)
-    result["named_mm"] = gap_mm(bench.handed_over(bench.sized(found.chosen)), aside, noise.floor_m)
-    built = build(found, Teller())
+    result["named_mm"] = gap_mm(found.handed_over, aside, noise.floor_m)
+    after = build(found, Teller())
     result["seconds"].append(round(time.process_time() - halfway, 1))
-    if built is None:
+    if after is None or after.built is None:
         return result | {"built": False}
-    bench = built.partial.bench
-    result["beside_mm"] = gap_mm(bench.handed_over(bench.sized(built.named)), aside, noise.floor_m)
-    result["names"] = names(built.partial)
-    result["probable"] = probable(built.partial)
-    result["built_mm"] = gap_mm(bench.handed_over(bench.sized(built.scored)), aside, noise.floor_m)
-    terms = [t.effect.stated({})["acts_on"] + ": " + ", ".join(t.effect.parts) for t in built.terms]
+    built = after.built
+    result["beside_mm"] = gap_mm(after.bench.handed_over(built.named), aside, noise.floor_m)
+    result["names"], result["probable"] = names(after), probable(after)
+    result["built_mm"] = gap_mm(after.handed_over, aside, noise.floor_m)
+    terms = [
+        t.effect.stated({})["acts_on"] + ": " + ", ".join(t.effect.parts)
+        for t in after.chosen.terms
+        if isinstance(t.effect, Learned)
+    ]
     return result | {"built": True, "terms": terms, "share": built.share, "gain": built.gain}
 
 
-def probable(found: PartialDiagnosis) -> dict[str, float]:
+def probable(found: Conclusion) -> dict[str, float]:
     """Effects that are not improbable, and what the catalogue lacks."""
+    assert found.compared is not None
     told = found.compared.posterior.to_json()
     return {name: p for name, p in told["effects"].items() if p > 0.01} | {"unknown": told["unknown"]}
 
 
-def names(found: PartialDiagnosis) -> list[list[str]]:
+def names(found: Conclusion) -> list[list[str]]:
     """Parts that hold, each with what does as well in its place."""
     return [[f.term.name, *(a.term.name for a in f.alternatives)] for f in found.judgement.findings]
 

@@ -28,9 +28,10 @@ from banks.built_terms import known
 from ctrplan.calibration.observed_noise import noise_floor
 from ctrplan.calibration.residuals import residuals
 from ctrplan.diagnosis.correlated_bench import FRAMES, CorrelatedBench
-from ctrplan.diagnosis.usable_poses import block_split, blocks, usable_poses
+from ctrplan.diagnosis.usable_poses import blocks, usable_poses
 from ctrplan.files.measurement_file import load_measurements
 from ctrplan.files.robot_file import load_robot
+from ctrplan.measurement.measurements import split
 
 Array = np.ndarray
 
@@ -43,7 +44,7 @@ def standing_out(folder: Path) -> tuple[float, float]:
     without = make(replace(case, hidden=case.hidden[:1])).poses
     noise, usable = noise_floor(robot, data)[0], usable_poses(robot, data)
     block = blocks(data, 0.0)
-    chosen = block_split(data, usable, block)
+    chosen = split(usable, block)
     some = chosen.selection
     bench = CorrelatedBench(robot, data.subset(some), noise, block[some])
     base = bench.scored([])

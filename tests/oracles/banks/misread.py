@@ -1,6 +1,8 @@
 """Gross faults made of clean files, and whether each is named first: `python -m banks.misread DIR ...`.
 
-Every folder has robot.toml and measurements.csv. With `--clean` the folders are only asked whether they raise an alarm.
+Every folder has robot.toml and measurements.csv. With `--clean` the folders are only asked whether they raise an alarm,
+as are `--drawn 90` files, which the package's own model makes of the generator's experiments: robots, up to two effects
+of the catalogue and noise are drawn from their priors, a file in five is a continuous motion.
 A fault that leaves the uncalibrated robot less than twice as far off as the clean file is none: it is counted apart.
 """
 
@@ -9,25 +11,35 @@ from __future__ import annotations
 import argparse
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
+from hidden_effects.dataset import measurements_csv, robot_toml
+from hidden_effects.experiment import approaches, continuous_motion
 from hidden_effects.score import Goal
 from hidden_effects.tube import Array
+from hidden_effects.world import ROBOTS
 from scipy.spatial.transform import Rotation
 
+from ctrplan.calibration.observed_noise import noise_floor
+from ctrplan.calibration.parameters import BaseParameters
 from ctrplan.calibration.reading import read_again
+from ctrplan.diagnosis.workbench import candidates
 from ctrplan.errors import InputError
 from ctrplan.files.measurement_file import load_measurements
 from ctrplan.files.robot_file import load_robot
 from ctrplan.measurement.measurements import Measurements
+from ctrplan.pipeline.parametric_chain import ParametricChain
+from ctrplan.pipeline.term import term
 from ctrplan.robot.robot import Robot
 
 File = tuple[Robot, Measurements]
 FRAME = Rotation.from_rotvec([0.4, 1.1, -0.7]), np.array([0.03, -0.2, 0.1])  # of a tracker, rad and m
 GROSS = 2.0
+DRAWN = ("two tubes", "three tubes", "two tubes, withdrawn", "three tubes, withdrawn")
 
 
 def faults(robot: Robot, data: Measurements) -> Iterator[tuple[str, str, File]]:
@@ -81,6 +93,48 @@ def faults(robot: Robot, data: Measurements) -> Iterator[tuple[str, str, File]]:
         yield "EI ten times too large", f"bending stiffness of tube {i + 1} is 10 times too large", stiffer(i, 10.0)
 
 
+def loaded(folder: Path) -> File:
+    """The robot and the measurements of a folder."""
+    robot = load_robot(folder / "robot.toml")
+    return robot, load_measurements(folder / "measurements.csv", robot)
+
+
+def files(folders: Sequence[Path], count: int, seed: int) -> Iterator[tuple[str, Robot, Measurements]]:
+    """What is asked, with its name."""
+    yield from ((str(folder), *loaded(folder)) for folder in folders)
+    with TemporaryDirectory() as folder:
+        yield from ((f"drawn {k}", *drawn(k, seed, Path(folder))) for k in range(count))
+
+
+def drawn(k: int, seed: int, folder: Path) -> File:
+    """A file without a fault; drawn again where a pose has no equilibrium."""
+    rng, believed = np.random.default_rng([seed, k]), ROBOTS[DRAWN[k % len(DRAWN)]]()
+    path = folder / "drawn.toml"
+    path.write_text(robot_toml(believed, "drawn"), encoding="utf-8")
+    robot = load_robot(path)
+    while True:
+        plan = continuous_motion(believed, 160, rng) if k % 5 == 4 else approaches(believed, 12, rng)
+        ahead = np.tile([0.0, 0.0, 1.0], (int(plan.measured.sum()), 1))
+        path.with_suffix(".csv").write_text(measurements_csv(plan, 0.05 * ahead, ahead), encoding="utf-8")
+        data = load_measurements(path.with_suffix(".csv"), robot)
+        effects = {t.name: t for t in rng.permutation(np.array(candidates(robot, data).terms, object))}
+        base = BaseParameters()
+        terms = [term(base, [parameter.name for parameter in base.parameters(robot)], robot)]
+        chain = ParametricChain(robot, data, [*terms, *list(effects.values())[: k % 3]])
+        p = np.clip(chain.neutral + chain.prior * rng.standard_normal(len(chain.prior)), chain.lower, chain.upper)
+        try:
+            there = chain.predict(p, derivatives=False)
+        except InputError:  # no such robot
+            continue
+        if not there.failed.any():
+            break
+    noise = noise_floor(robot, data)[0]
+    position = there.position_m + noise.position_m * rng.standard_normal(there.position_m.shape)
+    tangent = there.tangent + np.cross(noise.tangent_rad * rng.standard_normal(there.tangent.shape), there.tangent)
+    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    return robot, replace(data, position_m=position, tangent=tangent)
+
+
 def across(tangent: Array) -> Array:
     """The directions of another axis of the sensor (K, 3)."""
     other = np.cross(tangent, [1.0, 0.0, 0.0])
@@ -109,13 +163,13 @@ def turned(data: Measurements) -> Measurements:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("folders", type=Path, nargs="+")
+    parser.add_argument("folders", type=Path, nargs="*")
     parser.add_argument("--clean", action="store_true")
+    parser.add_argument("--drawn", type=int, default=0, help="clean files that are drawn")
+    parser.add_argument("--seed", type=int, default=1)
     given = parser.parse_args()
     named, made, small, alarms, seconds = Counter[str](), Counter[str](), Counter[str](), 0, list[float]()
-    for folder in given.folders:
-        robot = load_robot(folder / "robot.toml")
-        data = load_measurements(folder / "measurements.csv", robot)
+    for folder, robot, data in files(given.folders, given.drawn, given.seed):
         began = time.process_time()
         if told := read_again(robot, data):
             alarms += 1
@@ -135,7 +189,7 @@ def main() -> None:
             if not (said and words in said[0].what):
                 print(f"{folder}, {kind}, {words}: {said[0].what if said else 'nothing'}", flush=True)
     print("\n| | goal | share | trials | 95 % interval |\n|---|---|---|---|---|")
-    print(Goal("clean files with an alarm", "none", alarms, len(given.folders)).line())
+    print(Goal("clean files with an alarm", "none", alarms, len(seconds)).line())
     for kind in made:
         print(Goal(f"{kind} ({small[kind]} too small)", "", named[kind], made[kind]).line())
     print(Goal("all gross faults, named first", ">= 95 %", named.total(), made.total()).line())
