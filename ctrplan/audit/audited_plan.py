@@ -13,6 +13,7 @@ from ctrplan.audit.allowed_robots import STANDING, AllowedRobots, BaseMove, near
 from ctrplan.audit.body import BodyPoints, RawAnatomy, body_of
 from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.certificate.certificate import FIGURES
+from ctrplan.drive.legs import Collars
 from ctrplan.errors import CtrplanError
 from ctrplan.files.plan_file import WrittenPlan
 from ctrplan.mechanics.shapes import Accuracy, Shape, Status
@@ -242,10 +243,18 @@ class AuditedPlan:
 
         Raises CtrplanError where there is no such robot.
         """
+        held = self._held(place, self.middle if axes is None else axes)
+        return held.theta[0], held.l[0]
+
+    def turned(self, points_m: Array, place: float, axes: Array | None = None) -> Array:
+        """Points (..., 3) of the robot's frame at a place, turned with the front plate."""
         at = self.middle if axes is None else axes
-        robot = self.robot_at(at)
-        off = None if robot.drive.play is None else self.robots.play(at) * np.concatenate(robot.drive.play)
-        return robot.drive.reached(*self.way.commanded_at(place, at), off)
+        return self.robots.turned(at, self._held(place, at), points_m) if self.robots.has_plate else points_m
+
+    def _held(self, place: float, axes: Array) -> Collars:
+        """One row of `collars`."""
+        self.robot_at(axes)
+        return self.robots.driven(axes, Collars(*(part[None] for part in self.way.commanded_at(place, axes))))
 
     def robot_at(self, axes: Array) -> Robot:
         """The robot on axes (A,). Raises CtrplanError where there is none."""
@@ -327,7 +336,9 @@ class AuditedPlan:
         results = [self.finding("strain", float(shape.max_strain), place, phi, shape, before=before, axes=axes)]
         if self.plan.scenario.anatomy:
             robot = self.robot if axes is None else self.robot_at(axes)
-            room, tube, point, base = self.nearest(body_of(robot, shape))
+            body = body_of(robot, shape)
+            turned = replace(body, point_m=self.turned(body.point_m, place, axes))
+            room, tube, point, base = self.nearest(turned)
             least = self.finding("clearance", room, place, phi, shape, before=before, axes=axes)
             results.append(replace(least, tube=tube, point_m=point, base=base))
         if free_tip_m is not None:

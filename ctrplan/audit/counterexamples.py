@@ -108,7 +108,7 @@ class StateHunt:
         excess = none if state.axes is not None else off - case.stated("bound", state.place)
         room = none
         if case.plan.scenario.anatomy:
-            points = bodies.point_m[1:]
+            points = case.turned(bodies.point_m[1:], state.place, state.axes)
             located = case.located(points.reshape(-1, 3)).reshape(points.shape)
             least, looked = case.anatomy.least(located, bodies.radius_m)
             room = -least

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import tomli_w
 import trimesh
+from scipy.optimize import root
 from scipy.spatial.transform import Rotation
 
 from ctrplan.anatomy.parts import AnatomyPart
@@ -141,14 +142,21 @@ def _joints(verification: Verification, figure: WorstFigure) -> str:
         way = AuditedPlan.of(plan, figure.accuracy).way.until(figure.place)
         before = plan.scenario.robot.drive.commanded(figure.before)
         theta, l = np.vstack([before[0], way[:, :n]]), np.vstack([before[1], way[:, n:]])  # noqa: E741
-    drive = plan.scenario.robot.drive
-    if figure.axes and (robot := AllowedRobots.of(plan.scenario.robot).at(np.array(figure.axes))) is not None:
-        drive = robot.drive
-    if figure.play and drive.play is not None:
-        theta, l = theta + drive.play[0] * figure.play[:n], l + drive.play[1] * figure.play[n:]  # noqa: E741
+    if figure.play:
+        theta, l = _told(AuditedPlan.of(plan, figure.accuracy), figure)  # noqa: E741
     header = [name for names in joint_columns(n) for name in names]
     lines = [",".join(header), *(",".join(map(repr, row)) for row in np.hstack([theta, l]).tolist())]
     return "\n".join(lines) + "\n"
+
+
+def _told(case: AuditedPlan, figure: WorstFigure) -> tuple[Array, Array]:
+    """(1, n) [rad], (1, n) [m] to which the drive is told to go so that in the middle of its play it stands where it
+    stands at the side of the play that the finding has.
+    """
+    axes, n = np.array(figure.axes), case.robot.n
+    held, drive = np.hstack(case.collars(figure.place, axes)), case.robot_at(axes).drive
+    told = root(lambda x: np.hstack(drive.reached(x[:n], x[n:])) - held, held).x
+    return told[None, :n], told[None, n:]
 
 
 def _content(figure: WorstFigure, commands: list[str]) -> dict[str, Any]:

@@ -175,7 +175,8 @@ class MotionSweep:
         at = np.linspace(0, given - 1, self.count)
         k = np.minimum(at.astype(np.intp), max(given - 2, 0))
         share, after = (at - k)[:, None], np.minimum(k + 1, given - 1)
-        points = bodies.point_m[:, k] * (1 - share) + bodies.point_m[:, after] * share
+        straight = bodies.point_m[:, k] * (1 - share) + bodies.point_m[:, after] * share
+        points = case.turned(straight, place, axes)
         radius = np.maximum(bodies.radius_m[k], bodies.radius_m[after])
         return case.located(points.reshape(-1, 3)).reshape(points.shape), radius, np.asarray(bodies.solved)
 

@@ -6,6 +6,7 @@ What walking the legs again says is left out, so that the hunt is judged whateve
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,9 +14,11 @@ import pytest
 from made_up_input import FUZZ
 from stated_plans import in_si, moved_to, rvim, scene_of, sphere, stated, table_ii
 
+import ctrplan
 from ctrplan.anatomy.parts import AnatomyPart
 from ctrplan.anatomy.shapes.mesh import Mesh
-from ctrplan.audit.audited_plan import DrivenWay
+from ctrplan.audit.audited_plan import AuditedPlan, DrivenWay
+from ctrplan.audit.scene import write_scene
 from ctrplan.audit.verify import Verification, verify
 from ctrplan.files.plan_file import WrittenPlan
 from ctrplan.scenario.scenario import Registration
@@ -72,6 +75,39 @@ def play_before_eccentricity() -> WrittenPlan:
     return stated(scene_of(robot, [0, 0, -20, -40], [0, 0, 20, -40], ball), 0.0)
 
 
+def play_after_eccentricity() -> WrittenPlan:
+    """The other order: the play comes last, and is as wide as the file says."""
+    friction = [f"contact.{k}.friction_coefficient=0.1" for k in (1, 2)]
+    robot = table_ii(*friction, "effects.eccentricity.sin_3_deg=30.0", "effects.backlash.theta_3_deg=15.0")
+    ball = sphere([74.03395692, 14.43749258, 166.86139617], 0.5)
+    return stated(scene_of(robot, [0, 0, -20, -40], [0, 0, 20, -40], ball), 0.0)
+
+
+def play_until_a_stop() -> WrittenPlan:
+    """A millimetre of play to either side, half of which the tube around leaves to the inner one."""
+    robot = table_ii("effects.backlash.l_3_mm=2.0", *[f"contact.{k}.friction_coefficient=0.0" for k in (1, 2)])
+    at, home = (robot.solve(*robot.drive.commanded(in_si(robot, [0, 30, 100, l]))).tip_m for l in (-0.5, 0.0))  # noqa: E741
+    moved = home - at
+    ball = home + (0.3e-3 + robot.tubes[-1].outer_diameter_m / 2) * moved / np.linalg.norm(moved)
+    return stated(scene_of(robot, [0, 30, 100, -0.5], [0, 30.1, 100, -0.5], sphere(ball * 1e3, 0.5)), 0.2)
+
+
+def tilted_with_the_plate(
+    effect: str = "plate_clearance.tilt_deg", value: float = 0.3, high: float = 1.0
+) -> WrittenPlan:
+    """A front plate that tilts at most at its value, and further within the interval; its margin is taken away."""
+    name, key = effect.split(".")
+    interval = f"effects.{name}.ci95={{{key} = [0.0, {high}]}}"
+    robot = table_ii("tube.3.section.1.curvature_x_per_m=6.0", f"effects.{effect}={value}", interval)
+    ball = sphere([71.359545, -0.536844, 157.645193], 0.5)
+    return stated(scene_of(replace(robot, model_error_m=0.0), [0, -20, 40, -60], [0, 10, 60, -50], ball), 0.55)
+
+
+def yielding_plate() -> WrittenPlan:
+    """A plate that yields to the same moment."""
+    return tilted_with_the_plate("plate_compliance.compliance_rad_per_Nm", 0.1, 0.4)
+
+
 def late() -> WrittenPlan:
     """Rotations follow 0.4 s late, translations at once."""
     turn = np.degrees(0.4)
@@ -103,6 +139,10 @@ def wound() -> WrittenPlan:
         (turned_while_pushed, -1.2, WORK),
         (play, -0.35, WORK),
         (play_before_eccentricity, -0.5, WORK),
+        (play_after_eccentricity, -0.55, WORK),
+        (play_until_a_stop, -0.15, WORK),
+        (tilted_with_the_plate, -0.7, WORK),
+        (yielding_plate, -0.55, WORK),
         (late, -1.1, WORK),
         (maybe_late, -1.1, WORK),
         (wound, -0.4, MORE),
@@ -112,6 +152,19 @@ def test_a_clearance_that_the_scenario_does_not_leave_is_found(
     plan: Any, at_most_mm: float, work: int, hunted: Any
 ) -> None:
     assert hit(hunted(plan(), work)) < at_most_mm
+
+
+@pytest.mark.parametrize("plan", [play_before_eccentricity, play_after_eccentricity])
+def test_a_finding_with_play_is_written_as_a_scene_that_stands_there(plan: Any, hunted: Any, tmp_path: Path) -> None:
+    """Play was added to what is commanded, though the effects behind it act on what it left."""
+    result = hunted(plan())
+    figure = result.counterexample
+    assert figure is not None and any(figure.play)
+    write_scene(tmp_path, result, figure)
+    table = np.loadtxt(tmp_path / "joints.csv", delimiter=",", skiprows=1)
+    stands = np.hstack(ctrplan.load_robot(tmp_path / "robot.toml").collars(table[:3], table[3:]))
+    held = AuditedPlan.of(result.plan, figure.accuracy).collars(figure.place, np.array(figure.axes))
+    np.testing.assert_allclose(stands, np.hstack(held), atol=1e-8)
 
 
 def test_nothing_is_broken_from_a_start_that_the_scenario_excludes(hunted: Any) -> None:
