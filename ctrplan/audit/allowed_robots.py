@@ -158,8 +158,8 @@ class AllowedRobots:
     def _feels_direction(self, axes: Array) -> Array:
         """(2 n,) whether what the drive does anywhere depends on the last direction of each actuator."""
         n, drive, rng = self.robot.n, self.robot.drive, np.random.default_rng(0)
-        share = rng.uniform(0, 1, (PROBED, n))
-        at = Collars(rng.uniform(-np.pi, np.pi, (PROBED, n)), drive.travel_m[0] + share * np.ptp(drive.travel_m, axis=0))
+        low, high = drive.travel_m
+        at = Collars(rng.uniform(-np.pi, np.pi, (PROBED, n)), rng.uniform(low, high, (PROBED, n)))
         stands = [self.chain(axes).drive(at, np.tile(went, (PROBED, 1))) for went in (np.zeros(2 * n), *np.eye(2 * n))]
         return np.array([np.any(s.theta != stands[0].theta) or np.any(s.l != stands[0].l) for s in stands[1:]])
 
