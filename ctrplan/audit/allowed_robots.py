@@ -180,6 +180,11 @@ class AllowedRobots:
         """Whether an effect turns all that is in front of the plate."""
         return any(given.effect.overrides("plate_turn") for given in Chain.of(self.robot).acting)
 
+    @property
+    def plate_margin_m(self) -> float:
+        """How much claims allow for effects that shapes do not have: what the robot has of it beyond its file's own."""
+        return max(0.0, self.robot.model_error_m - (self.robot.ideal or self.robot).model_error_m)
+
     @cached_property
     def is_late(self) -> bool:
         """Whether the drive of the file follows late."""

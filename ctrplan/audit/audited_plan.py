@@ -246,10 +246,15 @@ class AuditedPlan:
         held = self._held(place, self.middle if axes is None else axes)
         return held.theta[0], held.l[0]
 
-    def turned(self, points_m: Array, place: float, axes: Array | None = None) -> Array:
-        """Points (..., 3) of the robot's frame at a place, turned with the front plate."""
+    def stands(self, points_m: Array, place: float, axes: Array | None = None) -> list[tuple[Array, float]]:
+        """Points (..., 3) of the robot's frame at a place, as they are solved; and turned with the front plate, with
+        what claims allow for that [m] besides.
+        """
         at = self.middle if axes is None else axes
-        return self.robots.turned(at, self._held(place, at), points_m) if self.robots.has_plate else points_m
+        if not self.robots.has_plate:
+            return [(points_m, 0.0)]
+        turned = self.robots.turned(at, self._held(place, at), points_m)
+        return [(points_m, 0.0), (turned, self.robots.plate_margin_m)]
 
     def _held(self, place: float, axes: Array) -> Collars:
         """One row of `collars`."""
@@ -337,9 +342,12 @@ class AuditedPlan:
         if self.plan.scenario.anatomy:
             robot = self.robot if axes is None else self.robot_at(axes)
             body = body_of(robot, shape)
-            turned = replace(body, point_m=self.turned(body.point_m, place, axes))
-            room, tube, point, base = self.nearest(turned)
-            least = self.finding("clearance", room, place, phi, shape, before=before, axes=axes)
+            stands = [
+                (*self.nearest(replace(body, point_m=points)), margin_m)
+                for points, margin_m in self.stands(body.point_m, place, axes)
+            ]
+            room, tube, point, base, margin_m = min(stands, key=lambda stand: stand[0] + stand[-1])
+            least = self.finding("clearance", room + margin_m, place, phi, shape, before=before, axes=axes)
             results.append(replace(least, tube=tube, point_m=point, base=base))
         if free_tip_m is not None:
             off = float(np.linalg.norm(shape.tip_m - free_tip_m))

@@ -5,6 +5,7 @@ What walking the legs again says is left out, so that the hunt is judged whateve
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -92,20 +93,22 @@ def play_until_a_stop() -> WrittenPlan:
     return stated(scene_of(robot, [0, 30, 100, -0.5], [0, 30.1, 100, -0.5], sphere(ball * 1e3, 0.5)), 0.2)
 
 
-def tilted_with_the_plate(
-    effect: str = "plate_clearance.tilt_deg", value: float = 0.3, high: float = 1.0
-) -> WrittenPlan:
-    """A front plate that tilts at most at its value, and further within the interval; its margin is taken away."""
-    name, key = effect.split(".")
-    interval = f"effects.{name}.ci95={{{key} = [0.0, {high}]}}"
-    robot = table_ii("tube.3.section.1.curvature_x_per_m=6.0", f"effects.{effect}={value}", interval)
+CURVED = "tube.3.section.1.curvature_x_per_m=6.0"
+TILTED = CURVED, "effects.plate_clearance.tilt_deg=0.3", "effects.plate_clearance.ci95={tilt_deg = [0.0, 1.0]}"
+YIELDS = "effects.plate_compliance.compliance_rad_per_Nm=0.1"
+YIELDING = CURVED, YIELDS, "effects.plate_compliance.ci95={compliance_rad_per_Nm = [0.0, 0.4]}"
+
+
+def tilted_with_the_plate(overrides: Sequence[str] = TILTED) -> WrittenPlan:
+    """A front plate that tilts further within its interval than at its value; its margin is taken away."""
+    robot = table_ii(*overrides)
     ball = sphere([71.359545, -0.536844, 157.645193], 0.5)
     return stated(scene_of(replace(robot, model_error_m=0.0), [0, -20, 40, -60], [0, 10, 60, -50], ball), 0.55)
 
 
 def yielding_plate() -> WrittenPlan:
     """A plate that yields to the same moment."""
-    return tilted_with_the_plate("plate_compliance.compliance_rad_per_Nm", 0.1, 0.4)
+    return tilted_with_the_plate(YIELDING)
 
 
 def late() -> WrittenPlan:
@@ -141,8 +144,8 @@ def wound() -> WrittenPlan:
         (play_before_eccentricity, -0.5, WORK),
         (play_after_eccentricity, -0.55, WORK),
         (play_until_a_stop, -0.15, WORK),
-        (tilted_with_the_plate, -0.7, WORK),
-        (yielding_plate, -0.55, WORK),
+        (tilted_with_the_plate, -0.7, MORE),
+        (yielding_plate, -0.6, MORE),
         (late, -1.1, WORK),
         (maybe_late, -1.1, WORK),
         (wound, -0.4, MORE),
@@ -152,6 +155,19 @@ def test_a_clearance_that_the_scenario_does_not_leave_is_found(
     plan: Any, at_most_mm: float, work: int, hunted: Any
 ) -> None:
     assert hit(hunted(plan(), work)) < at_most_mm
+
+
+def test_a_plate_that_turns_within_its_margin_breaks_nothing(hunted: Any) -> None:
+    """Claims keep the margin on top of the clearance that they state, so that a turned body may come nearer."""
+    plan = tilted_with_the_plate()
+    case, robot = plan.scenario, plan.scenario.robot
+    tip = robot.solve(*robot.drive.collars(in_si(robot, [0, -5, 50, -55]))).tip_m
+    away = case.anatomy[0].shape.center_m - tip  # type: ignore[attr-defined]
+    ball = sphere(1e3 * (tip + away * (1 + 5e-3 / np.linalg.norm(away))), 0.5)
+    spared, margin_m = replace(case, anatomy=(ball,)), table_ii(*TILTED).model_error_m
+    result = hunted(stated(replace(spared, robot=replace(robot, model_error_m=margin_m)), 5.2))
+    assert result.is_kept
+    assert hit(hunted(stated(spared, 5.2))) < 4.5
 
 
 @pytest.mark.parametrize("plan", [play_before_eccentricity, play_after_eccentricity])
