@@ -14,7 +14,7 @@ from places import ROBOTS
 import ctrplan
 from ctrplan.anatomy.parts import AnatomyPart
 from ctrplan.anatomy.shapes.sphere import Sphere
-from ctrplan.base.arrays import Array, alike, shares_of_length
+from ctrplan.base.arrays import CHI95, Array, alike, shares_of_length
 from ctrplan.certificate.certificate import Certificate
 from ctrplan.certificate.certify import certify
 from ctrplan.certificate.variants import Variants
@@ -291,6 +291,26 @@ def test_play_counts_where_a_limit_lets_it_move_to_one_side_alone(inner_mm: floa
     ends = joints(0, 30, 100, inner_mm), joints(0, 31, 100, inner_mm)
     play_m = certified(scene(play, *ends)).samples.play_m
     np.testing.assert_allclose(play_m, 0.15e-3, atol=0.01e-3)
+
+
+PULLED = {"tip_load": {"force_y_N": 0.1, "ci95": {"force_y_N": [0.0, 0.2]}}}
+STANDS = Registration(0.2e-3, np.radians(0.3))
+
+
+@pytest.mark.parametrize("room_mm, is_clear", [(-0.1, False), (1.0, True)])
+def test_a_turn_of_the_registration_turns_the_anatomy_and_not_the_loads(room_mm: float, is_clear: bool) -> None:
+    """Loads keep their direction in the robot's frame; how well it is known is what their own interval says."""
+    at, end = joints(0, 20, 40, -30), joints(0, 22, 42, -30)
+    pulled, strongest = robot(**FRICTIONLESS, effects=PULLED), {"tip_load": {"force_y_N": 0.2}}
+    shape = robot(**FRICTIONLESS, effects=strongest).solve(*pulled.drive.collars(end))
+    weak = robot(**FRICTIONLESS, effects={"tip_load": {"force_y_N": 0.1}}).solve(*pulled.drive.collars(end))
+    assert np.linalg.norm(shape.tip_m - weak.tip_m) > 0.5e-3
+    out = np.cross(np.cross(shape.tip_m, shape.tip_m - weak.tip_m), shape.tip_m)  # across the lever of a turn
+    out /= np.linalg.norm(out)
+    reach_m = CHI95 * (STANDS.position_sigma_m + STANDS.rotation_sigma_rad * np.linalg.norm(shape.tip_m))
+    room_m = room_mm * 1e-3 + pulled.tubes[-1].outer_diameter_m / 2 + reach_m
+    ball = (1e3 * (shape.tip_m + (room_m + 0.5e-3) * out)).tolist(), 0.5
+    assert certified(scene(pulled, at, end, ball, registration=STANDS)).valid == is_clear
 
 
 ECCENTRIC = {"eccentricity": {"sin_3_deg": 30.0}}
