@@ -43,9 +43,19 @@ class Learned(Effect):
     signature = "what remained beside the effects that are named"
     experiment = "measure again along its inputs, and look at the part that it acts on"
 
-    def __init__(self, on: Target, names: Sequence[str], ranges: Ranges, n: int, largest_mm: float = 0.0) -> None:
-        """names: of the parameters; n: number of tubes; largest_mm: how far it moved a tip in its data."""
-        self.target, self.ranges, self.largest_mm = on, dict(ranges), largest_mm
+    def __init__(
+        self,
+        on: Target,
+        names: Sequence[str],
+        ranges: Ranges,
+        n: int,
+        largest_mm: float = 0.0,
+        noted: Values | None = None,
+    ) -> None:
+        """names: of the parameters; n: number of tubes; largest_mm: how far it moved a tip in its data, with the
+        `noted` coefficients where these are known.
+        """
+        self.target, self.ranges, self.largest_mm, self.noted = on, dict(ranges), largest_mm, noted or {}
         self.name, self.stage, self.in_words = on.effect_name, on.kind.stage, f"a built term of {on.words}"
         self.acts_at_rest = not on.of_way and on.kind.stage != "mechanics"
         self.parts: dict[str, tuple[int, Part]] = {}
@@ -141,8 +151,6 @@ class LearnedDrive(Learned):
 class LearnedMechanics(Learned):
     """A built term of a tube's property, as small changes: shapes at rest lack them, margins allow for them."""
 
-    noted: Values = {}  # the coefficients of a file, with which it moved a tip by `largest_mm`
-
     def changing(self, values: Values, robot: Robot, data: Measurements) -> Mapping[str, Array]:
         rows = data.rows
         joints = data.theta_commanded[rows], data.l_commanded[rows]
@@ -192,11 +200,18 @@ class LearnedSensor(Learned):
         return {name: value for name, value in vars(self).items() if name != "_situation"}
 
 
-def learned(on: Target, names: Sequence[str], ranges: Ranges, n: int, largest_mm: float = 0.0) -> Learned:
+def learned(
+    on: Target,
+    names: Sequence[str],
+    ranges: Ranges,
+    n: int,
+    largest_mm: float = 0.0,
+    noted: Values | None = None,
+) -> Learned:
     """A term of the class that its target asks for. Raises ValueError for a name that is no parameter's."""
     classes = {"drive": LearnedDrive, "mechanics": LearnedMechanics, "sensor": LearnedSensor}
     made = LearnedPlate if on.kind_name == "plate" else classes[on.kind.stage]
-    return made(on, names, ranges, n, largest_mm)
+    return made(on, names, ranges, n, largest_mm, noted)
 
 
 def split_name(name: str, on: Target, n: int) -> tuple[int, Part] | None:
@@ -245,10 +260,8 @@ def learned_in(name: str, table: Mapping[str, Any], notes: tuple[str, ...], n: i
     on = target(name, n)
     assert on is not None
     names = [key for key in table if key not in (*notes, *NOTES)]
-    term = learned(on, names, ranges_of(table), n, float(table.get("largest_mm", 0.0)))
-    if isinstance(term, LearnedMechanics):
-        term.noted = {parameter.name: float(table[parameter.name]) * parameter.si for parameter in term.parameters_of()}
-    return term
+    noted = {key: float(table[key]) * on.kind.si for key in names}
+    return learned(on, names, ranges_of(table), n, float(table.get("largest_mm", 0.0)), noted)
 
 
 def faults(name: str, table: Mapping[str, Any], notes: tuple[str, ...], n: int) -> Iterator[tuple[str, str]]:
