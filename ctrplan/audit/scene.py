@@ -22,6 +22,7 @@ from ctrplan.audit.allowed_robots import AllowedRobots
 from ctrplan.audit.audited_plan import AuditedPlan, WorstFigure
 from ctrplan.audit.verify import Verification
 from ctrplan.base.arrays import MM_PER_M, Array
+from ctrplan.effects.learned.learned import ANYWHERE, effect_of
 from ctrplan.errors import InputError
 from ctrplan.files.joint_path_file import joint_columns
 from ctrplan.robot.robot import Robot, file_key
@@ -104,7 +105,7 @@ def _robot(robot: Robot, figure: WorstFigure) -> dict[str, Any]:
         return content
     robots = AllowedRobots.of(robot)
     units = dict(zip(robots.parameters.names, robots.parameters.si, strict=True))
-    for name, value in robots.values(np.array(figure.axes)).items():
+    for name, value in _named(robots, np.array(figure.axes), content).items():
         path, in_file = (name, value / units[name]) if name.startswith("effects.") else file_key(name, value)
         *steps, key = path.split(".")
         table: Any = content
@@ -118,6 +119,16 @@ def _robot(robot: Robot, figure: WorstFigure) -> dict[str, Any]:
         else:
             table[key] = in_file
     return content
+
+
+def _named(robots: AllowedRobots, axes: Array, content: dict[str, Any]) -> dict[str, float]:
+    """Values [SI] of what differs from the file's; tubes as a built term of them makes them then, in its place."""
+    values, robot = robots.values(axes), robots.at(axes) or robots.robot
+    for name in [name for name in values if name.endswith(f".{ANYWHERE}")]:
+        table, effect = content["effects"], name.split(".")[1]
+        amount, term = {ANYWHERE: values.pop(name)}, effect_of(effect, table.pop(effect), robot.n)
+        values |= term.mechanics(amount, robot.ideal or robot)
+    return values
 
 
 def _part(part: AnatomyPart, mesh_file: str) -> tuple[dict[str, Any], dict[str, bytes]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import itertools
 from dataclasses import replace
 from typing import Any
@@ -291,6 +292,22 @@ def test_play_counts_where_a_limit_lets_it_move_to_one_side_alone(inner_mm: floa
     ends = joints(0, 30, 100, inner_mm), joints(0, 31, 100, inner_mm)
     play_m = certified(scene(play, *ends)).samples.play_m
     np.testing.assert_allclose(play_m, 0.15e-3, atol=0.01e-3)
+
+
+def test_a_built_property_moves_the_robot_farther_than_it_did_in_its_data() -> None:
+    """A margin as large as the tip's largest shift in the data, near home, was all that stood for it: 0.5 of 2.4 mm."""
+    table = {"slope_l_3_percent": 5.0, "range": {"l_3": [-104, -90]}, "largest_mm": 0.5}
+    plain, built = robot(**FRICTIONLESS), robot(**FRICTIONLESS, effects={"learned_curvature_3": table})
+    ends = joints(0, 0, 60, -12), joints(0, 0, 62, -12)
+    content = copy.deepcopy(dict(plain.content))
+    for section in content["tube"][2]["section"]:  # beyond its range the term is held at the edge: 5 % more
+        section["curvature_y_per_m"] *= 1.05
+    tips = [one.solve(*plain.drive.collars(ends[1])).tip_m for one in (plain, robot_from_dict(content))]
+    away = (tips[1] - tips[0]) / np.linalg.norm(tips[1] - tips[0])
+    ball = (1e3 * (tips[1] + (0.3e-3 + plain.tubes[2].outer_diameter_m / 2) * away)).tolist(), 0.5
+    assert certified(scene(plain, *ends, ball)).valid
+    (problem,) = certified(scene(built, *ends, ball)).problems
+    assert "too close" in problem
 
 
 PULLED = {"tip_load": {"force_y_N": 0.1, "ci95": {"force_y_N": [0.0, 0.2]}}}

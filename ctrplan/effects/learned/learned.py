@@ -27,9 +27,11 @@ from ctrplan.effects.learned.inputs import (
 )
 from ctrplan.effects.learned.parts import Part, formula, likeness
 from ctrplan.measurement.measurements import Measurements, Poses
+from ctrplan.robot.named_numbers import value_of
 from ctrplan.robot.robot import Robot
 
 DIGITS = 6  # of numbers that a fit writes
+ANYWHERE = "anywhere"  # the name of an amount of which only the most is known
 
 
 class Learned(Effect):
@@ -43,19 +45,9 @@ class Learned(Effect):
     signature = "what remained beside the effects that are named"
     experiment = "measure again along its inputs, and look at the part that it acts on"
 
-    def __init__(
-        self,
-        on: Target,
-        names: Sequence[str],
-        ranges: Ranges,
-        n: int,
-        largest_mm: float = 0.0,
-        noted: Values | None = None,
-    ) -> None:
-        """names: of the parameters; n: number of tubes; largest_mm: how far it moved a tip in its data, with the
-        `noted` coefficients where these are known.
-        """
-        self.target, self.ranges, self.largest_mm, self.noted = on, dict(ranges), largest_mm, noted or {}
+    def __init__(self, on: Target, names: Sequence[str], ranges: Ranges, n: int, largest_mm: float = 0.0) -> None:
+        """names: of the parameters; n: number of tubes; largest_mm: how far it moved a tip in its data."""
+        self.target, self.ranges, self.largest_mm = on, dict(ranges), largest_mm
         self.name, self.stage, self.in_words = on.effect_name, on.kind.stage, f"a built term of {on.words}"
         self.acts_at_rest = not on.of_way and on.kind.stage != "mechanics"
         self.parts: dict[str, tuple[int, Part]] = {}
@@ -149,28 +141,35 @@ class LearnedDrive(Learned):
 
 
 class LearnedMechanics(Learned):
-    """A built term of a tube's property, as small changes: shapes at rest lack them, margins allow for them."""
+    """A built term of a tube's property, as small changes: of a pose they are known, elsewhere by an interval."""
 
     def changing(self, values: Values, robot: Robot, data: Measurements) -> Mapping[str, Array]:
         rows = data.rows
         joints = data.theta_commanded[rows], data.l_commanded[rows]
         at = Situation(*joints, data=data, tubes=robot.tubes)
-        amount = self.amount(values, at)[:, 0]
+        return {name: rate * self.amount(values, at)[:, 0] for name, rate in self._rates(robot).items()}
+
+    def mechanics(self, values: Values, robot: Robot) -> Mapping[str, float]:
+        if ANYWHERE not in values:
+            return {}
+        return {name: value_of(robot, name) + rate * values[ANYWHERE] for name, rate in self._rates(robot).items()}
+
+    def anywhere(self, values: Values) -> Mapping[str, float]:
+        return {ANYWHERE: self.most(values)}
+
+    def _rates(self, robot: Robot) -> dict[str, float]:
+        """By how much numbers of the robot change for an amount of one."""
         i = self.target.tube
         if self.target.kind_name == "stiffness":
-            return {f"tube.{i}.bending_stiffness_Nm2": amount * robot.tubes[i - 1].bending_stiffness_Nm2}
-        changes = {}
+            return {f"tube.{i}.bending_stiffness_Nm2": robot.tubes[i - 1].bending_stiffness_Nm2}
+        rates = {}
         for k, section in enumerate(robot.tubes[i - 1].sections, start=1):
             x, y = section.curvature_x_per_m, section.curvature_y_per_m
             across = (-y, x) if self.target.kind_name == "bend" else (x, y)
             for axis, curvature in zip("xy", across, strict=True):
                 if curvature:
-                    changes[f"tube.{i}.section.{k}.curvature_{axis}_per_m"] = amount * curvature
-        return changes
-
-    def largest_shift_m(self, values: Values, robot: Robot) -> float:
-        noted = self.most(self.noted)
-        return self.largest_mm * 1e-3 * (self.most(values) / noted if noted else 1.0)
+                    rates[f"tube.{i}.section.{k}.curvature_{axis}_per_m"] = curvature
+        return rates
 
 
 class LearnedPlate(Learned):
@@ -200,18 +199,11 @@ class LearnedSensor(Learned):
         return {name: value for name, value in vars(self).items() if name != "_situation"}
 
 
-def learned(
-    on: Target,
-    names: Sequence[str],
-    ranges: Ranges,
-    n: int,
-    largest_mm: float = 0.0,
-    noted: Values | None = None,
-) -> Learned:
+def learned(on: Target, names: Sequence[str], ranges: Ranges, n: int, largest_mm: float = 0.0) -> Learned:
     """A term of the class that its target asks for. Raises ValueError for a name that is no parameter's."""
     classes = {"drive": LearnedDrive, "mechanics": LearnedMechanics, "sensor": LearnedSensor}
     made = LearnedPlate if on.kind_name == "plate" else classes[on.kind.stage]
-    return made(on, names, ranges, n, largest_mm, noted)
+    return made(on, names, ranges, n, largest_mm)
 
 
 def split_name(name: str, on: Target, n: int) -> tuple[int, Part] | None:
@@ -260,8 +252,7 @@ def learned_in(name: str, table: Mapping[str, Any], notes: tuple[str, ...], n: i
     on = target(name, n)
     assert on is not None
     names = [key for key in table if key not in (*notes, *NOTES)]
-    noted = {key: float(table[key]) * on.kind.si for key in names}
-    return learned(on, names, ranges_of(table), n, float(table.get("largest_mm", 0.0)), noted)
+    return learned(on, names, ranges_of(table), n, float(table.get("largest_mm", 0.0)))
 
 
 def faults(name: str, table: Mapping[str, Any], notes: tuple[str, ...], n: int) -> Iterator[tuple[str, str]]:
