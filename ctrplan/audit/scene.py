@@ -22,9 +22,11 @@ from ctrplan.audit.allowed_robots import AllowedRobots
 from ctrplan.audit.audited_plan import AuditedPlan, WorstFigure
 from ctrplan.audit.verify import Verification
 from ctrplan.base.arrays import MM_PER_M, Array
-from ctrplan.effects.learned.learned import ANYWHERE, effect_of
+from ctrplan.effects.effect import ANYWHERE
+from ctrplan.effects.learned.learned import effect_of
 from ctrplan.errors import InputError
 from ctrplan.files.joint_path_file import joint_columns
+from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.robot.robot import Robot, file_key
 from ctrplan.scenario.scenario import Scenario
 from ctrplan.storage.output_folder import write_results
@@ -122,12 +124,15 @@ def _robot(robot: Robot, figure: WorstFigure) -> dict[str, Any]:
 
 
 def _named(robots: AllowedRobots, axes: Array, content: dict[str, Any]) -> dict[str, float]:
-    """Values [SI] of what differs from the file's; tubes as a built term of them makes them then, in its place."""
+    """Values [SI] of what differs from the file's; in the place of an effect that differs from pose to pose tubes as it
+    makes them then.
+    """
     values, robot = robots.values(axes), robots.at(axes) or robots.robot
-    for name in [name for name in values if name.endswith(f".{ANYWHERE}")]:
-        table, effect = content["effects"], name.split(".")[1]
-        amount, term = {ANYWHERE: values.pop(name)}, effect_of(effect, table.pop(effect), robot.n)
-        values |= term.mechanics(amount, robot.ideal or robot)
+    for name in [name for name in values if name.endswith(ANYWHERE)]:
+        table, (_, effect, key) = content["effects"], name.split(".")
+        amount, own = {key: values.pop(name)}, effect_of(effect, robots.robot.effects[effect], robot.n)
+        table.pop(effect, None)
+        values |= own.mechanics(amount, robot.ideal or robot)
     return values
 
 
@@ -153,7 +158,7 @@ def _joints(verification: Verification, figure: WorstFigure) -> str:
         way = AuditedPlan.of(plan, figure.accuracy).way.until(figure.place)
         before = plan.scenario.robot.drive.commanded(figure.before)
         theta, l = np.vstack([before[0], way[:, :n]]), np.vstack([before[1], way[:, n:]])  # noqa: E741
-    if figure.play:
+    if figure.axes:
         theta, l = _told(AuditedPlan.of(plan, figure.accuracy), figure)  # noqa: E741
     header = [name for names in joint_columns(n) for name in names]
     lines = [",".join(header), *(",".join(map(repr, row)) for row in np.hstack([theta, l]).tolist())]
@@ -161,11 +166,11 @@ def _joints(verification: Verification, figure: WorstFigure) -> str:
 
 
 def _told(case: AuditedPlan, figure: WorstFigure) -> tuple[Array, Array]:
-    """(1, n) [rad], (1, n) [m] to which the drive is told to go so that in the middle of its play it stands where it
-    stands at the side of the play that the finding has.
+    """(1, n) [rad], (1, n) [m] to which the drive of the scene's robot is told to go, so that in the middle of its play
+    it stands where the finding has it.
     """
-    axes, n = np.array(figure.axes), case.robot.n
-    held, drive = np.hstack(case.collars(figure.place, axes)), case.robot_at(axes).drive
+    held, n = np.hstack(case.collars(figure.place, np.array(figure.axes))), case.robot.n
+    drive = robot_from_dict(_robot(case.robot, figure), file=case.robot.path).drive
     told = root(lambda x: np.hstack(drive.reached(x[:n], x[n:])) - held, held).x
     return told[None, :n], told[None, n:]
 

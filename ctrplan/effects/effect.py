@@ -149,8 +149,8 @@ class Effect(ABC):
         return 0.0
 
     def anywhere(self, values: Values) -> Mapping[str, float]:
-        """Names of values beside its parameters that differ from pose to pose, with the most that they come to either
-        way [SI]: to bounds and plans, which ask about any pose, they are parameters of which an interval is known.
+        """Names of values beside its parameters that differ from pose to pose or run to run, with the most that they
+        come to either way [SI]: to bounds and plans, which ask about any, they are parameters known by an interval.
         """
         return {}
 
@@ -194,6 +194,7 @@ class Effect(ABC):
         return getattr(type(self), method) is not getattr(Effect, method)
 
 
+ANYWHERE = "anywhere"  # how names of an effect's `anywhere` end
 E_ = TypeVar("E_", bound=type[Effect])
 CATALOGUE: Catalogue[Effect] = Catalogue(
     "effect", *(f"ctrplan.effects.{stage}" for stage in ("clock", "drive", "mechanics", "sensor"))

@@ -125,6 +125,16 @@ def built_curvature() -> WrittenPlan:
     return stated(scene_of(built, *ends, ball), 1.0)
 
 
+def homed_anew() -> WrittenPlan:
+    """A robot whose file has the zeros of three homings: after the last one its inner tube stands 5 deg back."""
+    none = [f"contact.{k}.friction_coefficient=0.0" for k in (1, 2)]
+    robot = table_ii(*none, "effects.homing_shift={theta_3_2_deg = 3.0, theta_3_3_deg = -5.0}")
+    tips = [robot.solve(*robot.drive.commanded(in_si(robot, [0, 20, deg, -30]))).tip_m for deg in (60, 55)]
+    away = (tips[1] - tips[0]) / np.linalg.norm(tips[1] - tips[0])
+    ball = sphere(1e3 * (tips[1] + (0.3e-3 + robot.tubes[2].outer_diameter_m / 2) * away), 0.5)
+    return stated(scene_of(robot, [0, 20, 60, -30], [0, 20.2, 60.2, -30], ball), 1.0)
+
+
 def late() -> WrittenPlan:
     """Rotations follow 0.4 s late, translations at once."""
     turn = np.degrees(0.4)
@@ -161,6 +171,7 @@ def wound() -> WrittenPlan:
         (tilted_with_the_plate, -0.7, MORE),
         (yielding_plate, -0.6, MORE),
         (built_curvature, -0.15, WORK),
+        (homed_anew, -0.15, WORK),
         (late, -1.1, WORK),
         (maybe_late, -1.1, WORK),
         (wound, -0.4, MORE),
@@ -185,7 +196,7 @@ def test_a_plate_that_turns_within_its_margin_breaks_nothing(hunted: Any) -> Non
     assert hit(hunted(stated(spared, 5.2))) < 4.5
 
 
-@pytest.mark.parametrize("plan", [play_before_eccentricity, play_after_eccentricity, built_curvature])
+@pytest.mark.parametrize("plan", [play_before_eccentricity, play_after_eccentricity, built_curvature, homed_anew])
 def test_a_finding_is_written_as_a_scene_that_stands_there(plan: Any, hunted: Any, tmp_path: Path) -> None:
     """Play was added to what is commanded, though the effects behind it act on what it left."""
     result = hunted(plan())

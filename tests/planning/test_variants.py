@@ -310,6 +310,20 @@ def test_a_built_property_moves_the_robot_farther_than_it_did_in_its_data() -> N
     assert "too close" in problem
 
 
+def test_a_robot_may_be_homed_anew_before_a_motion() -> None:
+    """Zeros that its file has of later homings were left out: a plan held for the first one alone."""
+    later, at = {"homing_shift": {"theta_3_2_deg": 3.0, "theta_3_3_deg": -5.0}}, joints(0, 20, 60, -30)
+    plain, homed = robot(**FRICTIONLESS), robot(**FRICTIONLESS, effects=later)
+    shifted = at - [0, 0, np.radians(5.0), 0]
+    tips = [plain.solve(*plain.drive.collars(q)).tip_m for q in (at, shifted)]
+    away = (tips[1] - tips[0]) / np.linalg.norm(tips[1] - tips[0])
+    ball = (1e3 * (tips[1] + (0.3e-3 + plain.tubes[2].outer_diameter_m / 2) * away)).tolist(), 0.5
+    ends = at, joints(0, 20.2, 60.2, -30)
+    assert certified(scene(plain, *ends, ball)).valid
+    (problem,) = certified(scene(homed, *ends, ball)).problems
+    assert "too close" in problem
+
+
 PULLED = {"tip_load": {"force_y_N": 0.1, "ci95": {"force_y_N": [0.0, 0.2]}}}
 STANDS = Registration(0.2e-3, np.radians(0.3))
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from ctrplan.base.arrays import Array
 from ctrplan.drive.legs import Collars
-from ctrplan.effects.effect import CATALOGUE, Effect, Parameter, Values, with_column
+from ctrplan.effects.effect import ANYWHERE, CATALOGUE, Effect, Parameter, Values, with_column
 from ctrplan.effects.learned import learned as learned_table
 from ctrplan.effects.learned import parts
 from ctrplan.effects.learned.inputs import (
@@ -31,7 +31,6 @@ from ctrplan.robot.named_numbers import value_of
 from ctrplan.robot.robot import Robot
 
 DIGITS = 6  # of numbers that a fit writes
-ANYWHERE = "anywhere"  # the name of an amount of which only the most is known
 
 
 class Learned(Effect):
