@@ -72,13 +72,13 @@ that part. A part is a product, joined by `_times_`, of
 
 Inputs are `theta_I` [deg], `turn_I` (tube I against the one around it) [deg], `l_I` [mm], `overlap_I` (of the
 curved parts of tubes I and I + 1) [mm], `load_I` (friction state of a pair), `speed_I` [deg/s], `rest` [s], the
-tip's `x, y, z` [mm] and `tx, ty, tz`, and columns of the data. `formula`, `may_be`, `stage` and `acts_on` are
-comments.
+tip's `x, y, z` [mm] and `tx, ty, tz`, and columns of the data. `formula`, `may_be`, `stage`, `acts_on` and
+`largest_mm` are comments.
 
 Outside its range an input is held at the edge, and every command says so. Terms of the drive act in bounds, shapes and
-plans. Those of the mechanics act in fits and margins: the largest tilt times the robot's length, and `largest_mm`, the
-farthest that a tip of the data was moved, are added to `model_error_mm`. Those of the sensor act on what is measured.
-A column that is not given is taken at the middle of its range; without a time, waves over it are nothing.
+plans. Those of the mechanics act in fits; in bounds and plans a property is anything up to its most, and the largest
+tilt times the robot's length is added to `model_error_mm`. Those of the sensor act on what is measured. A column that
+is not given is taken at the middle of its range; without a time, waves over it are nothing.
 """
 
 

@@ -17,14 +17,17 @@ from numpy.typing import NDArray
 
 from ctrplan.audit.body import RawAnatomy
 from ctrplan.base.arrays import CHI95, Array
+from ctrplan.drive.legs import Collars
 from ctrplan.effects.learned.learned import effect_of
 from ctrplan.errors import CtrplanError
+from ctrplan.mechanics.tube import moved_to_nest
 from ctrplan.pipeline.chain import Chain
 from ctrplan.robot.robot import Robot
 from ctrplan.scenario.scenario import Registration
 from ctrplan.uncertainty.parameters import UncertainParameters, uncertain_parameters
 
 MOST_ROBOTS = 400  # that are kept, of a few kB each
+PROBED = 6  # points of a body for which the base is moved against them, and places where the drive is asked
 EVEN = 1e-9  # by which correlations and sides of intervals count as nothing
 
 
@@ -55,10 +58,11 @@ class AllowedRobots:
 
     robot: Robot
     parameters: UncertainParameters
-    played: NDArray[np.intp]  # (B,) collars with play, of the 2 n: rotations, then translations
+    played: NDArray[np.intp]  # (B,) actuators whose last direction matters, of the 2 n: rotations, then translations
     sides: Array  # (A', 2, Q) offsets of Q parameters at either end of their axes
     clock: tuple[tuple[str, str, float, float, float], ...]  # effect, parameter, value, low and high [s]
     known: dict[bytes, Robot | None] = field(default_factory=dict)
+    chains: dict[bytes, Chain] = field(default_factory=dict)
 
     @classmethod
     def of(cls, robot: Robot) -> AllowedRobots:
@@ -66,10 +70,9 @@ class AllowedRobots:
         parameters = _with_contacts(uncertain_parameters(robot))
         none, sides, clock = np.empty(0, dtype=np.intp), _sides(parameters), tuple(_clock(robot))
         still = cls(robot, parameters, none, sides, clock)
-        every = [robot, *(still.at(side * np.eye(still.count)[axis]) for axis, side in still.ends)]
-        plays = [np.concatenate(each.drive.play) for each in every if each is not None and each.drive.play is not None]
-        played = np.flatnonzero(np.max(plays, axis=0)) if plays else none
-        return cls(robot, parameters, played, sides, clock, still.known)
+        ends = [np.zeros(still.count), *(side * np.eye(still.count)[axis] for axis, side in still.ends)]
+        played = np.flatnonzero(np.any([still._feels_direction(axes) for axes in ends], axis=0))
+        return cls(robot, parameters, played, sides, clock, still.known, still.chains)
 
     @property
     def count(self) -> int:
@@ -119,6 +122,47 @@ class AllowedRobots:
                 self.known[key] = None
         return self.known[key]
 
+    def chain(self, axes: Array) -> Chain:
+        """The effects on axes (A,), those of the file's values among them."""
+        key = self.offset(axes).tobytes()
+        if key not in self.chains:
+            while len(self.chains) >= MOST_ROBOTS:
+                del self.chains[next(iter(self.chains))]
+            chain = Chain.of(self.robot).on(None, {})
+            changed: dict[str, dict[str, float]] = {}
+            for name, value in self.values(axes).items():
+                kind, effect, *of_effect = name.split(".")
+                if kind == "effects":
+                    changed.setdefault(effect, {})[of_effect[0]] = value
+            acting = (replace(g, values={**g.values, **changed.get(g.effect.name, {})}) for g in chain.acting)
+            self.chains[key] = replace(chain, acting=tuple(acting))
+        return self.chains[key]
+
+    def driven(self, axes: Array, commanded: Collars) -> Collars:
+        """Where the drive on axes (A,) goes that is commanded to collars (K, n): effect after effect, the last motion
+        of each actuator against the side of the play that it is on. Tubes that would not nest stop one another.
+        """
+        robot, went = self.at(axes) or self.robot, np.tile(-self.play(axes), (len(commanded.l), 1))
+        stands = self.chain(axes).drive(commanded, went)
+        return Collars(stands.theta, moved_to_nest(robot.tubes, stands.l))
+
+    def turned(self, axes: Array, collars: Collars, points_m: Array) -> Array:
+        """Points (..., 3) of the robot's frame, turned with the front plate at one row of collars."""
+        robot, acting = self.at(axes) or self.robot, self.chain(axes).of_stage("mechanics")
+        turns = [given.effect.plate_turn(given.values, robot, collars) for given in acting]
+        turn = np.sum([rows[0] for rows in turns if rows is not None], axis=0)
+        if not np.any(turn):
+            return points_m
+        return BaseMove(tuple(turn.tolist())).of(points_m.reshape(-1, 3), np.zeros(3)).reshape(points_m.shape)
+
+    def _feels_direction(self, axes: Array) -> Array:
+        """(2 n,) whether what the drive does anywhere depends on the last direction of each actuator."""
+        n, drive, rng = self.robot.n, self.robot.drive, np.random.default_rng(0)
+        low, high = drive.travel_m
+        at = Collars(rng.uniform(-np.pi, np.pi, (PROBED, n)), rng.uniform(low, high, (PROBED, n)))
+        stands = [self.chain(axes).drive(at, np.tile(went, (PROBED, 1))) for went in (np.zeros(2 * n), *np.eye(2 * n))]
+        return np.array([np.any(s.theta != stands[0].theta) or np.any(s.l != stands[0].l) for s in stands[1:]])
+
     def delays_s(self, axes: Array) -> Array:
         """(2 n,) how late collars follow, rotations, then translations."""
         delays: Array = (
@@ -130,6 +174,16 @@ class AllowedRobots:
             effect = effect_of(name, self.robot.effects[name], self.robot.n)
             delays = delays + effect.drive_delays_s({key: more}, self.robot.n)
         return delays
+
+    @cached_property
+    def has_plate(self) -> bool:
+        """Whether an effect turns all that is in front of the plate."""
+        return any(given.effect.overrides("plate_turn") for given in Chain.of(self.robot).acting)
+
+    @property
+    def plate_margin_m(self) -> float:
+        """How much claims allow for effects that shapes do not have: what the robot has of it beyond its file's own."""
+        return max(0.0, self.robot.model_error_m - (self.robot.ideal or self.robot).model_error_m)
 
     @cached_property
     def is_late(self) -> bool:
@@ -211,7 +265,6 @@ def _clock(robot: Robot) -> Iterator[tuple[str, str, float, float, float]]:
                 yield name, key, value, min(low, value), max(high, value)
 
 
-PROBED = 6  # points of a body for which the base is moved against them
 STEP_M = 1e-5  # of differences of a distance
 
 

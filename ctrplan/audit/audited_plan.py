@@ -13,6 +13,7 @@ from ctrplan.audit.allowed_robots import STANDING, AllowedRobots, BaseMove, near
 from ctrplan.audit.body import BodyPoints, RawAnatomy, body_of
 from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.certificate.certificate import FIGURES
+from ctrplan.drive.legs import Collars
 from ctrplan.errors import CtrplanError
 from ctrplan.files.plan_file import WrittenPlan
 from ctrplan.mechanics.shapes import Accuracy, Shape, Status
@@ -242,10 +243,23 @@ class AuditedPlan:
 
         Raises CtrplanError where there is no such robot.
         """
+        held = self._held(place, self.middle if axes is None else axes)
+        return held.theta[0], held.l[0]
+
+    def stands(self, points_m: Array, place: float, axes: Array | None = None) -> list[tuple[Array, float]]:
+        """Points (..., 3) of the robot's frame at a place, as they are solved; and turned with the front plate, with
+        what claims allow for that [m] besides.
+        """
         at = self.middle if axes is None else axes
-        robot = self.robot_at(at)
-        off = None if robot.drive.play is None else self.robots.play(at) * np.concatenate(robot.drive.play)
-        return robot.drive.reached(*self.way.commanded_at(place, at), off)
+        if not self.robots.has_plate:
+            return [(points_m, 0.0)]
+        turned = self.robots.turned(at, self._held(place, at), points_m)
+        return [(points_m, 0.0), (turned, self.robots.plate_margin_m)]
+
+    def _held(self, place: float, axes: Array) -> Collars:
+        """One row of `collars`."""
+        self.robot_at(axes)
+        return self.robots.driven(axes, Collars(*(part[None] for part in self.way.commanded_at(place, axes))))
 
     def robot_at(self, axes: Array) -> Robot:
         """The robot on axes (A,). Raises CtrplanError where there is none."""
@@ -327,8 +341,13 @@ class AuditedPlan:
         results = [self.finding("strain", float(shape.max_strain), place, phi, shape, before=before, axes=axes)]
         if self.plan.scenario.anatomy:
             robot = self.robot if axes is None else self.robot_at(axes)
-            room, tube, point, base = self.nearest(body_of(robot, shape))
-            least = self.finding("clearance", room, place, phi, shape, before=before, axes=axes)
+            body = body_of(robot, shape)
+            stands = [
+                (*self.nearest(replace(body, point_m=points)), margin_m)
+                for points, margin_m in self.stands(body.point_m, place, axes)
+            ]
+            room, tube, point, base, margin_m = min(stands, key=lambda stand: stand[0] + stand[-1])
+            least = self.finding("clearance", room + margin_m, place, phi, shape, before=before, axes=axes)
             results.append(replace(least, tube=tube, point_m=point, base=base))
         if free_tip_m is not None:
             off = float(np.linalg.norm(shape.tip_m - free_tip_m))

@@ -108,11 +108,11 @@ class StateHunt:
         excess = none if state.axes is not None else off - case.stated("bound", state.place)
         room = none
         if case.plan.scenario.anatomy:
-            points = bodies.point_m[1:]
-            located = case.located(points.reshape(-1, 3)).reshape(points.shape)
-            least, looked = case.anatomy.least(located, bodies.radius_m)
-            room = -least
-            case.count_points(looked)
+            for points, margin_m in case.stands(bodies.point_m[1:], state.place, state.axes):
+                located = case.located(points.reshape(-1, 3)).reshape(points.shape)
+                least, looked = case.anatomy.least(located, bodies.radius_m)
+                room = np.maximum(room, -least - margin_m)
+                case.count_points(looked)
         solved = bodies.solved[1:]
         strain = bodies.max_strain[1:] - np.nan_to_num(case.stated("strain", state.place))
         stability = np.nan_to_num(case.stated("stability", state.place)) - bodies.stability[1:]

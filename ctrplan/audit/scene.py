@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import tomli_w
 import trimesh
+from scipy.optimize import root
 from scipy.spatial.transform import Rotation
 
 from ctrplan.anatomy.parts import AnatomyPart
@@ -21,8 +22,11 @@ from ctrplan.audit.allowed_robots import AllowedRobots
 from ctrplan.audit.audited_plan import AuditedPlan, WorstFigure
 from ctrplan.audit.verify import Verification
 from ctrplan.base.arrays import MM_PER_M, Array
+from ctrplan.effects.effect import ANYWHERE
+from ctrplan.effects.learned.learned import effect_of
 from ctrplan.errors import InputError
 from ctrplan.files.joint_path_file import joint_columns
+from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.robot.robot import Robot, file_key
 from ctrplan.scenario.scenario import Scenario
 from ctrplan.storage.output_folder import write_results
@@ -103,7 +107,7 @@ def _robot(robot: Robot, figure: WorstFigure) -> dict[str, Any]:
         return content
     robots = AllowedRobots.of(robot)
     units = dict(zip(robots.parameters.names, robots.parameters.si, strict=True))
-    for name, value in robots.values(np.array(figure.axes)).items():
+    for name, value in _named(robots, np.array(figure.axes), content).items():
         path, in_file = (name, value / units[name]) if name.startswith("effects.") else file_key(name, value)
         *steps, key = path.split(".")
         table: Any = content
@@ -117,6 +121,19 @@ def _robot(robot: Robot, figure: WorstFigure) -> dict[str, Any]:
         else:
             table[key] = in_file
     return content
+
+
+def _named(robots: AllowedRobots, axes: Array, content: dict[str, Any]) -> dict[str, float]:
+    """Values [SI] of what differs from the file's; in the place of an effect that differs from pose to pose tubes as it
+    makes them then.
+    """
+    values, robot = robots.values(axes), robots.at(axes) or robots.robot
+    for name in [name for name in values if name.endswith(ANYWHERE)]:
+        table, (_, effect, key) = content["effects"], name.split(".")
+        amount, own = {key: values.pop(name)}, effect_of(effect, robots.robot.effects[effect], robot.n)
+        table.pop(effect, None)
+        values |= own.mechanics(amount, robot.ideal or robot)
+    return values
 
 
 def _part(part: AnatomyPart, mesh_file: str) -> tuple[dict[str, Any], dict[str, bytes]]:
@@ -141,14 +158,21 @@ def _joints(verification: Verification, figure: WorstFigure) -> str:
         way = AuditedPlan.of(plan, figure.accuracy).way.until(figure.place)
         before = plan.scenario.robot.drive.commanded(figure.before)
         theta, l = np.vstack([before[0], way[:, :n]]), np.vstack([before[1], way[:, n:]])  # noqa: E741
-    drive = plan.scenario.robot.drive
-    if figure.axes and (robot := AllowedRobots.of(plan.scenario.robot).at(np.array(figure.axes))) is not None:
-        drive = robot.drive
-    if figure.play and drive.play is not None:
-        theta, l = theta + drive.play[0] * figure.play[:n], l + drive.play[1] * figure.play[n:]  # noqa: E741
+    if figure.axes:
+        theta, l = _told(AuditedPlan.of(plan, figure.accuracy), figure)  # noqa: E741
     header = [name for names in joint_columns(n) for name in names]
     lines = [",".join(header), *(",".join(map(repr, row)) for row in np.hstack([theta, l]).tolist())]
     return "\n".join(lines) + "\n"
+
+
+def _told(case: AuditedPlan, figure: WorstFigure) -> tuple[Array, Array]:
+    """(1, n) [rad], (1, n) [m] to which the drive of the scene's robot is told to go, so that in the middle of its play
+    it stands where the finding has it.
+    """
+    held, n = np.hstack(case.collars(figure.place, np.array(figure.axes))), case.robot.n
+    drive = robot_from_dict(_robot(case.robot, figure), file=case.robot.path).drive
+    told = root(lambda x: np.hstack(drive.reached(x[:n], x[n:])) - held, held).x
+    return told[None, :n], told[None, n:]
 
 
 def _content(figure: WorstFigure, commands: list[str]) -> dict[str, Any]:

@@ -120,16 +120,16 @@ class MotionSweep:
             return None
         points, radius, solved = own
         base = self._base_m(points)
-        others: list[tuple[int, float, Array]] = []
+        others: list[tuple[int, float, Array, Array]] = []
         for axis, side in case.robots.ends:
             other = self._bodies(place, self.phi[:1], side * np.eye(case.robots.count)[axis])
             if other is not None and other[2][0]:
-                others.append((axis, side, other[0][0]))
+                others.append((axis, side, other[0][0], other[1]))
         middle = self._rooms(points[:1], radius)[0]
         moved = np.linalg.norm(points - points[0], axis=2)
         moved[np.logical_not(solved)] = 0.0
         shifts = np.zeros((case.robots.count, points.shape[1]))
-        for axis, _, body in others:
+        for axis, _, body, _ in others:
             shifts[axis] = np.maximum(shifts[axis], np.linalg.norm(body - points[0], axis=1))
         # points that can't be nearest, whatever is moved, are not looked at: they keep the bound
         near = middle - moved.max(axis=0) - shifts.sum(axis=0) - base.max(axis=0) <= (middle - base[0]).min()
@@ -138,9 +138,9 @@ class MotionSweep:
         rooms[np.logical_not(solved)] = np.inf
         nearer, sides = shifts.copy(), np.zeros(shifts.shape)
         nearer[:, near] = 0.0
-        for axis, side, body in others:
+        for axis, side, body, filled in others:
             taken = np.where(near, -np.inf, 0.0)
-            taken[near] = rooms[0, near] - self._rooms(body[None, near], radius[near])[0]
+            taken[near] = rooms[0, near] - self._rooms(body[None, near], filled[near])[0]
             more = near & (taken > nearer[axis])
             nearer[axis, more], sides[axis, more] = taken[more], side
         predicted = rooms - nearer.sum(axis=0) - base
@@ -177,7 +177,13 @@ class MotionSweep:
         share, after = (at - k)[:, None], np.minimum(k + 1, given - 1)
         points = bodies.point_m[:, k] * (1 - share) + bodies.point_m[:, after] * share
         radius = np.maximum(bodies.radius_m[k], bodies.radius_m[after])
-        return case.located(points.reshape(-1, 3)).reshape(points.shape), radius, np.asarray(bodies.solved)
+        stands = [
+            (case.located(turned.reshape(-1, 3)).reshape(turned.shape), radius - margin_m)
+            for turned, margin_m in case.stands(points, place, axes)
+        ]
+        if stands[1:]:
+            stands.sort(key=lambda stand: float(self._rooms(stand[0][:1], stand[1]).min()))
+        return *stands[0], np.asarray(bodies.solved)
 
     def _rooms(self, points: Array, radius: Array) -> Array:
         """(S, N) clearances of bodies (S, N, 3) with radii (N,)."""

@@ -278,6 +278,11 @@ def minima_of_cubes(queries: Sequence[CubeQuery], distance: Distance | None) -> 
     return [cube.least for cube in cubes]
 
 
+def _folded(minima: StateMinima) -> StateMinima:
+    """Of a cell with a fold in it: it is refused for that, and nothing is said of shapes beside it."""
+    return replace(minima, clearance_m=np.inf, stability=min(minima.stability, 0.0))
+
+
 @dataclass(eq=False)
 class _Cube:
     """The states of one configuration, and the cells of it that have to be looked at next, all of one depth."""
@@ -324,10 +329,33 @@ class _Cube:
             if is_open and self._is_halved(cell, is_short=is_short) and np.isfinite(of_cell.stability):
                 halved += cell.halves(self._axes(cell))
             else:
-                self.least = self.least.with_less_of(of_cell)
+                is_fold = is_short and not self.query.is_attempt and self._leaps(cell)
+                self.least = self.least.with_less_of(_folded(of_cell) if is_fold else of_cell)
         self.cells = [] if self.query.is_attempt and not self.least.keeps(self.needed) else halved
         if not self.cells:
             self._ask_for_less()
+
+    def _leaps(self, cell: Cell) -> bool:
+        """Whether the body leaps in the cell: of the way between the opposite corners whose tips are farthest apart,
+        one half always has more than half of what these are apart, however short it becomes.
+
+        A fold is there, and a shape interpolated across it is none. Where one is known already, one step tells enough.
+        """
+        ends = [(corner, tuple((np.add(cell.low, cell.high) - corner).tolist())) for corner in cell.corners]
+        pair = max(ends, key=lambda of: self._apart_m(*of))
+        whole_m = self._apart_m(*pair)
+        for _ in range(1 if self.least.stability <= 0 else NUMBERS_DEPTH):
+            middle = tuple(np.mean(pair, axis=0).tolist())
+            if middle not in self.solved:
+                self.solved[middle] = self.query.solve([middle])[0]
+            pair = max(((pair[0], middle), (middle, pair[1])), key=lambda of: self._apart_m(*of))
+            if not self._apart_m(*pair) > whole_m / 2:
+                return False
+        return True
+
+    def _apart_m(self, a: State, b: State) -> float:
+        """Between tips of two solved states [m]."""
+        return float(np.linalg.norm(self.solved[a].body_m[-1] - self.solved[b].body_m[-1]))
 
     def _axes(self, cell: Cell) -> Collection[int] | None:
         """Along which a cell is halved: all that are friction's, then those along which bodies lie farthest apart."""

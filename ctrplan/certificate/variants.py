@@ -24,7 +24,7 @@ from ctrplan.drive.drive import JOINT_ROUNDING
 from ctrplan.effects.learned.learned import effect_of
 from ctrplan.mechanics.shapes import Status
 from ctrplan.mechanics.walk import PathDensity, PathSamples
-from ctrplan.pipeline.tip_table import nested
+from ctrplan.pipeline.tip_table import held
 from ctrplan.uncertainty.parameters import UncertainParameters, uncertain_parameters
 from ctrplan.uncertainty.tip_slopes import friction_states, half_widths
 from ctrplan.uncertainty.worst_case import BaseBall, IntervalSides, OffsetBox, farthest
@@ -147,8 +147,7 @@ class Variants:
         off = np.zeros(2 * robot.n)
         for row, s in zip(self.play, point[self.of_parameters :], strict=False):
             off += s * row
-        theta_b, l_b = robot.drive.reached(*drive.commanded(joints), off)
-        return theta_b, nested(robot, l_b)
+        return held(robot, *drive.commanded(joints), off)
 
     def configuration(self, point: Point, joints: Array, accuracy: Accuracy) -> FrictionStates:
         """Friction states of the variant at joints (m,). Raises the errors of the mechanics."""

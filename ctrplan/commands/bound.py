@@ -196,7 +196,7 @@ def run(arguments: argparse.Namespace) -> int:
     turns = [] if in_radians(arguments.theta_deg) is None else [f"--theta-deg{TURNS}"]
     warn([*robot.warnings, *range_notes(robot, *commanded), *turns])
     result = _bounded(robot, theta_b, l_b, arguments)
-    play_mm = play_shift(robot, theta_b, l_b) * 1e3
+    play_mm = play_shift(robot, *commanded) * 1e3
     if arguments.json:
         collars = {"theta_deg": np.degrees(theta_b).tolist(), "l_mm": (l_b * 1e3).tolist()}
         content = {**_bound_json(result, play_mm), "collars": collars}

@@ -148,9 +148,11 @@ class Effect(ABC):
         """What no `plate_turn` exceeds. Bounds and plans allow for it as for a model error."""
         return 0.0
 
-    def largest_shift_m(self, values: Values, robot: Robot) -> float:
-        """How far [m] the effect may move the tip where shapes do not have it; bounds and plans allow for it."""
-        return 0.0
+    def anywhere(self, values: Values) -> Mapping[str, float]:
+        """Names of values beside its parameters that differ from pose to pose or run to run, with the most that they
+        come to either way [SI]: to bounds and plans, which ask about any, they are parameters known by an interval.
+        """
+        return {}
 
     def play(self, values: Values, n: int) -> Collars:
         """How far (1, n) an effect of the drive that depends on directions may move the collars, every way the same."""
@@ -192,6 +194,7 @@ class Effect(ABC):
         return getattr(type(self), method) is not getattr(Effect, method)
 
 
+ANYWHERE = "anywhere"  # how names of an effect's `anywhere` end
 E_ = TypeVar("E_", bound=type[Effect])
 CATALOGUE: Catalogue[Effect] = Catalogue(
     "effect", *(f"ctrplan.effects.{stage}" for stage in ("clock", "drive", "mechanics", "sensor"))

@@ -2,12 +2,14 @@
 
 Nobody knows on which side of its play an actuator rests, so that a plan allows for both at every actuator. Each is
 moved to both ends of its play by itself, and the larger shifts are added up: of the frictionless robot where a person
-asks, of every shape that a certificate knows. Certificates look at the corners of the box of all plays too.
+asks, of every shape that a certificate knows. Certificates look at the corners of the box of all plays too. Where the
+collars are then, effects of the drive that act after the play among them, `held` says to all of these.
 """
 
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,8 +18,8 @@ from ctrplan.base.arrays import Array
 from ctrplan.drive.legs import distance_from_polyline
 from ctrplan.errors import CtrplanError
 from ctrplan.mechanics.shapes import Status
-from ctrplan.pipeline.tip_table import nested
-from ctrplan.uncertainty.tip_slopes import friction_states
+from ctrplan.pipeline.tip_table import held
+from ctrplan.uncertainty.tip_slopes import friction_states, half_widths
 
 if TYPE_CHECKING:
     from ctrplan.robot.robot import Robot
@@ -27,48 +29,39 @@ MOST_ACTUATORS = 6  # with play, of whose box all corners are solved
 SAMPLES, SEED = 15, 5  # configurations that say what a search has to allow for
 
 
-def play_shift(robot: Robot, theta_b: Array, l_b: Array) -> float:
-    """How far [m] play may move the tip or any point of the body sideways, at (n,) [rad], (n,) [m].
+def play_shift(robot: Robot, theta: Array, l: Array) -> float:  # noqa: E741 (as in the equations)
+    """How far [m] play may move the tip or any point of the body sideways, commanded to (n,) [rad], (n,) [m].
 
     0 without play; inf where the robot has no equilibrium at an end of its play.
     """
     if robot.drive.play is None:
         return 0.0
-    here, shift = robot.mechanics.body(theta_b, l_b)[0][0], 0.0
-    for theta_off, l_off in _single_actuators(*robot.drive.play):
-        ends = [(theta_b + side * theta_off, nested(robot, (l_b + side * l_off)[None])[0]) for side in (1, -1)]
-        shift += max(_apart(robot, here, *end) for end in ends)
-    return shift
+    here = robot.mechanics.body(*_held(robot, theta, l))[0][:1]
+    return float(_farther(robot, here, theta, l)[0])
 
 
-def play_reach(robot: Robot, theta_b: Array, l_b: Array) -> float:
+def play_reach(robot: Robot, theta: Array, l: Array) -> float:  # noqa: E741
     """How far play reaches, as `play_shift`, of the frictionless shape and all corners, actuators moved at once."""
     if robot.drive.play is None:
         return 0.0
-    here, singles = robot.mechanics.body(theta_b, l_b)[0], _single_actuators(*robot.drive.play)
-    shift = np.zeros(len(here))
-    for theta_off, l_off in singles:
-        ends = [(theta_b + side * theta_off, nested(robot, (l_b + side * l_off)[None])[0]) for side in (1, -1)]
-        shift += np.max([_shapes_apart(robot, here, *end) for end in ends], axis=0)
+    here = robot.mechanics.body(*_held(robot, theta, l))[0]
+    shift, singles = _farther(robot, here, theta, l), _single_actuators(robot)
     corners = itertools.product((1, -1), repeat=len(singles)) if len(singles) <= MOST_ACTUATORS else ()
     for signs in corners:
-        off = [sum(sign * single[k] for sign, single in zip(signs, singles, strict=True)) for k in (0, 1)]
-        end = theta_b + off[0], nested(robot, (l_b + off[1])[None])[0]
-        shift = np.maximum(shift, _shapes_apart(robot, here, *end))
+        shift = np.maximum(shift, _shapes_apart(robot, here, *_held(robot, theta, l, np.array(signs) @ singles)))
     return float(shift.max())
 
 
-def play_turn(robot: Robot, theta_b: Array, l_b: Array) -> float:
+def play_turn(robot: Robot, theta: Array, l: Array) -> float:  # noqa: E741
     """How far [rad] play may turn the tip's tangent in any corner of friction, one actuator after the other added up.
 
-    Collars at (n,) [rad], (n,) [m]. 0 without play; inf where the robot has no equilibrium at an end of its play.
+    Commanded to (n,) [rad], (n,) [m]. 0 without play; inf where the robot has no equilibrium at an end of its play.
     """
     if robot.drive.play is None:
         return 0.0
-    here = _tangents(robot, theta_b, l_b)
+    here = _tangents(robot, *_held(robot, theta, l))
     turn = np.zeros(len(here))
-    for theta_off, l_off in _single_actuators(*robot.drive.play):
-        ends = [(theta_b + side * theta_off, nested(robot, (l_b + side * l_off)[None])[0]) for side in (1, -1)]
+    for ends in _ends(robot, theta, l):
         chords = [np.linalg.norm(_tangents(robot, *end) - here, axis=1) for end in ends]
         turn += 2 * np.arcsin(np.minimum(np.max(chords, axis=0) / 2, 1.0))
     return float(np.nan_to_num(turn, nan=np.inf).max())
@@ -87,22 +80,37 @@ def usual_play_shift(robot: Robot, space: JointSpace) -> float:
     if robot.drive.play is None:
         return 0.0
     joints = space.sample(np.random.default_rng(SEED), SAMPLES)
-    return float(np.median([play_shift(robot, *robot.drive.collars(q)) for q in joints]))
+    return float(np.median([play_shift(robot, *robot.drive.commanded(q)) for q in joints]))
 
 
-def _single_actuators(theta: Array, l: Array) -> list[tuple[Array, Array]]:  # noqa: E741 (as in the equations)
-    """Half widths (n,), (n,) as displacements of one collar each."""
-    rows = np.diag(np.concatenate([theta, l]))
-    return [(row[: len(theta)], row[len(theta) :]) for row in rows if row.any()]
+def _single_actuators(robot: Robot) -> Array:
+    """(A, 2 n) [rad], [m] half widths of play as displacements of one collar each."""
+    rows = np.diag(half_widths(robot))
+    return rows[rows.any(axis=1)]
 
 
-def _apart(robot: Robot, here: Array, theta_b: Array, l_b: Array) -> float:
-    """Between frictionless centrelines: of their tips, or of any point of the one from the other."""
-    return float(_shapes_apart(robot, here[None], theta_b, l_b)[0])
+def _ends(robot: Robot, theta: Array, l: Array) -> Iterator[tuple[tuple[Array, Array], tuple[Array, Array]]]:  # noqa: E741
+    """Collars (n,) [rad], (n,) [m] at both ends of the play of each actuator by itself."""
+    for off in _single_actuators(robot):
+        yield _held(robot, theta, l, off), _held(robot, theta, l, -off)
+
+
+def _held(robot: Robot, theta: Array, l: Array, off: Array | None = None) -> tuple[Array, Array]:  # noqa: E741
+    """(n,) [rad], (n,) [m] of `held`."""
+    theta_b, l_b = held(robot, np.atleast_2d(theta), np.atleast_2d(l), off)
+    return theta_b[0], l_b[0]
+
+
+def _farther(robot: Robot, here: Array, theta: Array, l: Array) -> Array:  # noqa: E741
+    """(S,) [m] how far actuators by themselves move the first S shapes from here (S, N, 3), added up."""
+    moved = [[_shapes_apart(robot, here, *end) for end in ends] for ends in _ends(robot, theta, l)]
+    return np.asarray(np.max(moved, axis=1).sum(axis=0))
 
 
 def _shapes_apart(robot: Robot, here: Array, theta_b: Array, l_b: Array) -> Array:
-    """(S,) the same of the first S shapes of the robot from here (S, N, 3), frictionless first."""
+    """(S,) [m] between the tips of the first S shapes of the robot, frictionless first, and those here (S, N, 3), or
+    from any point of the one to the other.
+    """
     try:
         there = robot.mechanics.body(theta_b, l_b)[0]
     except CtrplanError:

@@ -325,11 +325,10 @@ def _not_in_shapes_m(robot: Robot, chain: Chain) -> float:
         built = Chain(ideal, tuple(acting)).mechanics
         of_mechanics = [given for given in acting if given.effect.stage == "mechanics"]
         turn_rad = sum(given.effect.largest_turn_rad(given.values, built) for given in of_mechanics)
-        shift_m = sum(given.effect.largest_shift_m(given.values, built) for given in of_mechanics)
-        return turn_rad * max(tube.length_m for tube in built.tubes) + shift_m
+        return turn_rad * max(tube.length_m for tube in built.tubes)
 
     ideal, acting = chain.ideal, list(chain.acting)
-    if not any(g.effect.overrides("largest_turn_rad") or g.effect.overrides("largest_shift_m") for g in acting):
+    if not any(given.effect.overrides("largest_turn_rad") for given in acting):
         return 0.0
     for name, ends in robot.intervals.ci95.items():
         ideal = max([ideal, *(with_values(ideal, {name: end}) for end in ends)], key=lambda one: reach_m(one, acting))

@@ -106,6 +106,12 @@ def nested(robot: Robot, l_b: Array) -> Array:
     return moved_to_nest(robot.tubes, l_b)
 
 
+def held(robot: Robot, theta: Array, l: Array, off: Array | None = None) -> tuple[Array, Array]:  # noqa: E741
+    """Where the drive holds collars (K, n) [rad], [m] that nest: commanded to theta, l, and `off` (2 n,) by play."""
+    theta_b, l_b = robot.drive.reached(theta, l, off)
+    return theta_b, nested(robot, l_b)
+
+
 @dataclass(frozen=True)
 class _TipRequest:
     """What decides on tips: the numbers of the mechanics, and rows (D, 3 n - 1) of collars and friction states."""

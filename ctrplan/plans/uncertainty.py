@@ -206,7 +206,7 @@ def plan_stops(plan: PlannedMotion) -> tuple[Stop, ...]:
         rows = np.array([end]) if goal.line_m is None else _on_line(plan, goal, begin, end)
         turn = 0.0
         if goal.direction is not None:
-            turn = play_turn(scenario.robot, *scenario.robot.drive.collars(samples.joints[end]))
+            turn = play_turn(scenario.robot, *scenario.robot.drive.commanded(samples.joints[end]))
         results.append(Stop(goal, rows, first + np.arange(len(rows)), target.play_m, turn))
         begin, first = end, first + len(rows)
     return tuple(results)

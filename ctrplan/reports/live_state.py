@@ -228,7 +228,7 @@ class LiveState:
         if goal.tip_m is None:
             return None
         free_m, robot = float(np.linalg.norm(tip_m - goal.tip_m)), self.scenario.robot
-        play_m = play_shift(robot, *robot.drive.collars(joints))
+        play_m = play_shift(robot, *robot.drive.commanded(joints))
         worst_m = free_m + bound_m + play_m
         return {
             "free_mm": free_m * 1e3,
@@ -270,7 +270,8 @@ def clearances_mm(scenario: Scenario, joints: Array) -> dict[str, float | None]:
     points = bodies.point_m[bodies.solved]
     owner = np.repeat(np.arange(len(points)), points.shape[1])
     least = distance.least(points.reshape(-1, 3), np.tile(bodies.radius_m, len(points)), owner, len(points))
-    allowance = mesh_allowance_m(robot, "certificate") + UNEVEN_FRICTION_M + play_reach(robot, theta_b, l_b)
+    play_m = play_reach(robot, *robot.drive.commanded(joints))
+    allowance = mesh_allowance_m(robot, "certificate") + UNEVEN_FRICTION_M + play_m
     figures_m = (float(least[0]), float(least.min()), float(least.min()) - allowance)
     return dict(zip(names, (value * 1e3 for value in figures_m), strict=True))
 

@@ -171,6 +171,11 @@ def _of_effects(robot: Robot) -> dict[str, Row]:
             ends = min(low, value), max(high, value), parameter.lower, parameter.upper
             si = parameter.si
             results[f"effects.{name}.{key}"] = (value * si, *(end * si for end in ends), si)  # type: ignore[assignment]
+        own = {key: float(value) for key, value in table.items() if key in known}
+        wide = {key: max([own.get(key, 0.0), *ends], key=abs) for key, ends in table.get("ci95", {}).items()}
+        widest = {key: value * known[key].si for key, value in {**own, **wide}.items()}
+        for key, most in effect.anywhere(widest).items():
+            results[f"effects.{name}.{key}"] = 0.0, -most, most, -most, most, 1.0
     return results
 
 

@@ -20,7 +20,7 @@ from ctrplan.effects.learned.learned import effect_of
 from ctrplan.mechanics.core_arrays import joint_rows
 from ctrplan.mechanics.shapes import Status, Tips
 from ctrplan.pipeline.chain import Chain
-from ctrplan.pipeline.tip_table import nested
+from ctrplan.pipeline.tip_table import held
 from ctrplan.robot.named_numbers import MAGNITUDE, value_of
 from ctrplan.robot.robot import Robot
 from ctrplan.uncertainty.parameters import UncertainParameters, uncertain_parameters
@@ -58,8 +58,7 @@ def clamped_collars(parameters: UncertainParameters, robot: Robot, theta: Array,
 
     They are commanded to theta, l (K, n). Play that is wider than stated counts as a displacement to one side.
     """
-    reached = _clamped(parameters, robot, theta, l)
-    return reached[:, : robot.n], nested(robot, reached[:, robot.n :])
+    return held(robot, theta, l, _wider(parameters, robot))
 
 
 def tips_at(parameters: UncertainParameters, offset: Array, theta: Array, l: Array) -> Array:  # noqa: E741
@@ -150,14 +149,16 @@ def _collars_by(parameters: UncertainParameters, theta: Array, l: Array) -> Arra
     columns = []
     for j in range(parameters.count):
         up, down, width = _beside(parameters, j)
-        columns.append((_clamped(parameters, up, theta, l) - _clamped(parameters, down, theta, l)) / width)
+        ends = [np.hstack(end.drive.reached(theta, l, _wider(parameters, end))) for end in (up, down)]
+        columns.append((ends[0] - ends[1]) / width)
     shape = (parameters.count, len(theta), 2 * parameters.robot.n)
     result: Array = np.array(columns).reshape(shape).transpose(1, 2, 0)
     return result
 
 
-def _clamped(parameters: UncertainParameters, robot: Robot, theta: Array, l: Array) -> Array:  # noqa: E741
-    return np.hstack(robot.drive.reached(theta, l, half_widths(robot) - half_widths(parameters.robot)))
+def _wider(parameters: UncertainParameters, robot: Robot) -> Array:
+    """(2 n,) [rad], [m] by how much the play of a robot's collars is wider than the file's to either side."""
+    return half_widths(robot) - half_widths(parameters.robot)
 
 
 def half_widths(robot: Robot) -> Array:

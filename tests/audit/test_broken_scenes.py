@@ -5,7 +5,9 @@ What walking the legs again says is left out, so that the hunt is judged whateve
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,11 +15,14 @@ import pytest
 from made_up_input import FUZZ
 from stated_plans import in_si, moved_to, rvim, scene_of, sphere, stated, table_ii
 
+import ctrplan
 from ctrplan.anatomy.parts import AnatomyPart
 from ctrplan.anatomy.shapes.mesh import Mesh
-from ctrplan.audit.audited_plan import DrivenWay
+from ctrplan.audit.audited_plan import AuditedPlan, DrivenWay
+from ctrplan.audit.scene import write_scene
 from ctrplan.audit.verify import Verification, verify
 from ctrplan.files.plan_file import WrittenPlan
+from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.scenario.scenario import Registration
 
 WORK, MORE = 8_000, 16_000  # units, a second or so for each 8,000
@@ -72,6 +77,64 @@ def play_before_eccentricity() -> WrittenPlan:
     return stated(scene_of(robot, [0, 0, -20, -40], [0, 0, 20, -40], ball), 0.0)
 
 
+def play_after_eccentricity() -> WrittenPlan:
+    """The other order: the play comes last, and is as wide as the file says."""
+    friction = [f"contact.{k}.friction_coefficient=0.1" for k in (1, 2)]
+    robot = table_ii(*friction, "effects.eccentricity.sin_3_deg=30.0", "effects.backlash.theta_3_deg=15.0")
+    ball = sphere([74.03395692, 14.43749258, 166.86139617], 0.5)
+    return stated(scene_of(robot, [0, 0, -20, -40], [0, 0, 20, -40], ball), 0.0)
+
+
+def play_until_a_stop() -> WrittenPlan:
+    """A millimetre of play to either side, half of which the tube around leaves to the inner one."""
+    robot = table_ii("effects.backlash.l_3_mm=2.0", *[f"contact.{k}.friction_coefficient=0.0" for k in (1, 2)])
+    at, home = (robot.solve(*robot.drive.commanded(in_si(robot, [0, 30, 100, l]))).tip_m for l in (-0.5, 0.0))  # noqa: E741
+    moved = home - at
+    ball = home + (0.3e-3 + robot.tubes[-1].outer_diameter_m / 2) * moved / np.linalg.norm(moved)
+    return stated(scene_of(robot, [0, 30, 100, -0.5], [0, 30.1, 100, -0.5], sphere(ball * 1e3, 0.5)), 0.2)
+
+
+CURVED = "tube.3.section.1.curvature_x_per_m=6.0"
+TILTED = CURVED, "effects.plate_clearance.tilt_deg=0.3", "effects.plate_clearance.ci95={tilt_deg = [0.0, 1.0]}"
+YIELDS = "effects.plate_compliance.compliance_rad_per_Nm=0.1"
+YIELDING = CURVED, YIELDS, "effects.plate_compliance.ci95={compliance_rad_per_Nm = [0.0, 0.4]}"
+
+
+def tilted_with_the_plate(overrides: Sequence[str] = TILTED) -> WrittenPlan:
+    """A front plate that tilts further within its interval than at its value; its margin is taken away."""
+    robot = table_ii(*overrides)
+    ball = sphere([71.359545, -0.536844, 157.645193], 0.5)
+    return stated(scene_of(replace(robot, model_error_m=0.0), [0, -20, 40, -60], [0, 10, 60, -50], ball), 0.55)
+
+
+def yielding_plate() -> WrittenPlan:
+    """A plate that yields to the same moment."""
+    return tilted_with_the_plate(YIELDING)
+
+
+def built_curvature() -> WrittenPlan:
+    """A built term of the inner tube's curvature, known from data near home, where it moved tips by 0.5 mm."""
+    term = {"slope_l_3_percent": 5.0, "range": {"l_3": [-104, -90]}, "largest_mm": 0.5}
+    none = [f"contact.{k}.friction_coefficient=0.0" for k in (1, 2)]
+    plain, bent = table_ii(*none), table_ii(*none, "tube.3.section.2.curvature_y_per_m=19.0909")
+    ends = [0, 0, 60, -12], [0, 0, 62, -12]
+    tips = [one.solve(*plain.drive.collars(in_si(plain, ends[1]))).tip_m for one in (plain, bent)]
+    away = (tips[1] - tips[0]) / np.linalg.norm(tips[1] - tips[0])
+    ball = sphere(1e3 * (tips[1] + (0.3e-3 + plain.tubes[2].outer_diameter_m / 2) * away), 0.5)
+    built = robot_from_dict({**plain.content, "effects": {"learned_curvature_3": term}}, file=plain.path)
+    return stated(scene_of(built, *ends, ball), 1.0)
+
+
+def homed_anew() -> WrittenPlan:
+    """A robot whose file has the zeros of three homings: after the last one its inner tube stands 5 deg back."""
+    none = [f"contact.{k}.friction_coefficient=0.0" for k in (1, 2)]
+    robot = table_ii(*none, "effects.homing_shift={theta_3_2_deg = 3.0, theta_3_3_deg = -5.0}")
+    tips = [robot.solve(*robot.drive.commanded(in_si(robot, [0, 20, deg, -30]))).tip_m for deg in (60, 55)]
+    away = (tips[1] - tips[0]) / np.linalg.norm(tips[1] - tips[0])
+    ball = sphere(1e3 * (tips[1] + (0.3e-3 + robot.tubes[2].outer_diameter_m / 2) * away), 0.5)
+    return stated(scene_of(robot, [0, 20, 60, -30], [0, 20.2, 60.2, -30], ball), 1.0)
+
+
 def late() -> WrittenPlan:
     """Rotations follow 0.4 s late, translations at once."""
     turn = np.degrees(0.4)
@@ -103,6 +166,12 @@ def wound() -> WrittenPlan:
         (turned_while_pushed, -1.2, WORK),
         (play, -0.35, WORK),
         (play_before_eccentricity, -0.5, WORK),
+        (play_after_eccentricity, -0.55, WORK),
+        (play_until_a_stop, -0.15, WORK),
+        (tilted_with_the_plate, -0.7, MORE),
+        (yielding_plate, -0.6, MORE),
+        (built_curvature, -0.15, WORK),
+        (homed_anew, -0.15, WORK),
         (late, -1.1, WORK),
         (maybe_late, -1.1, WORK),
         (wound, -0.4, MORE),
@@ -112,6 +181,34 @@ def test_a_clearance_that_the_scenario_does_not_leave_is_found(
     plan: Any, at_most_mm: float, work: int, hunted: Any
 ) -> None:
     assert hit(hunted(plan(), work)) < at_most_mm
+
+
+def test_a_plate_that_turns_within_its_margin_breaks_nothing(hunted: Any) -> None:
+    """Claims keep the margin on top of the clearance that they state, so that a turned body may come nearer."""
+    plan = tilted_with_the_plate()
+    case, robot = plan.scenario, plan.scenario.robot
+    tip = robot.solve(*robot.drive.collars(in_si(robot, [0, -5, 50, -55]))).tip_m
+    away = case.anatomy[0].shape.center_m - tip  # type: ignore[attr-defined]
+    ball = sphere(1e3 * (tip + away * (1 + 5e-3 / np.linalg.norm(away))), 0.5)
+    spared, margin_m = replace(case, anatomy=(ball,)), table_ii(*TILTED).model_error_m
+    result = hunted(stated(replace(spared, robot=replace(robot, model_error_m=margin_m)), 5.2))
+    assert result.is_kept
+    assert hit(hunted(stated(spared, 5.2))) < 4.5
+
+
+@pytest.mark.parametrize("plan", [play_before_eccentricity, play_after_eccentricity, built_curvature, homed_anew])
+def test_a_finding_is_written_as_a_scene_that_stands_there(plan: Any, hunted: Any, tmp_path: Path) -> None:
+    """Play was added to what is commanded, though the effects behind it act on what it left."""
+    result = hunted(plan())
+    figure = result.counterexample
+    assert figure is not None and figure.axes
+    write_scene(tmp_path, result, figure)
+    table, axes = np.loadtxt(tmp_path / "joints.csv", delimiter=",", skiprows=1), np.array(figure.axes)
+    shown, case = ctrplan.load_robot(tmp_path / "robot.toml"), AuditedPlan.of(result.plan, figure.accuracy)
+    stands, held = shown.collars(table[:3], table[3:]), case.collars(figure.place, axes)
+    np.testing.assert_allclose(np.hstack(stands), np.hstack(held), atol=1e-8)
+    tips = [one.solve(*held).tip_m for one in (shown, case.robot_at(axes))]
+    np.testing.assert_allclose(*tips, atol=1e-6)
 
 
 def test_nothing_is_broken_from_a_start_that_the_scenario_excludes(hunted: Any) -> None:

@@ -16,6 +16,7 @@ from ctrplan.errors import InputError
 from ctrplan.measurement.measurements import Poses
 from ctrplan.pipeline.chain import range_notes
 from ctrplan.robot.robot import Robot
+from ctrplan.uncertainty.parameters import uncertain_parameters
 
 RIPPLE = {"sin_3_theta_2_deg": 4.0, "range": {"theta_2": [-180.0, 180.0]}}
 GUIDE = {"slope_l_2_deg": 6.0, "square_l_2_deg": -2.0, "range": {"l_2": [-30.0, -10.0]}}
@@ -72,9 +73,7 @@ def test_splines_are_one_at_their_knots_and_reproduce_lines() -> None:
 def test_margins_allow_for_what_shapes_do_not_have() -> None:
     plain, plan = pair_robot(), waypoints(pair_robot(), 6)
     tilt = {"x_slope_l_2_deg": 1.0, "y_sin_1_theta_2_deg": -2.0, "range": {"l_2": [-30, 0], "theta_2": [-180, 180]}}
-    robot = with_terms(
-        plate=tilt, curvature_2={"slope_l_2_percent": 3.0, "range": {"l_2": [-30, 0]}, "largest_mm": 0.7}
-    )
+    robot = with_terms(plate=tilt)
     effect = effect_of("learned_plate", tilt, 2)
     values = {"x_slope_l_2_deg": np.radians(1.0), "y_sin_1_theta_2_deg": np.radians(-2.0)}
     turn = effect.plate_turn(values, plain, Collars(plan.theta_commanded, plan.l_commanded))
@@ -82,15 +81,22 @@ def test_margins_allow_for_what_shapes_do_not_have() -> None:
     largest = effect.largest_turn_rad(values, plain)
     assert np.linalg.norm(turn, axis=1).max() <= largest < 2 * np.linalg.norm(turn, axis=1).max()
     reach = max(tube.length_m for tube in plain.tubes)
-    assert robot.model_error_m == pytest.approx(0.7e-3 + largest * reach)
+    assert robot.model_error_m == pytest.approx(largest * reach)
 
 
-@pytest.mark.parametrize(("ends", "times"), [([2.0, 6.0], 2.0), ([-9.0, 3.5], 3.0), ([1.0, 3.0], 1.0)])
-def test_margins_allow_for_coefficients_within_their_interval(ends: list[float], times: float) -> None:
-    """A property that changes by so many times as much moves tips by so many times what it did in its data."""
+@pytest.mark.parametrize(("ends", "percent"), [([2.0, 6.0], 6.0), ([-9.0, 3.5], 9.0), ([1.0, 3.0], 3.0)])
+def test_a_built_property_is_anything_up_to_its_most_at_any_pose(ends: list[float], percent: float) -> None:
+    """Margins were what it moved tips by in its data, whatever the pose; now it is an interval, as wide as its own."""
     table = {"slope_l_2_percent": 3.0, "range": {"l_2": [-30, 0]}, "largest_mm": 0.7}
     robot = with_terms(curvature_2={**table, "ci95": {"slope_l_2_percent": ends}})
-    assert robot.model_error_m == pytest.approx(times * 0.7e-3)
+    given, most = uncertain_parameters(robot), percent / 100
+    k = given.names.index("effects.learned_curvature_2.anywhere")
+    assert robot.model_error_m == 0 and given.value[k] == 0
+    assert -given.low[k] == given.high[k] >= most == pytest.approx(given.high[k], rel=0.3)
+    for share in (given.low[k], given.high[k]):
+        changed = given.robot_at(share * np.eye(given.count)[k])
+        for section, own in zip(changed.tubes[1].sections, robot.tubes[1].sections, strict=True):
+            assert section.curvature_per_m == pytest.approx(own.curvature_per_m * (1 + share))
 
 
 @pytest.mark.parametrize(

@@ -83,6 +83,23 @@ def test_a_state_without_an_equilibrium_is_no_clearance_at_all() -> None:
     assert cube_minima(asked, near).clearance_m == -np.inf
 
 
+@pytest.mark.parametrize("leap_mm", [0.0, 5.0, 20.0])
+def test_where_bodies_leap_from_state_to_state_a_fold_is_told_and_no_shape_between(leap_mm: float) -> None:
+    """A body 2.2 mm within an obstacle was told of, halfway between two branches that keep 7.7 mm from it."""
+    fold = np.array([leap_mm * 1e-3, 0.0, 0.0])
+
+    def leaping(states: Sequence[State]) -> list[Solved]:
+        of_each = zip(states, solved(states), strict=True)
+        return [replace(one, body_m=one.body_m + fold * (phi[1] > 0.34)) for phi, one in of_each]
+
+    states = [(0.0, 0.0), *corner_states(2)]
+    known = dict(zip(states, leaping(states), strict=True))
+    halfway = Spheres(curled(np.array([[0.0, 0.34]]))[:, -1] + fold / 2, 0.2e-3)
+    found = cube_minima(CubeQuery(known, np.full(60, 0.1e-3), leaping, Needed(0.0), floor_m=0.0), halfway)
+    assert found.stability == (0.0 if leap_mm else 1.0)
+    assert (found.clearance_m < 0) != bool(leap_mm)
+
+
 def test_configurations_that_are_looked_at_together_are_found_as_alone() -> None:
     """Bodies of several lengths, what is asked of them differs too; and no more distances are asked for."""
     rng = np.random.default_rng(3)

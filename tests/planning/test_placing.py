@@ -255,6 +255,13 @@ def test_bad_input_gets_one_sentence(
     assert capsys.readouterr().err.endswith(f"{sentence}\n")
 
 
+def test_loads_would_turn_along_with_the_base(folder: Path) -> None:
+    """They are stated in the robot's frame: poses were proposed as if the world turned with the robot."""
+    loaded = ctrplan.load_scenario(folder / "scenario.toml", ["robot.effects.gravity.g_x_m_s2=9.81"])
+    with pytest.raises(InputError, match="has loads, which are stated in the robot's frame"):
+        place(loaded)
+
+
 def test_arguments_are_checked(scenario: ctrplan.Scenario) -> None:
     for keys in ({"center_m": [0, 0]}, {"along_m": [0, 0, 1e9]}, {"radius_m": -1.0}, {"candidates": 0}):
         with pytest.raises(InputError):

@@ -13,14 +13,17 @@ from ctrplan.__main__ import main
 from ctrplan.base.arrays import Array
 from ctrplan.certificate.certificate import Certificate
 from ctrplan.certificate.certify import certify
+from ctrplan.drive.legs import Collars, distance_from_polyline
 from ctrplan.files.robot_file import load_robot
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.motion.limits import search_limits
-from ctrplan.motion.play import play_shift
+from ctrplan.motion.play import play_reach, play_shift, play_turn
+from ctrplan.pipeline.chain import Chain
 from ctrplan.plans.plan import Plan
 from ctrplan.reports.plan_words import certificate_in_words
 from ctrplan.robot.robot import Robot
 from ctrplan.scenario.scenario import Scenario
+from ctrplan.uncertainty.tip_slopes import friction_states
 
 WIDTHS = {"theta_2_deg": 4.0, "theta_3_deg": 3.0, "l_3_mm": 1.0}
 
@@ -76,6 +79,25 @@ def test_the_shift_is_in_proportion_to_small_play_and_adds_up_over_actuators() -
         shift = play_shift(whole, *q)
         assert play_shift(half, *q) == pytest.approx(shift / 2, rel=0.05)
         assert sum(play_shift(robot, *q) for robot in single) == pytest.approx(shift, rel=1e-6)
+
+
+def test_the_reach_of_play_is_what_driving_to_both_ends_gives_where_effects_act_on_it() -> None:
+    """It was added after the drive's effects, so that an eccentricity behind it never acted on it."""
+    given = ["effects.backlash.theta_3_deg=10.0", "effects.eccentricity.sin_3_deg=30.0"]
+    robot = load_robot(SCENARIOS / "robots" / "three_tube.toml", given)
+    chain, ways = Chain.of(robot), np.array([[0, 0, -1.0, 0, 0, 0], [0, 0, 1.0, 0, 0, 0]])
+    for theta, l in configurations(robot):  # noqa: E741 (as in the equations)
+        driven = chain.drive(Collars(np.tile(theta, (2, 1)), np.tile(l, (2, 1))), ways)
+        here = robot.mechanics.body(*robot.collars(theta, l))[0]
+        ends = [robot.mechanics.body(*end)[0] for end in zip(driven.theta, driven.l, strict=True)]
+        apart = [[max(np.linalg.norm(b[-1] - a[-1]), distance_from_polyline(b, a).max())
+                  for a, b in zip(here, end, strict=True)] for end in ends]  # fmt: skip
+        assert play_shift(robot, theta, l) == pytest.approx(np.max(apart, axis=0)[0], rel=1e-9)
+        assert play_reach(robot, theta, l) == pytest.approx(np.max(apart), rel=1e-9)
+        tangents = [[robot.solve(*at, phi).tip_tangent for phi in friction_states(robot)]
+                    for at in (robot.collars(theta, l), *zip(driven.theta, driven.l, strict=True))]  # fmt: skip
+        turned = [np.arccos(np.clip(np.sum(np.multiply(tangents[0], end), axis=1), -1, 1)) for end in tangents[1:]]
+        assert play_turn(robot, theta, l) == pytest.approx(np.max(turned), rel=1e-6)
 
 
 def test_the_command_says_what_play_adds(capsys: pytest.CaptureFixture[str]) -> None:

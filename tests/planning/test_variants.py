@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import itertools
 from dataclasses import replace
 from typing import Any
@@ -14,7 +15,7 @@ from places import ROBOTS
 import ctrplan
 from ctrplan.anatomy.parts import AnatomyPart
 from ctrplan.anatomy.shapes.sphere import Sphere
-from ctrplan.base.arrays import Array, alike, shares_of_length
+from ctrplan.base.arrays import CHI95, Array, alike, shares_of_length
 from ctrplan.certificate.certificate import Certificate
 from ctrplan.certificate.certify import certify
 from ctrplan.certificate.variants import Variants
@@ -291,6 +292,56 @@ def test_play_counts_where_a_limit_lets_it_move_to_one_side_alone(inner_mm: floa
     ends = joints(0, 30, 100, inner_mm), joints(0, 31, 100, inner_mm)
     play_m = certified(scene(play, *ends)).samples.play_m
     np.testing.assert_allclose(play_m, 0.15e-3, atol=0.01e-3)
+
+
+def test_a_built_property_moves_the_robot_farther_than_it_did_in_its_data() -> None:
+    """A margin as large as the tip's largest shift in the data, near home, was all that stood for it: 0.5 of 2.4 mm."""
+    table = {"slope_l_3_percent": 5.0, "range": {"l_3": [-104, -90]}, "largest_mm": 0.5}
+    plain, built = robot(**FRICTIONLESS), robot(**FRICTIONLESS, effects={"learned_curvature_3": table})
+    ends = joints(0, 0, 60, -12), joints(0, 0, 62, -12)
+    content = copy.deepcopy(dict(plain.content))
+    for section in content["tube"][2]["section"]:  # beyond its range the term is held at the edge: 5 % more
+        section["curvature_y_per_m"] *= 1.05
+    tips = [one.solve(*plain.drive.collars(ends[1])).tip_m for one in (plain, robot_from_dict(content))]
+    away = (tips[1] - tips[0]) / np.linalg.norm(tips[1] - tips[0])
+    ball = (1e3 * (tips[1] + (0.3e-3 + plain.tubes[2].outer_diameter_m / 2) * away)).tolist(), 0.5
+    assert certified(scene(plain, *ends, ball)).valid
+    (problem,) = certified(scene(built, *ends, ball)).problems
+    assert "too close" in problem
+
+
+def test_a_robot_may_be_homed_anew_before_a_motion() -> None:
+    """Zeros that its file has of later homings were left out: a plan held for the first one alone."""
+    later, at = {"homing_shift": {"theta_3_2_deg": 3.0, "theta_3_3_deg": -5.0}}, joints(0, 20, 60, -30)
+    plain, homed = robot(**FRICTIONLESS), robot(**FRICTIONLESS, effects=later)
+    shifted = at - [0, 0, np.radians(5.0), 0]
+    tips = [plain.solve(*plain.drive.collars(q)).tip_m for q in (at, shifted)]
+    away = (tips[1] - tips[0]) / np.linalg.norm(tips[1] - tips[0])
+    ball = (1e3 * (tips[1] + (0.3e-3 + plain.tubes[2].outer_diameter_m / 2) * away)).tolist(), 0.5
+    ends = at, joints(0, 20.2, 60.2, -30)
+    assert certified(scene(plain, *ends, ball)).valid
+    (problem,) = certified(scene(homed, *ends, ball)).problems
+    assert "too close" in problem
+
+
+PULLED = {"tip_load": {"force_y_N": 0.1, "ci95": {"force_y_N": [0.0, 0.2]}}}
+STANDS = Registration(0.2e-3, np.radians(0.3))
+
+
+@pytest.mark.parametrize("room_mm, is_clear", [(-0.1, False), (1.0, True)])
+def test_a_turn_of_the_registration_turns_the_anatomy_and_not_the_loads(room_mm: float, is_clear: bool) -> None:
+    """Loads keep their direction in the robot's frame; how well it is known is what their own interval says."""
+    at, end = joints(0, 20, 40, -30), joints(0, 22, 42, -30)
+    pulled, strongest = robot(**FRICTIONLESS, effects=PULLED), {"tip_load": {"force_y_N": 0.2}}
+    shape = robot(**FRICTIONLESS, effects=strongest).solve(*pulled.drive.collars(end))
+    weak = robot(**FRICTIONLESS, effects={"tip_load": {"force_y_N": 0.1}}).solve(*pulled.drive.collars(end))
+    assert np.linalg.norm(shape.tip_m - weak.tip_m) > 0.5e-3
+    out = np.cross(np.cross(shape.tip_m, shape.tip_m - weak.tip_m), shape.tip_m)  # across the lever of a turn
+    out /= np.linalg.norm(out)
+    reach_m = CHI95 * (STANDS.position_sigma_m + STANDS.rotation_sigma_rad * np.linalg.norm(shape.tip_m))
+    room_m = room_mm * 1e-3 + pulled.tubes[-1].outer_diameter_m / 2 + reach_m
+    ball = (1e3 * (shape.tip_m + (room_m + 0.5e-3) * out)).tolist(), 0.5
+    assert certified(scene(pulled, at, end, ball, registration=STANDS)).valid == is_clear
 
 
 ECCENTRIC = {"eccentricity": {"sin_3_deg": 30.0}}

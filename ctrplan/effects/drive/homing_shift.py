@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from ctrplan.base.arrays import Array
+from ctrplan.drive.legs import Collars
 from ctrplan.effects.effect import (
+    ANYWHERE,
     DEGREE,
     MILLIMETRE,
     Effect,
@@ -16,6 +18,7 @@ from ctrplan.effects.effect import (
     clauses,
     joined_clauses,
     register,
+    shifted,
     sliding,
     turning,
 )
@@ -65,6 +68,18 @@ class HomingShift(Effect):
         """Joints that move, in the homings that the poses are of."""
         later = [k for k in np.unique(data.homings[data.rows]).tolist() if k > 1]
         return [[f"{kind}_{i}_{k}_{unit}" for k in later for kind, i, unit in self._moving(data)]]
+
+    def anywhere(self, values: Values) -> Mapping[str, float]:
+        """Nobody knows after which homing a motion will be driven."""
+        most: dict[str, float] = {}
+        for name, value in values.items():
+            of_joint = "_".join([*name.split("_")[:2], ANYWHERE])
+            most[of_joint] = max(most.get(of_joint, 0.0), abs(value))
+        return most
+
+    def drive(self, values: Values, collars: Collars, directions: Array) -> Collars:
+        unknown = {name: value for name, value in values.items() if name.endswith(ANYWHERE)}
+        return shifted(collars, unknown, lambda shift, _column: shift)
 
     def zeros(self, values: Values, data: Measurements) -> Array:
         shift = np.zeros((MOST_HOMINGS + 1, 2 * data.n))

@@ -11,7 +11,7 @@ import numpy as np
 
 from ctrplan.base.arrays import Array
 from ctrplan.drive.legs import Collars
-from ctrplan.effects.effect import CATALOGUE, Effect, Parameter, Values, with_column
+from ctrplan.effects.effect import ANYWHERE, CATALOGUE, Effect, Parameter, Values, with_column
 from ctrplan.effects.learned import learned as learned_table
 from ctrplan.effects.learned import parts
 from ctrplan.effects.learned.inputs import (
@@ -27,6 +27,7 @@ from ctrplan.effects.learned.inputs import (
 )
 from ctrplan.effects.learned.parts import Part, formula, likeness
 from ctrplan.measurement.measurements import Measurements, Poses
+from ctrplan.robot.named_numbers import value_of
 from ctrplan.robot.robot import Robot
 
 DIGITS = 6  # of numbers that a fit writes
@@ -139,30 +140,35 @@ class LearnedDrive(Learned):
 
 
 class LearnedMechanics(Learned):
-    """A built term of a tube's property, as small changes: shapes at rest lack them, margins allow for them."""
-
-    noted: Values = {}  # the coefficients of a file, with which it moved a tip by `largest_mm`
+    """A built term of a tube's property, as small changes: of a pose they are known, elsewhere by an interval."""
 
     def changing(self, values: Values, robot: Robot, data: Measurements) -> Mapping[str, Array]:
         rows = data.rows
         joints = data.theta_commanded[rows], data.l_commanded[rows]
         at = Situation(*joints, data=data, tubes=robot.tubes)
-        amount = self.amount(values, at)[:, 0]
+        return {name: rate * self.amount(values, at)[:, 0] for name, rate in self._rates(robot).items()}
+
+    def mechanics(self, values: Values, robot: Robot) -> Mapping[str, float]:
+        if ANYWHERE not in values:
+            return {}
+        return {name: value_of(robot, name) + rate * values[ANYWHERE] for name, rate in self._rates(robot).items()}
+
+    def anywhere(self, values: Values) -> Mapping[str, float]:
+        return {ANYWHERE: self.most(values)}
+
+    def _rates(self, robot: Robot) -> dict[str, float]:
+        """By how much numbers of the robot change for an amount of one."""
         i = self.target.tube
         if self.target.kind_name == "stiffness":
-            return {f"tube.{i}.bending_stiffness_Nm2": amount * robot.tubes[i - 1].bending_stiffness_Nm2}
-        changes = {}
+            return {f"tube.{i}.bending_stiffness_Nm2": robot.tubes[i - 1].bending_stiffness_Nm2}
+        rates = {}
         for k, section in enumerate(robot.tubes[i - 1].sections, start=1):
             x, y = section.curvature_x_per_m, section.curvature_y_per_m
             across = (-y, x) if self.target.kind_name == "bend" else (x, y)
             for axis, curvature in zip("xy", across, strict=True):
                 if curvature:
-                    changes[f"tube.{i}.section.{k}.curvature_{axis}_per_m"] = amount * curvature
-        return changes
-
-    def largest_shift_m(self, values: Values, robot: Robot) -> float:
-        noted = self.most(self.noted)
-        return self.largest_mm * 1e-3 * (self.most(values) / noted if noted else 1.0)
+                    rates[f"tube.{i}.section.{k}.curvature_{axis}_per_m"] = curvature
+        return rates
 
 
 class LearnedPlate(Learned):
@@ -245,10 +251,7 @@ def learned_in(name: str, table: Mapping[str, Any], notes: tuple[str, ...], n: i
     on = target(name, n)
     assert on is not None
     names = [key for key in table if key not in (*notes, *NOTES)]
-    term = learned(on, names, ranges_of(table), n, float(table.get("largest_mm", 0.0)))
-    if isinstance(term, LearnedMechanics):
-        term.noted = {parameter.name: float(table[parameter.name]) * parameter.si for parameter in term.parameters_of()}
-    return term
+    return learned(on, names, ranges_of(table), n, float(table.get("largest_mm", 0.0)))
 
 
 def faults(name: str, table: Mapping[str, Any], notes: tuple[str, ...], n: int) -> Iterator[tuple[str, str]]:
