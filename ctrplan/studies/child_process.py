@@ -93,11 +93,16 @@ class Child:
 
 
 def in_child(function: Callable[..., Any], *arguments: Any, limit_s: float | None = None) -> Any:
-    """Calls a function as `Child.call`, in the child of this thread, which is started if need be."""
+    """Calls a function as `Child.call`, in the child of this thread."""
+    return child_of_thread().call(function, *arguments, limit_s=limit_s)
+
+
+def child_of_thread() -> Child:
+    """The child of this thread, which is started if need be."""
     child: Child | None = getattr(_of_thread, "child", None)
     if child is None or not child.is_alive:
         child = _of_thread.child = Child()
-    return child.call(function, *arguments, limit_s=limit_s)
+    return child
 
 
 def close_children() -> None:
@@ -141,13 +146,24 @@ class ChildExecutor(ThreadPoolExecutor):
         """Starts a process with its first task."""
         super().__init__(workers or cores())
         self.workers = workers or cores()
+        self._is_left = False
 
     def submit(self, fn: Callable[..., T], /, *args: Any, **kwargs: Any) -> Future[T]:
         """A call of a function of some module; `limit_s` among the keywords is the time that it may take."""
-        return super().submit(in_child, fn, *args, **kwargs)
+        return super().submit(self._in_child, fn, *args, **kwargs)
+
+    def _in_child(self, function: Callable[..., T], *arguments: Any, **limits: Any) -> T:
+        """Calls it, unless the executor was left while the process was started, when there was none to end yet."""
+        child = child_of_thread()
+        if self._is_left:
+            child.close()
+            raise ChildEnded("the executor was left")
+        answer: T = child.call(function, *arguments, **limits)
+        return answer
 
     def __exit__(self, *_: object) -> None:
         """Ends the processes, whatever they are doing."""
+        self._is_left = True
         self.shutdown(wait=False, cancel_futures=True)
         close_children()
         self.shutdown()

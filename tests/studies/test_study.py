@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import pickle
+import time
 from concurrent.futures import Future
 from dataclasses import replace
 from pathlib import Path
@@ -80,6 +81,17 @@ def test_processes_give_the_same_table(tmp_path: Path) -> None:
         beside = run(bounds(), tmp_path / "two", executor, workers=2)
     assert beside.results == alone.results
     assert all(worker != alone.columns["worker"][0] for worker in beside.columns["worker"])
+
+
+def test_an_executor_that_is_left_at_once_waits_for_none() -> None:
+    """Processes that were being started when it was left did their tasks to the end: nobody knew them yet."""
+    from ctrplan.studies.child_process import ChildExecutor
+
+    began = time.monotonic()
+    with ChildExecutor(2) as executor:
+        sleeping = [executor.submit(time.sleep, 40.0) for _ in range(4)]
+    assert time.monotonic() - began < 20.0
+    assert all(future.cancelled() or future.exception() is not None for future in sleeping)
 
 
 def test_what_was_done_before_an_interruption_is_not_done_again(
