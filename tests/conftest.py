@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import gc
 import os
 
 from places import SCENARIOS
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy: its threads only fight over small matrices here
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from itertools import pairwise
 from typing import Any
 
@@ -32,6 +33,16 @@ WAYPOINTS_DEG_MM = [[0, 30, 60, -50], [0, 60, 110, -50], [0, 60, 110, -20]]
 PlanMaker = Callable[..., Plan]
 
 pytest_plugins = ["processor_times"]
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Generator[None, Any, Any]:
+    """What reading the tests makes stays; looking for garbage among it would take a fifth of the time."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.enable()
 
 
 @pytest.fixture(scope="session", autouse=True)
