@@ -67,15 +67,20 @@ def test_where_neither_explains_the_new_poses_that_is_said() -> None:
 
 def test_what_predicts_the_same_everywhere_stays_undecided() -> None:
     data = measured(ROBOT, waypoints(ROBOT, 18), BASE | {"homing_offset": {"theta_2_deg": 6.0}})
-    few = {name: CATALOGUE[name] for name in ("homing_offset", "off_plane_precurvature", "tip_load")}
+    few = {name: CATALOGUE[name] for name in ("homing_offset", "off_plane_precurvature", "tip_load", "backlash")}
     before = diagnose(ROBOT, data, catalogue=few)
     assert before.verdict == "ambiguous"
+    (finding,) = before.judgement.findings  # look-alikes are reported together
+    alike = {finding.term.name, *(other.term.name for other in finding.alternatives)}
+    assert alike == {"homing_offset", "off_plane_precurvature"}
+    assert "separates" in before.next_experiment or "To tell" in before.next_experiment
     new = measured(ROBOT, waypoints(ROBOT, 2, 7), BASE | {"homing_offset": {"theta_2_deg": 6.0}}, 3)
     after = decide(before, new, catalogue=few)
     (taken,) = after.decisions
     assert not taken.is_decided and after.verdict == "ambiguous" and "do not decide" in taken.sentence
+    nothing = replace(before, judgement=replace(before.judgement, verdict="no_missing_effect", findings=()))
     with pytest.raises(InputError, match="has nothing to decide"):
-        decide(diagnose(ROBOT, measured(ROBOT, waypoints(ROBOT, 18), BASE), catalogue=few), new, catalogue=few)
+        decide(nothing, new, catalogue=few)
 
 
 def test_sentences_and_waypoints() -> None:

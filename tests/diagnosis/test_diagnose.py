@@ -77,13 +77,6 @@ def test_an_effect_larger_than_expected_gets_the_size_that_the_data_say() -> Non
     assert y["value"] == pytest.approx(-300, rel=0.2) and y["ci95"][1] < -150
 
 
-def test_look_alikes_are_reported_together() -> None:
-    found = diagnose(ROBOT, measured(ROBOT, PLAN, BASE | {"homing_offset": {"theta_2_deg": 6.0}}), catalogue=QUICK)
-    assert found.verdict == "ambiguous"
-    assert names(found) == [{"homing_offset", "off_plane_precurvature"}]
-    assert "separates" in found.next_experiment or "To tell" in found.next_experiment
-
-
 def test_two_effects_that_hide_one_another_are_found_together() -> None:
     values = {"tip_load": {"force_x_N": 0.15, "force_y_N": -0.12}, "eccentricity": {"sin_2_deg": 5.0, "cos_2_deg": 3.0}}
     catalogue = {name: CATALOGUE[name] for name in ("homing_offset", "tip_load", "eccentricity")}

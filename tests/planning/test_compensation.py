@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import numpy as np
 import pytest
-from arriving_pair import GOAL, PATH, START, certified, pair
+from arriving_pair import GOAL, PATH, START, TURNED_LAST, certified, pair
 from made_up_input import FUZZ
 from places import ROBOTS, SCENARIOS
 
@@ -19,7 +20,7 @@ from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.motion.checker import MotionChecker
 from ctrplan.planning import compensate as compensation
-from ctrplan.planning.compensate import _CorrectedEnd, compensate
+from ctrplan.planning.compensate import Compensated, _CorrectedEnd, compensate
 from ctrplan.scenario import prediction
 from ctrplan.scenario.joint_space import bare_scenario
 from ctrplan.scenario.prediction import TIP_TOLERANCE_M, predict, start_states
@@ -80,29 +81,33 @@ def test_what_the_first_correction_leaves_is_corrected_again(monkeypatch: pytest
                 yield way
                 return
 
-    case, turned_last = pair(), np.array([START, [*START[:2], GOAL[2]], GOAL])
-    case = replace(case, goal=replace(case.goal, tolerance_m=4e-3))
-    before = certify(case, turned_last)
+    case, before = pair(), certified(TURNED_LAST)
+    case = replace(case, goal=replace(case.goal, tolerance_m=4e-3))  # of which its arrival knows nothing
     monkeypatch.setattr(compensation, "_corrected_ways", halves)
-    result = compensate(MotionChecker(case), turned_last, before)
+    result = compensate(MotionChecker(case), TURNED_LAST, before)
     found, at_first = result.certificate.arrival, before.arrival
     assert found is not None and at_first is not None and at_first.by_cause.offset_m > 0.2e-3
     assert found.by_cause.offset_m < 0.35 * at_first.by_cause.offset_m
     np.testing.assert_allclose(result.corners[-1] - GOAL, result.compensation.correction, atol=1e-12)
 
 
+@cache
+def compensated() -> Compensated:
+    """The pair's path that ends with a turn, corrected; nobody changes it."""
+    return compensate(MotionChecker(pair()), TURNED_LAST, certified(TURNED_LAST))
+
+
 def test_the_way_that_is_known_to_be_driven_is_tried_first(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing is corrected or walked where it is certified and arrives; else corrections follow."""
-    case, turned_last = pair(), np.array([START, [*START[:2], GOAL[2]], GOAL])
-    checker, before = MotionChecker(case), certify(case, turned_last)
-    found = compensate(checker, turned_last, before)
-    assert np.any(found.corners != turned_last)
-    in_vain = compensate(checker, turned_last, before, walk_legs(case, turned_last + [0, 1e-6, 1e-6]))
+    case, before, found = pair(), certified(TURNED_LAST), compensated()
+    checker = MotionChecker(case)
+    assert np.any(found.corners != TURNED_LAST)
+    in_vain = compensate(checker, TURNED_LAST, before, walk_legs(case, TURNED_LAST + [0, 1e-6, 1e-6]))
     np.testing.assert_array_equal(in_vain.corners, found.corners)
     driven = walk_legs(case, found.corners)
     monkeypatch.setattr(compensation, "_correction", None)
     monkeypatch.setattr(compensation, "walk_legs", None)
-    known = compensate(checker, turned_last, before, driven)
+    known = compensate(checker, TURNED_LAST, before, driven)
     np.testing.assert_array_equal(known.corners, found.corners)
     np.testing.assert_allclose(known.compensation.correction, found.compensation.correction, atol=1e-12)
 
@@ -120,7 +125,7 @@ def test_a_path_that_a_search_moved_is_brought_on_target_by_histories_of_ordinar
 @pytest.mark.parametrize("slope", [0.13, -1.05, -0.9, 0.5])
 def test_the_offset_that_is_aimed_for_is_that_at_the_end(slope: float, monkeypatch: pytest.MonkeyPatch) -> None:
     """Also where it changes as much as the end does, so that aiming where it last was leads away."""
-    case, path = pair(), np.array([START, [*START[:2], GOAL[2]], GOAL])
+    case, path = pair(), TURNED_LAST
 
     def miss_m(corners: Any) -> Any:
         return compensation.frictionless_tips(case.robot, corners[-1:])[0][0] - case.goal.tip_m
@@ -161,14 +166,12 @@ def test_what_joints_limits_leave_of_the_offset_is_said() -> None:
         for j, a, b in zip(case.robot.drive.joints, START, GOAL, strict=True)
     ]
     stopped = replace(case, robot=replace(case.robot, drive=replace(case.robot.drive, joints=tuple(joints))))
-    turned_last = np.array([START, [*START[:2], GOAL[2]], GOAL])
-    result = compensate(MotionChecker(stopped), turned_last, certify(stopped, turned_last))
+    result = compensate(MotionChecker(stopped), TURNED_LAST, certify(stopped, TURNED_LAST))
     found = result.certificate.arrival
     assert found is not None and found.by_cause.offset_m > TIP_TOLERANCE_M
     assert result.compensation.note.startswith(f"{found.by_cause.offset_m * 1e3:.2f} mm of the known offset: ")
     assert "within the joints' limits" in result.compensation.note
-    free = compensate(MotionChecker(case), turned_last, certified(turned_last))
-    assert not free.compensation.note
+    assert not compensated().compensation.note
 
 
 def test_a_path_that_is_aimed_is_simulated_from_every_start_twice(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -59,7 +59,7 @@ def avoided(states: Array) -> Array:
 @pytest.fixture(scope="module")
 def plans() -> tuple[ctrplan.Plan, ctrplan.Plan]:
     """Without a term and with it, by counted seconds: the same anywhere."""
-    case, dear = FREE.with_("planner.time_s=1"), ctrplan.CostTerm("avoided", 1000.0, avoided)
+    case, dear = FREE.with_("planner.time_s=0.6"), ctrplan.CostTerm("avoided", 1000.0, avoided)
     return ctrplan.plan(case), ctrplan.plan(case, terms=[dear])
 
 

@@ -182,7 +182,7 @@ def test_no_friction_state_has_less_clearance_than_certified(seed: int) -> None:
     bodies = ROBOT.mechanics.friction_bodies(theta_b, l_b, states, accuracy="certificate")
     assert bodies.solved.all()
     valid = 0
-    for away_mm in (3.0, 5.0, 8.0, 14.0):
+    for away_mm in (3.0, 5.0, 8.0, 14.0) if FUZZ else (5.0, 14.0):
         side = rng.standard_normal(3)
         middle = bodies.point_m[rng.integers(len(states)), -1 - rng.integers(40)]
         center = middle + away_mm * 1e-3 * side / np.linalg.norm(side)

@@ -63,6 +63,12 @@ def uncertain() -> Scenario:
 
 
 @pytest.fixture(scope="module")
+def samples(uncertain: Scenario) -> CertificateSamples:
+    """What is uncertain along a short way."""
+    return walked(uncertain)
+
+
+@pytest.fixture(scope="module")
 def along(uncertain: Scenario) -> Uncertainty:
     """What is uncertain on its path."""
     return ctrplan.plan_uncertainty(uncertain, path(uncertain))
@@ -86,9 +92,10 @@ def test_without_intervals_nothing_changes() -> None:
         assert search_limits(scenario).clearance_m == search_limits(plain).clearance_m
 
 
-def test_a_certificate_has_what_is_uncertain_in_its_figures_and_says_how_much(uncertain: Scenario) -> None:
-    same = ribs("robot.effects.friction.mu_1=0.2", "robot.effects.homing_offset.theta_2_deg=0")
-    samples, bare = walked(uncertain), walked(same)
+def test_a_certificate_has_what_is_uncertain_in_its_figures_and_says_how_much(
+    uncertain: Scenario, samples: CertificateSamples
+) -> None:
+    bare = walked(ribs("robot.effects.friction.mu_1=0.2", "robot.effects.homing_offset.theta_2_deg=0"))
     assert not bare.parameter_bound_m.any() and not bare.parameter_clearance_m.any()
     assert samples.parameter_stability.min() > 0 and samples.parameter_strain.min() > 0
     assert samples.parameter_bound_m.min() > 0.2e-3 and samples.parameter_clearance_m.min() > 0.5e-3
@@ -98,16 +105,15 @@ def test_a_certificate_has_what_is_uncertain_in_its_figures_and_says_how_much(un
     assert search_limits(uncertain).clearance_m > search_limits(ribs()).clearance_m + 0.5e-3
 
 
-def test_figures_get_worse_with_every_interval() -> None:
+def test_figures_get_worse_with_every_interval(samples: CertificateSamples) -> None:
     narrow = [text.replace("[-0.4, 0.4]", "[-0.2, 0.2]") for text in INTERVALS]
-    before, after = (walked(s) for s in (ribs(*narrow), ribs(*INTERVALS)))
+    before, after = walked(ribs(*narrow, *REGISTRATION)), samples
     assert after.clearance_m.min() < before.clearance_m.min() and after.stability.min() < before.stability.min()
     assert after.parameter_bound_m.max() > before.parameter_bound_m.max()
 
 
-def test_bounds_of_a_path_are_those_of_its_configurations(uncertain: Scenario) -> None:
+def test_bounds_of_a_path_are_those_of_its_configurations(uncertain: Scenario, samples: CertificateSamples) -> None:
     """To first order: differences across intervals against derivatives."""
-    samples = walked(uncertain)
     theta, l = uncertain.robot.drive.commanded(samples.joints[[0, -1]])  # noqa: E741 (as in the equations)
     alone = ctrplan.bound_with_parameters(uncertain.robot, theta, l)
     added = alone.position_m - alone.friction_m
@@ -125,8 +131,9 @@ def test_no_robot_within_the_intervals_loses_more_clearance_than_allowed(uncerta
         assert least >= body.least_m - body.allowance_m
 
 
-def test_a_margin_that_only_the_intervals_break_is_refused_in_a_sentence_that_says_so(uncertain: Scenario) -> None:
-    samples = walked(uncertain)
+def test_a_margin_that_only_the_intervals_break_is_refused_in_a_sentence_that_says_so(
+    uncertain: Scenario, samples: CertificateSamples
+) -> None:
     at = int(np.argmin(samples.stability))
     margin = float(samples.stability[at] + samples.parameter_stability[at] / 2)
     strict = replace(uncertain, margins=replace(uncertain.margins, stability=margin))

@@ -15,10 +15,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from made_up_input import FUZZ
 from ompl import base as ob
 from ompl import geometric as og
 from places import SCENARIOS
 from small_scenarios import pair_past_a_sphere, pair_without_named_joints
+from stated_plans import bent
 
 import ctrplan
 from ctrplan.anatomy.parts import AnatomyPart
@@ -35,7 +37,7 @@ from ctrplan.planning.goal_states import goal_states
 from ctrplan.planning.reordering import as_given, assemble, rotations_first
 from ctrplan.planning.search.ompl_set_up import MotionValidity, StateReader, Validity, state_space
 from ctrplan.planning.search.stage_search import Answer, Progress
-from ctrplan.scenario.joint_space import JointSpace
+from ctrplan.scenario.joint_space import JointSpace, bare_scenario
 from ctrplan.scenario.scenario import Goal, Scenario
 
 
@@ -57,20 +59,23 @@ def past(told: list[Progress]) -> ctrplan.Plan:
 
 @pytest.fixture(scope="module")
 def snap() -> ctrplan.Plan:
-    return ctrplan.plan(scenario("snap", "planner.time_s=0.3"), seed=0)
+    """A pair so curved that its inner tube snaps where it is turned past the outer one's bend."""
+    start, goal = (np.array([0.0, np.radians(angle), -0.04]) for angle in (120.0, 240.0))
+    case = bare_scenario(bent(1.6)).with_("planner.time_s=0.2", start=start, goal=Goal(joints=goal))
+    return ctrplan.plan(case, seed=0)
 
 
-def test_the_time_of_a_plan_is_split_by_what_took_it(snap: ctrplan.Plan) -> None:
-    assert list(snap.clock_s_by)[:3] == ["preparation", "search", "ending and compensation"]
-    assert sum(snap.clock_s_by.values()) == pytest.approx(snap.clock_s) and snap.clock_s > snap.first_certified_s > 0
-    assert snap.clock_s_by["search"] == max(snap.clock_s_by.values())
+def test_the_time_of_a_plan_is_split_by_what_took_it(past: ctrplan.Plan) -> None:
+    assert list(past.clock_s_by)[:3] == ["preparation", "search", "ending and compensation"]
+    assert sum(past.clock_s_by.values()) == pytest.approx(past.clock_s) and past.clock_s > past.first_certified_s > 0
+    assert past.clock_s_by["search"] == max(past.clock_s_by.values())
 
 
-def test_a_plan_travels_to_another_process(snap: ctrplan.Plan) -> None:
+def test_a_plan_travels_to_another_process(past: ctrplan.Plan) -> None:
     """All but the friction states that it ended with, which stay where they were simulated."""
-    again = pickle.loads(pickle.dumps(snap))
-    assert again.certificate.goal_bound_m == snap.certificate.goal_bound_m and again.seed == snap.seed
-    assert again.scenario.sha256 == snap.scenario.sha256 and len(again.legs) == len(snap.legs)
+    again = pickle.loads(pickle.dumps(past))
+    assert again.certificate.goal_bound_m == past.certificate.goal_bound_m and again.seed == past.seed
+    assert again.scenario.sha256 == past.scenario.sha256 and len(again.legs) == len(past.legs)
     with pytest.raises(ctrplan.InputError, match="no legs to walk again"):
         again.certificate.recheck()
 
@@ -152,7 +157,7 @@ def test_walk_reports_a_snap_it_was_not_told_about(snap: ctrplan.Plan) -> None:
 
 @pytest.mark.parametrize("name", ["RRT*", "RRTConnect"])
 def test_other_planners(name: str) -> None:
-    plan = ctrplan.plan(pair_past_a_sphere(name=name), seed=1)
+    plan = ctrplan.plan(pair_past_a_sphere(name=name, time_s=0.3), seed=1)
     check(plan)
     assert plan.planner == name and np.isfinite(plan.certificate.min_clearance_m)
 
@@ -163,7 +168,7 @@ def test_reorder_puts_rotations_first_at_no_higher_cost() -> None:
     checker = MotionChecker(case)
     tried = 0
     for _ in range(40):
-        if tried == 4:
+        if tried == (4 if FUZZ else 2):
             break
         path = np.concatenate(
             [[case.start], case.start + np.cumsum(rng.uniform(-1, 1, (4, 3)) * [0.4, 0.6, 8e-3], axis=0)]
@@ -178,7 +183,7 @@ def test_reorder_puts_rotations_first_at_no_higher_cost() -> None:
         np.testing.assert_allclose(plan.waypoints[-1], path[-1], atol=1e-12)
         for kind, following in zip(plan.legs[:-1], plan.legs[1:], strict=True):
             assert not (kind.kind == following.kind == "translation")
-    assert tried == 4
+    assert tried >= 2
 
 
 def test_reorder_swaps_a_translation_before_a_rotation() -> None:

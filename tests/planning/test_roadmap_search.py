@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from dataclasses import replace
+from functools import cache
 from types import SimpleNamespace
 from typing import Any
 
@@ -17,7 +18,7 @@ from ctrplan.base.long_work import SearchClock, WorkMeter
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.motion.checker import MotionChecker, Stations
 from ctrplan.planning.compensate import aimed
-from ctrplan.planning.goal_states import descended, goal_state, goal_states
+from ctrplan.planning.goal_states import GoalState, descended, goal_state, goal_states
 from ctrplan.planning.reordering import as_given
 from ctrplan.planning.room import (
     LOSS_M,
@@ -42,9 +43,15 @@ def vessel() -> MotionChecker:
     return MotionChecker(load_scenario(SCENARIOS / "vessel.toml"))
 
 
+@cache
+def vessel_goals(vessel: MotionChecker) -> list[GoalState]:
+    """The states found for its target, made once; nobody changes them."""
+    return goal_states(vessel, np.random.default_rng(0))
+
+
 @pytest.fixture(scope="module")
 def search(vessel: MotionChecker) -> RoadmapSearch:
-    goals = goal_states(vessel, np.random.default_rng(0))[:3]
+    goals = vessel_goals(vessel)[:3]
     joints = np.vstack([vessel.scenario.start, *(goal.joints for goal in goals)])
     found = RoadmapSearch(vessel, Roadmap(joints, np.array([[0, 1], [0, 2], [0, 3]]), np.array([1, 2, 3])), goals)
     found.grow(np.random.default_rng(1), 6)
@@ -103,7 +110,7 @@ def test_a_forbidden_path_is_not_found_again(vessel: MotionChecker, search: Road
 
 def test_a_motion_of_the_next_path_is_checked_ahead(vessel: MotionChecker, monkeypatch: pytest.MonkeyPatch) -> None:
     """Beside a path of one motion, while any path will do; of the cheapest path nothing else is checked."""
-    goals = goal_states(vessel, np.random.default_rng(0))[:3]
+    goals = vessel_goals(vessel)[:3]
     joints = np.vstack([vessel.scenario.start, *(goal.joints for goal in goals)])
     roadmap = Roadmap(joints, np.array([[0, 1], [0, 2], [0, 3]]), np.array([1, 2, 3]))
     together, checked, ahead = threading.Barrier(2), list[int](), list[int]()
@@ -134,7 +141,7 @@ def test_a_motion_of_the_next_path_is_checked_ahead(vessel: MotionChecker, monke
 def test_what_is_checked_ahead_counts_when_it_is_asked_for(vessel: MotionChecker) -> None:
     """The result and the counted work equal those of a check that is made when it is needed."""
     plain, early = MotionChecker(vessel.scenario), MotionChecker(vessel.scenario)
-    goal, start = goal_states(vessel, np.random.default_rng(0))[0], vessel.scenario.start
+    goal, start = vessel_goals(vessel)[0], vessel.scenario.start
     early.look_ahead(start, goal.joints)
     assert early.meter.spent_ns == 0
     assert early.motion(start, goal.joints) == plain.motion(start, goal.joints)
@@ -147,7 +154,7 @@ def test_what_is_checked_ahead_counts_when_it_is_asked_for(vessel: MotionChecker
 
 def test_a_path_through_one_of_two_equal_states_can_be_forbidden(vessel: MotionChecker) -> None:
     """By the same motions through the other one it is not found again."""
-    goal = goal_states(vessel, np.random.default_rng(0))[0]
+    goal = vessel_goals(vessel)[0]
     start = vessel.scenario.start
     beside = start + np.where(vessel.space.drive.is_rotation, 0.05, 0.0)
     roadmap = Roadmap(np.array([start, beside, beside, goal.joints]), np.array([[1, 3], [0, 2], [2, 3]]), np.array([3]))
@@ -183,7 +190,7 @@ def test_only_motions_on_which_a_limit_is_broken_are_forbidden(
 
 
 def test_a_path_leaves_the_room_that_certificates_turned_out_to_need(vessel: MotionChecker) -> None:
-    goals = goal_states(vessel, np.random.default_rng(0))[:2]
+    goals = vessel_goals(vessel)[:2]
     joints = np.vstack([vessel.scenario.start, *(goal.joints for goal in goals)])
     search = RoadmapSearch(vessel, Roadmap(joints, np.array([[0, 1], [0, 2]]), np.array([1, 2])), goals)
     search.known[:], search.cost[:], search.left[:], search.solved_m[:] = True, [1.0, 2.0], 0.0, [0.2e-3, 0.9e-3]
@@ -196,7 +203,7 @@ def test_a_path_leaves_the_room_that_certificates_turned_out_to_need(vessel: Mot
 
 def test_goals_are_promising_by_what_cannot_be_shortened(vessel: MotionChecker) -> None:
     """With known paths to two, the one with less left comes first, though its way is dearer by nearly as much."""
-    goals = goal_states(vessel, np.random.default_rng(0))[:3]
+    goals = vessel_goals(vessel)[:3]
     joints = np.vstack([vessel.scenario.start, *(goal.joints for goal in goals)])
     search = RoadmapSearch(vessel, Roadmap(joints, np.array([[0, 1], [0, 2], [0, 3]]), np.array([1, 2, 3])), goals)
     weights = vessel.scenario.cost
@@ -270,7 +277,7 @@ def test_counted_time_is_work_alone() -> None:
 
 
 def test_a_search_without_a_valid_goal_ends_at_once(vessel: MotionChecker) -> None:
-    goal = goal_states(vessel, np.random.default_rng(0))[0]
+    goal = vessel_goals(vessel)[0]
     inside_the_wall = replace(goal, joints=goal.joints + [3.0, 3.0, 0, 0])
     assert not vessel.state(inside_the_wall.joints).valid
     problem = SearchProblem(vessel, [inside_the_wall], seed=0)
@@ -340,7 +347,7 @@ def test_what_a_search_has_solved_tells_which_states_are_valid() -> None:
 
 def stage_search(vessel: MotionChecker) -> StageSearch:
     """A search of two counted seconds."""
-    goals = goal_states(vessel, np.random.default_rng(0))
+    goals = vessel_goals(vessel)
     clock = SearchClock(vessel.meter, timed=False, budget_s=2.0)
     return StageSearch(vessel, goals, 0, time.monotonic(), 2.0, clock, lambda _: None, threading.Event())
 

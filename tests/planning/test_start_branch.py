@@ -42,6 +42,8 @@ from ctrplan.scenario.start_branch import standing, start_guide
 WOUND = [[25.3, -237.5, -478.9, -40.9, -45.0, -51.0], [-352.5, -38.0, 236.2, -140.0, -151.8, -158.9]]
 T5 = [0, 68.2221, 45.0959, -129.4931, -174.9751, -203.5571]
 MOVED = [10, 6, -6, 2, -2, 3]
+STATED = [(1.45, 1.9, 185), (1.3, 1.9, 185), (1.4, 2.2, 195)]  # precurvature, its most, and where
+TURNS = [(turns, *stated) for turns in ("absolute", "unknown") for stated in STATED][: 6 if FUZZ else 4]
 
 
 def wound(robot: Robot, start: Array, end: Array, **changes: Any) -> Scenario:
@@ -84,7 +86,7 @@ def wound_and_moved(k: int) -> tuple[Robot, Array, Certificate]:
     return robot, path, ctrplan.certify(wound(robot, start, path[-1]), path)
 
 
-@pytest.mark.parametrize("k", range(len(WOUND)))
+@pytest.mark.parametrize("k", range(len(WOUND)) if FUZZ else [1])
 def test_a_wound_start_is_certified_on_its_branch(k: int) -> None:
     """Joints of a wound robot have another shape by themselves, tens of mm away."""
     robot, path, certificate = wound_and_moved(k)
@@ -146,13 +148,12 @@ def test_a_sphere_counts_where_the_robot_stands() -> None:
     """An obstacle at the wound robot's own shape counts; one around the shape that it would have unwound does not."""
     robot = rvim()
     start = in_si(robot, WOUND[1])
-    path = l_shaped(robot, start, in_si(robot, MOVED))
-    here = standing(wound(robot, start, path[-1]), path).robot.guide
+    here = standing(wound(robot, start, start)).robot.guide
     assert here is not None
-    own = robot.solve(*robot.drive.collars(path[-1])).tip_m
+    own = robot.solve(*robot.drive.collars(start)).tip_m
     for tip_m, is_hit in ((here.tip_m[-1], True), (own, False)):
-        scenario = wound(robot, start, path[-1], anatomy=(sphere(tip_m * 1e3, 3.0),))
-        certificate = ctrplan.certify(scenario, path)
+        scenario = wound(robot, start, start, anatomy=(sphere(tip_m * 1e3, 3.0),))
+        certificate = ctrplan.certify(scenario, np.array([start, start]))
         assert certificate.valid != is_hit and (certificate.min_clearance_m < 0) == is_hit
 
 
@@ -180,7 +181,7 @@ def test_a_plan_of_a_wound_robot_ends_at_its_target_on_its_branch(
     guide = standing(wound(robot, start, path[-1]), path).robot.guide
     assert guide is not None
     scenario = bare_scenario(robot).with_(
-        "planner.time_s=0.3", start=start, start_turns="absolute", goal=Goal(tip_m=guide.tip_m[-1], tolerance_m=1e-3)
+        "planner.time_s=0.15", start=start, start_turns="absolute", goal=Goal(tip_m=guide.tip_m[-1], tolerance_m=1e-3)
     )
     plan = ctrplan.plan(scenario)
     assert plan.certificate.valid and any("stable shapes" in note for note in plan.notes)
@@ -246,9 +247,9 @@ def test_a_start_that_is_wound_up_by_a_snap_is_refused() -> None:
                 assert start_guide(scenario) is None and standing(scenario) is scenario
                 assert "straight from home" in other_start(scenario, q)
                 count += 1
-        if count == 2:
+        if count == (2 if FUZZ else 1):
             break
-    assert count == 2
+    assert count
 
 
 @pytest.mark.parametrize("name", ["rvim", "bent"])
@@ -334,8 +335,9 @@ def test_a_scenario_with_another_start_knows_nothing_of_the_branch_before() -> N
 
 
 def test_targets_on_the_way_are_passed_on_the_branch() -> None:
-    robot, way, _ = wound_and_moved(1)
-    end = way[-1] + in_si(robot, [-5, 8, 0, 0, 1, -2])
+    robot, start, by = PAIR
+    way = l_shaped(robot, start, by)
+    end = way[-1] + in_si(robot, [-5, 8, -2])
     scenario = wound(robot, way[0], end, via=(Goal(joints=way[-1]),))
     certificate = ctrplan.certify(scenario, np.vstack([way, end]))
     assert certificate.valid and len(certificate.targets) == 2
@@ -369,10 +371,9 @@ def test_a_start_that_intervals_may_leave_on_another_branch_is_refused() -> None
         assert ("may end by what is stated of" in next(iter(certificate.problems), "")) == is_refused
 
 
-@pytest.mark.parametrize("turns", ["absolute", "unknown"])
-@pytest.mark.parametrize(("factor", "most", "at_deg"), [(1.45, 1.9, 185), (1.3, 1.9, 185), (1.4, 2.2, 195)])
+@pytest.mark.parametrize(("turns", "factor", "most", "at_deg"), TURNS)
 def test_a_start_is_refused_where_a_robot_within_its_interval_has_another_shape(
-    factor: float, most: float, at_deg: float, turns: Any
+    turns: Any, factor: float, most: float, at_deg: float
 ) -> None:
     """The file's pair has one shape at every angle; bent more, as its interval allows, it stays wound past 180 deg."""
     robot, others = stated_pair(factor, (0.999, most / factor), friction=0.01)
@@ -401,7 +402,7 @@ def test_no_robot_at_an_end_of_an_interval_leaves_the_bound_on_a_branch() -> Non
         assert most < BEYOND_BOUND_M and not snaps
 
 
-@pytest.mark.parametrize("width", [0.02, 0.1])
+@pytest.mark.parametrize("width", [0.02, 0.1] if FUZZ else [0.1])
 def test_no_combination_of_many_intervals_snaps_on_a_certified_way(width: float) -> None:
     """The inner precurvature in six parts, each in an interval: all at their lower ends, the wound pair snaps first."""
     content, parts = copy.deepcopy(bent(2.2).content), 6
@@ -420,13 +421,13 @@ def test_no_combination_of_many_intervals_snaps_on_a_certified_way(width: float)
     angles = np.append([0.0, start[1]], np.radians(np.arange(200, 240, 0.25)))
     driven = other.history().follow(*other.drive.collars(np.array([[0, angle, start[2]] for angle in angles])))
     snap_deg = float(np.degrees(angles[np.flatnonzero(driven.snaps)[0]]))
-    for beyond_deg in (-0.5, 0.0, 0.5, 3.0):
+    for beyond_deg in (-0.5, 0.0, 0.5, 3.0) if FUZZ else (-0.5, 0.5):
         path = np.array([start, [0, np.radians(snap_deg + beyond_deg), start[2]]])
         for way in (path, path[::-1]):  # there, and back by a robot that was wound up so far
             assert ctrplan.certify(wound(robot, way[0], way[-1]), way).valid == (beyond_deg < 0)
 
 
-@pytest.mark.parametrize("at_deg", [178, 182])
+@pytest.mark.parametrize("at_deg", [178, 182] if FUZZ else [182])
 def test_a_closed_way_around_a_fold_leaves_no_start_that_is_taken_for_another(at_deg: float) -> None:
     """Drawn back to where there is one shape, turned there, and pushed out again: the same joints, the other shape."""
     pair = bent(2.2)

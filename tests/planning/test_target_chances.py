@@ -335,7 +335,7 @@ def test_chances_by_history_are_those_of_robots_that_drive_the_path(toured: Call
     plan = replace(plan, scenario=registered(plan.scenario))
     scenario, samples, parameters = plan.scenario, plan.certificate.samples, uncertain_parameters(plan.scenario.robot)
     rows = np.unique(
-        np.append(np.arange(0, len(samples.leg), 6), [np.flatnonzero(samples.leg == 0)[-1], len(samples.leg) - 1])
+        np.append(np.arange(0, len(samples.leg), 12), [np.flatnonzero(samples.leg == 0)[-1], len(samples.leg) - 1])
     )
     first = int(np.searchsorted(rows, np.flatnonzero(samples.leg == 0)[-1]))
     collars, starts = scenario.robot.drive.collars(samples.joints[rows]), start_states(scenario)

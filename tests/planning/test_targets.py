@@ -40,7 +40,7 @@ def tour() -> ctrplan.Plan:
     first = {"name": "first", "tip_mm": [50, 10, 200], "tolerance_mm": 1}
     second = {"joints": {"rotate outer": 20, "rotate inner": 40, "translate inner": 10}}
     third = {"name": "third", "tip_mm": [45, -15, 205], "tolerance_mm": 1}
-    return ctrplan.plan(pair(target=[first, second, third]), seed=0)
+    return ctrplan.plan(pair(target=[first, second, third], planner={"time_s": 0.3}), seed=0)
 
 
 def test_every_target_is_reached_in_order(tour: ctrplan.Plan) -> None:

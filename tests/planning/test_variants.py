@@ -65,14 +65,14 @@ def certified(case: Scenario) -> Certificate:
 
 def test_a_curvature_s_interval_counts_where_the_tip_passes_and_not_only_where_the_base_is_narrow() -> None:
     """Twelve rows along the way told of the sphere at the base each, and the tip hit the other one by 1.8 mm."""
-    ends = joints(-15, -15, -15, -30), joints(15, 15, 15, -30)
+    ends = joints(-5, -5, -5, -30), joints(5, 5, 5, -30)
     spheres = ([3.62, 0.0, 8.0], 1.0), ([85.224, 0.0, 169.736], 1.0)
     case = scene(robot(**CURVED), *ends, *spheres, start_friction="released")
     assert certified(replace(case, robot=robot())).valid
-    (problem,) = certified(case).problems
-    assert "too close to the anatomy" in problem
-    assert certified(replace(case, anatomy=case.anatomy[:1])).valid
-    way = ends[0] + np.linspace(0, 1, 400)[:, None] * (ends[1] - ends[0])
+    hit = certified(case)
+    assert "too close to the anatomy" in hit.problems[0] and hit.narrowest is not None
+    assert hit.narrowest.part.startswith("anatomy.2")  # not by the one at the base
+    way = ends[0] + np.linspace(0, 1, 140)[:, None] * (ends[1] - ends[0])
     at = ctrplan.plan_uncertainty(case, way).closest
     assert at is not None and at.chance_touch.stated > 0.1  # it said less than 0.04 %, of the sphere at the base
 
@@ -191,7 +191,8 @@ def test_no_robot_that_the_file_allows_comes_nearer_than_certified(seed: int) ->
     goal = start + np.append(rng.uniform(-0.3, 0.3, 3), 0.0)
     tip = loose.solve(*loose.drive.collars((start + goal) / 2)).tip_m
     away, stated = _unit(rng), -np.inf
-    for apart_m in (10e-3, 13e-3, 16e-3, 20e-3, 25e-3, 30e-3, 40e-3):  # the nearest ball that is certified
+    apart = (10e-3, 13e-3, 16e-3, 20e-3, 25e-3, 30e-3, 40e-3)
+    for apart_m in apart[0 if FUZZ else 1 :]:  # the nearest ball that is certified
         ball = (1e3 * (tip + apart_m * away)).tolist(), 3.0
         case = scene(loose, start, goal, ball, registration=Registration(0.1e-3, 0.001))
         if (found := certified(case)).valid:
@@ -220,7 +221,7 @@ def test_no_robot_that_the_file_allows_comes_nearer_than_certified(seed: int) ->
 
 def test_what_takes_clearance_is_said_by_cause() -> None:
     """The parts add up from the frictionless robot to the certificate; each takes more where more of it is stated."""
-    start, goal = joints(0, 45, 80, -40), joints(0, 50, 80, -40)
+    start, goal = joints(0, 47, 80, -40), joints(0, 48, 80, -40)
     plain = robot()
     tip = plain.solve(*plain.drive.collars((start + goal) / 2)).tip_m
     ball = ((tip + [3e-3, 9e-3, 2e-3]) * 1e3).tolist(), 3.0
