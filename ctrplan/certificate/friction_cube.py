@@ -279,7 +279,7 @@ def minima_of_cubes(queries: Sequence[CubeQuery], distance: Distance | None) -> 
 
 
 def _folded(minima: StateMinima) -> StateMinima:
-    """Of a cell with a fold in it: it is refused for that, and nothing is said of shapes beside it."""
+    """A cell with a fold in it is refused for that, and nothing is said of shapes beside it."""
     return replace(minima, clearance_m=np.inf, stability=min(minima.stability, 0.0))
 
 

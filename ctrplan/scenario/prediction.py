@@ -166,7 +166,7 @@ def predict_end(
 
 def predict_from(robot: Robot, states: Sequence[HistoryState], joints: Array) -> PathPrediction:
     """Predicts as `predict`, from states at the first row of joints (K, m), one for each start."""
-    return _follow(robot, _restored(robot, states), joints)
+    return _follow(robot, begun_histories(robot, states), joints)
 
 
 def goal_error(robot: Robot, joints: Array, starts: Sequence[FrictionStart]) -> float:
@@ -243,7 +243,7 @@ def step_error(
     nearer to those of endless refinement: twice the difference covers an error that falls with at least the square root
     of the step (it falls linearly).
     """
-    coarse = _follow(robot, _restored(robot, end_states, accuracy), joints[-1:])
+    coarse = _follow(robot, begun_histories(robot, end_states, accuracy), joints[-1:])
     ends = np.concatenate([part[:, -1] for part in (coarse.tip_m, coarse.tangent, coarse.phi)], axis=1)
     different = list[int]()
     for k in range(len(ends)):
@@ -262,8 +262,8 @@ def begun_histories(
     options: HistoryOptions | None = None,
 ) -> list[History]:
     """A history for each start; one and the same for several that are one saved state."""
-    known: dict[int, History] = {}
-    return [known.setdefault(id(start), _begun(robot, start, accuracy, options)) for start in starts]
+    histories = {id(start): _begun(robot, start, accuracy, options) for start in {id(s): s for s in starts}.values()}
+    return [histories[id(start)] for start in starts]
 
 
 def _begun(robot: Robot, start: FrictionStart, accuracy: Accuracy, options: HistoryOptions | None) -> History:
@@ -280,8 +280,7 @@ def _end_after(robot: Robot, q: Array, before: _PathEnd | None, starts: Sequence
     """Where histories are after moving on to q (m,) from where others ended, or at a start there."""
     if before is not None and not before.states:
         return before
-    begun = _restored(robot, before.states, options=LONG_STEPS) if before else None
-    histories = begun or begun_histories(robot, starts, options=LONG_STEPS)
+    histories = begun_histories(robot, before.states if before else starts, options=LONG_STEPS)
     tips = _follow(robot, histories, q[None]).tip_m[:, -1]
     return _PathEnd(tips, _saved(histories) if np.all(np.isfinite(tips)) else [])
 
@@ -290,19 +289,6 @@ def _saved(histories: Sequence[History]) -> list[HistoryState]:
     """A state for each history, one and the same where a history stands for several."""
     states = {history: history.save() for history in histories}
     return [states[history] for history in histories]
-
-
-def _restored(
-    robot: Robot,
-    states: Sequence[HistoryState],
-    accuracy: Accuracy = "search",
-    options: HistoryOptions | None = None,
-) -> list[History]:
-    """A history for each state, one and the same where a state stands for several."""
-    histories = {id(state): robot.history(accuracy=accuracy, options=options) for state in states}
-    for state in states:
-        histories[id(state)].restore(state)
-    return [histories[id(state)] for state in states]
 
 
 def rows_to_simulate(robot: Robot, joints: Array, leg: NDArray[np.int_]) -> NDArray[np.int_]:

@@ -131,7 +131,7 @@ def test_a_path_that_is_not_valid_is_confirmed_not_to_be(scenario: Scenario) -> 
 
 
 def test_stages_are_walked_again_one_by_one() -> None:
-    """Of a pair, as nothing of it is of a robot."""
+    """A pair stands for every robot: what is asked depends on none."""
     scenario = ctrplan.load_scenario(SCENARIOS / "pair_free.toml")
     middle, end = scenario.start + [0.0, 0.1, 0.0], scenario.start + [0.0, 0.1, 0.003]
     first = certify(replace(scenario, goal=Goal(middle, None, 1e-3)), np.array([scenario.start, middle]))
