@@ -7,15 +7,17 @@ Position and tangent have sizes s of their own. Multiplying by (I + s^2 R)^(-1/2
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
 
+T = TypeVar("T")
 POSITION, TANGENT = slice(0, 3), slice(3, None)  # of the numbers of a pose
 SIZES = np.concatenate([[0.0], np.geomspace(0.1, 1000.0, 33)])  # of s, over the noise
 SHARES = np.array([0.0, 0.2, 0.4, 0.6, 0.8, 0.95, 1.0])  # of the variance that approaches of a configuration share
@@ -33,6 +35,8 @@ class Block:
 
 
 Chosen = int | slice | NDArray[np.int_]  # numbers of sizes
+Pairs = list[tuple[int, int]]  # numbers of a size of position and one of tangent
+Highest = tuple[float, float, float]  # an evidence, and the sizes of position and tangent that it has
 Numbered = tuple[NDArray[np.int_], Block]  # (k, c) of the numbers r.ravel() of a fit, c for each row of a block
 
 
@@ -169,7 +173,8 @@ class SizeSums:
     alike: NDArray[np.bool_]  # (N + M,) which these are
     g: Array  # (S, P)
     likelihood: Array  # (S,) twice the log-likelihood at the priors' centres, up to a constant
-    _known: dict[int, Array] = field(default_factory=dict)
+    _normal: Array  # (S, P, P) normal matrices of the sizes that were asked for
+    _is_known: NDArray[np.bool_]  # (S,) which these are
 
     @classmethod
     def over(cls, fit: Linearised, blocks: Sequence[Numbered], sizes: Array) -> SizeSums:
@@ -182,7 +187,8 @@ class SizeSums:
         alike = np.isclose(values, usual, rtol=0, atol=1e-9)  # approaches of one configuration, among them
         weight, of_all = 1 / (1 + sizes[:, None] ** 2 * values[~alike]), 1 / (1 + sizes**2 * usual)
         none = np.zeros((len(sizes), J.shape[1])), np.zeros(len(sizes))
-        return cls(sizes, J[~alike], weight, J[alike], of_all, alike, *none).of_residuals(fit.r, blocks)
+        normal = np.empty((len(sizes), *2 * J.shape[1:])), np.zeros(len(sizes), dtype=bool)
+        return cls(sizes, J[~alike], weight, J[alike], of_all, alike, *none, *normal).of_residuals(fit.r, blocks)
 
     def of_residuals(self, r: Array, blocks: Sequence[Numbered]) -> SizeSums:
         """The sums with other residuals (K, 5) of the same numbers."""
@@ -195,16 +201,16 @@ class SizeSums:
             likelihood=volume - self.weight @ y**2 - of_all * (of_same @ of_same),
         )
 
-    def H(self, numbers: NDArray[np.int_], columns: NDArray[np.int_]) -> Array:
-        """(..., P, P) the normal matrices of some parameters at numbers (...) of the sizes."""
-        for number in numbers.ravel().tolist():
-            if number not in self._known:
-                weighted = np.sqrt(self.weight[number])[:, None] * self.along
-                self._known[number] = weighted.T @ weighted + self.of_all[number] * self._of_same
-        some = [self._known[k] for k in numbers.ravel().tolist()]
-        if len(columns) < self.g.shape[1] or np.any(columns != np.arange(len(columns))):
-            some = [H[columns[:, None], columns] for H in some]
-        return np.array(some).reshape(*numbers.shape, *2 * columns.shape)
+    def H(self, numbers: NDArray[np.int_], columns: NDArray[np.int_] | slice) -> Array:
+        """(K, P, P) the normal matrices of some parameters at numbers (K,) of the sizes."""
+        if len(new := numbers[~self._is_known[numbers]]):
+            new = np.unique(new)
+            weighted = np.sqrt(self.weight[new])[:, :, None] * self.along
+            self._normal[new] = weighted.transpose(0, 2, 1) @ weighted + self.of_all[new, None, None] * self._of_same
+            self._is_known[new] = True
+        if isinstance(columns, slice):
+            return self._normal[numbers]
+        return self._normal[numbers[:, None, None], columns[:, None], columns]
 
     @cached_property
     def _of_same(self) -> Array:
@@ -220,7 +226,7 @@ def _along(values: Array, blocks: Sequence[Numbered]) -> Array:
     return np.concatenate([np.zeros((0, count)), *parts])
 
 
-System = tuple[Array, Array, Array]  # normal matrices (..., P, P), right sides (..., P), twice the log-likelihoods
+System = tuple[Array, Array, Array]  # normal matrices (K, P, P), right sides (K, P), twice the log-likelihoods (K,)
 
 
 @dataclass(frozen=True, eq=False)
@@ -234,8 +240,7 @@ class Spectrum:
     moved: Array = field(default_factory=lambda: np.zeros(0))  # (M,) by how much
     begin: tuple[int, int] | None = None  # numbers of sizes near which the highest evidence is sought
     modes: int = 0  # last parameters of the sums, of unit priors: the amounts of a process, over which is integrated
-    _known: dict[tuple[int, int], System] = field(default_factory=dict)  # beside the process, by numbers of sizes
-    _evidences: dict[tuple[int, int], float] = field(default_factory=dict)  # of these columns, by numbers of sizes
+    _beside: dict[tuple[int, int], System] = field(default_factory=dict)  # the process, by numbers of sizes
 
     @classmethod
     def at(cls, fit: Linearised, blocks: Sequence[Block]) -> Spectrum:
@@ -270,16 +275,27 @@ class Spectrum:
         priors = self.precision[kept] if precision is None else precision
         some = np.flatnonzero(moved) if moved is not None else kept[:0]
         amount = moved[some] if moved is not None else self.moved
-        return replace(self, precision=priors, columns=self.columns[[*kept, *some]], moved=amount, _evidences={})
+        return replace(self, precision=priors, columns=self.columns[[*kept, *some]], moved=amount)
 
     def of_residuals(self, r: Array, position: Sequence[Numbered], tangent: Sequence[Numbered]) -> Spectrum:
         """The spectrum of a fit with other residuals (K, 5), whose numbers have the same blocks."""
         sums = self.position.of_residuals(r, position), self.tangent.of_residuals(r, tangent)
-        begin = max(self._evidences, key=self._evidences.__getitem__, default=self.begin)
-        return replace(self, position=sums[0], tangent=sums[1], begin=begin, _known={}, _evidences={})
+        begin, known = self.begin, self._evidences
+        if not np.isnan(known).all():
+            begin = divmod(int(np.nanargmax(known)), known.shape[1])
+        return replace(self, position=sums[0], tangent=sums[1], begin=begin, _beside={})
 
-    def highest(self) -> tuple[float, float, float]:
-        """The highest evidence, and the sizes of position and tangent that it has: one by one, until both stay.
+    @cached_property
+    def _evidences(self) -> Array:
+        """(S, T) those that are known, NaN elsewhere: a pair of sizes is worked out once."""
+        return np.full((len(self.position.size), len(self.tangent.size)), np.nan)
+
+    def highest(self) -> Highest:
+        """The highest evidence, and the sizes of position and tangent that it has."""
+        return highest_of([self])[0]
+
+    def climb(self) -> Generator[Pairs, None, Highest]:
+        """Seeks the highest evidence along one size after the other until both stay; yields the pairs it asks for.
 
         Every fourth size is asked, and then the neighbours of the best at half that distance, and half again; these
         alone where it is known near which sizes it is.
@@ -287,22 +303,34 @@ class Spectrum:
         at, stride = ([0, 0], STRIDE) if self.begin is None else (list(self.begin), STRIDE // 2)
         while stride:
             before = list(at)
-            for k, part in enumerate((self.position, self.tangent)):
-                numbers = np.arange(len(part.size))
-                near = numbers % STRIDE == 0 if stride == STRIDE else np.isin(numbers - at[k], (-stride, 0, stride))
-                evidence = self.evidences(numbers[near], at[1]) if k == 0 else self.evidences(at[0], numbers[near])
-                at[k], best = int(numbers[near][evidence.argmax()]), float(evidence.max())
+            for k, count in enumerate(self._evidences.shape):
+                low, high = (0, count) if stride == STRIDE else (at[k] - stride, min(at[k] + stride + 1, count))
+                near = range(low if low >= 0 else at[k], high, stride)
+                pairs = [(number, at[1]) if k == 0 else (at[0], number) for number in near]
+                yield pairs
+                at[k] = near[int(np.argmax([self._evidences[pair] for pair in pairs]))]
             stride //= 1 + (at == before)
-        return best, float(self.position.size[at[0]]), float(self.tangent.size[at[1]])
+        return float(self._evidences[tuple(at)]), float(self.position.size[at[0]]), float(self.tangent.size[at[1]])
 
-    def log_mean(self, highest: float, position: float, tangent: float) -> float:
-        """Twice the logarithm of the mean evidence over sizes, by the lines through the peak that `highest` gives."""
-        p, t = (int(np.abs(s.size - at).argmin()) for s, at in ((self.position, position), (self.tangent, tangent)))
-        lines = (
-            _line(lambda numbers: self.evidences(numbers, t), len(self.position.size), p),
-            _line(lambda numbers: self.evidences(p, numbers), len(self.tangent.size), t),
-        )
-        return highest + sum(2 * float(np.log(np.exp((line - highest) / 2).sum() / count)) for line, count in lines)
+    def mean(self, peak: Highest) -> Generator[Pairs, None, float]:
+        """Twice the logarithm of the mean evidence over sizes, by the lines through its peak; yields pairs to ask for.
+
+        Of each line counts what rounding leaves beside the peak: evidences fall on either side of it.
+        """
+        result, least = peak[0], peak[0] + 2 * float(np.log(np.finfo(float).eps))
+        p, t = (int(np.abs(s.size - at).argmin()) for s, at in ((self.position, peak[1]), (self.tangent, peak[2])))
+        yield [(p, t)]
+        for at, line, is_position in ((p, self._evidences[:, t], True), (t, self._evidences[p], False)):
+            low, high, count = at, at + 1, len(line)
+            while True:
+                down = range(max(low - STRIDE, 0), low) if line[low] > least else range(0)
+                up = range(high, min(high + STRIDE, count)) if line[high - 1] > least else range(0)
+                if not (down or up):
+                    break
+                yield [(number, t) if is_position else (p, number) for number in (*down, *up)]
+                low, high = low - len(down), high + len(up)
+            result += 2 * float(np.log(np.exp((line[low:high] - peak[0]) / 2).sum() / count))
+        return result
 
     @property
     def without_error(self) -> float:
@@ -310,90 +338,112 @@ class Spectrum:
         return float(self.evidences(0, 0))
 
     def evidences(self, position: Chosen, tangent: Chosen) -> Array:
-        """(S,) twice their logarithms, up to a constant, at numbers of the sizes; one of each is a single number.
+        """(S,) twice their logarithms, up to a constant, at numbers of the sizes; one of each is a single number."""
+        rows, columns = map(np.arange, self._evidences.shape)
+        p, t = np.broadcast_arrays(rows[position], columns[tangent])
+        _work_out([(self, list(zip(p.ravel().tolist(), t.ravel().tolist(), strict=True)))])
+        return np.array(self._evidences[p, t])
 
-        A pair of sizes is worked out once, however often a search comes by.
-        """
-        p, t = np.arange(len(self.position.size))[position], np.arange(len(self.tangent.size))[tangent]
-        pairs = list(np.broadcast(p, t))
-        if new := [k for k, pair in enumerate(pairs) if pair not in self._evidences]:
-            worked_out = self._of_sizes(*(part[new] if part.ndim else part for part in (p, t)))
-            self._evidences.update(zip([pairs[k] for k in new], worked_out.ravel().tolist(), strict=True))
-        return np.array([self._evidences[pair] for pair in pairs]).reshape(np.broadcast_shapes(p.shape, t.shape))
-
-    def _of_sizes(self, p: NDArray[np.int_], t: NDArray[np.int_]) -> Array:
-        """(S,) the evidences at numbers (S,) of the sizes, one of them single."""
-        H, g, likelihood = self._beside_process(p, t) if self.modes else self._systems(p, t, self.columns)
+    def system(self, p: NDArray[np.int_], t: NDArray[np.int_]) -> System:
+        """The system at numbers (K,) of the sizes, over the priors' widths, without what is moved or integrated."""
+        H, g, likelihood = self._beside_process(p, t) if self.modes else self._sums(p, t, self._chosen)
         if count := len(self.moved):  # residuals r become r + J moved
             of_moved = H[..., -count:] @ self.moved
             likelihood = likelihood - (2 * g + of_moved)[..., -count:] @ self.moved
             H, g = H[..., :-count, :-count], (g + of_moved)[..., :-count]
-        evidences: Array = likelihood + integral(H, g, self.precision)
-        return evidences
+        scale = 1 / np.sqrt(self.precision)
+        return H * scale[:, None] * scale, g * scale, likelihood
 
-    def _systems(self, position: NDArray[np.int_], tangent: NDArray[np.int_], columns: NDArray[np.int_]) -> System:
-        """Normal systems of some parameters, and twice the log-likelihoods, at numbers of the sizes."""
+    @cached_property
+    def _chosen(self) -> NDArray[np.int_] | slice:
+        """The columns, as a slice where they are all."""
+        every = np.arange(self.position.g.shape[1])
+        return slice(None) if np.array_equal(self.columns, every) else self.columns
+
+    def _sums(self, p: NDArray[np.int_], t: NDArray[np.int_], columns: NDArray[np.int_] | slice) -> System:
+        """Normal systems of some parameters, and twice the log-likelihoods, at numbers (K,) of the sizes."""
         first, second = self.position, self.tangent
         return (
-            first.H(position, columns) + second.H(tangent, columns),
-            first.g[position][..., columns] + second.g[tangent][..., columns],
-            first.likelihood[position] + second.likelihood[tangent],
+            first.H(p, columns) + second.H(t, columns),
+            first.g[p][:, columns] + second.g[t][:, columns],
+            first.likelihood[p] + second.likelihood[t],
         )
 
-    def _beside_process(self, position: NDArray[np.int_], tangent: NDArray[np.int_]) -> System:
-        """Systems and log-likelihoods as of `_systems`, beside the process, over whose amounts is integrated.
+    def _beside_process(self, p: NDArray[np.int_], t: NDArray[np.int_]) -> System:
+        """Systems and log-likelihoods as of `_sums`, beside the process, over whose amounts is integrated.
 
         What it explains is taken out of the system of all other parameters once at a pair of sizes, whichever of those
         are wanted.
         """
         from scipy.linalg import solve_triangular  # slow to import
 
-        pairs, m, every = np.broadcast(position, tangent), self.modes, np.arange(self.position.g.shape[1])
-        for pair in pairs:
-            if pair not in self._known:
-                H, g, likelihood = self._systems(np.array(pair[0]), np.array(pair[1]), every)
+        pairs, m, kept = list(zip(p.tolist(), t.tolist(), strict=True)), self.modes, self.columns
+        for k, pair in enumerate(pairs):
+            if pair not in self._beside:
+                H, g, likelihood = (values[0] for values in self._sums(p[k : k + 1], t[k : k + 1], slice(None)))
                 factor = np.linalg.cholesky(H[-m:, -m:] + np.eye(m))
                 seen = solve_triangular(factor, np.column_stack([H[-m:, :-m], g[-m:]]), lower=True, check_finite=False)
                 taken = seen.T @ seen
                 likelihood = likelihood + taken[-1, -1] - 2 * np.log(np.diag(factor)).sum()
-                self._known[pair] = H[:-m, :-m] - taken[:-1, :-1], g[:-m] - taken[:-1, -1], likelihood
-        pairs.reset()
-        systems, kept = [self._known[pair] for pair in pairs], self.columns
-        H = np.array([H[kept[:, None], kept] for H, _, _ in systems]).reshape(*pairs.shape, *2 * kept.shape)
-        g = np.array([g[kept] for _, g, _ in systems]).reshape(*pairs.shape, -1)
-        return H, g, np.array([likelihood for *_, likelihood in systems]).reshape(pairs.shape)
+                self._beside[pair] = H[:-m, :-m] - taken[:-1, :-1], g[:-m] - taken[:-1, -1], likelihood
+        systems = [self._beside[pair] for pair in pairs]
+        H = np.array([H[kept[:, None], kept] for H, _, _ in systems])
+        return H, np.array([g[kept] for _, g, _ in systems]), np.array([likelihood for *_, likelihood in systems])
 
 
-def _line(evidences: Callable[[NDArray[np.int_]], Array], count: int, at: int) -> tuple[Array, int]:
-    """Twice the logarithms of those of `count` evidences that rounding leaves beside their peak, number `at`; count.
+def highest_of(spectra: Sequence[Spectrum]) -> list[Highest]:
+    """The highest evidence of each, and its sizes."""
+    return _together(spectra, [spectrum.climb() for spectrum in spectra])
 
-    They fall on either side of it.
+
+def log_means(spectra: Sequence[Spectrum], peaks: Sequence[Highest]) -> list[float]:
+    """Twice the logarithms of the mean evidence of each over sizes, by the lines through its peak."""
+    return _together(spectra, [spectrum.mean(peak) for spectrum, peak in zip(spectra, peaks, strict=True)])
+
+
+def _together(spectra: Sequence[Spectrum], searches: Sequence[Generator[Pairs, None, T]]) -> list[T]:
+    """The results of searches, one of each spectrum; what all of them ask for next is worked out at once."""
+    running, results = dict(enumerate(searches)), dict[int, T]()
+    while running:
+        wanted = list[tuple[Spectrum, Pairs]]()
+        for k, search in list(running.items()):
+            try:
+                wanted.append((spectra[k], next(search)))
+            except StopIteration as end:
+                results[k] = end.value
+                del running[k]
+        _work_out(wanted)
+    return [results[k] for k in range(len(searches))]
+
+
+def _work_out(wanted: Sequence[tuple[Spectrum, Pairs]]) -> None:
+    """The evidences at pairs of sizes that are not known yet; those of as many parameters at once."""
+    of_count = dict[int, list[tuple[Spectrum, NDArray[np.int_], NDArray[np.int_]]]]()
+    for spectrum, pairs in wanted:
+        if new := [pair for pair in pairs if np.isnan(spectrum._evidences[pair])]:
+            p, t = np.array(new).T
+            of_count.setdefault(len(spectrum.precision), []).append((spectrum, p, t))
+    for alike in of_count.values():
+        systems = [spectrum.system(p, t) for spectrum, p, t in alike]
+        H, g, likelihood = (np.concatenate(parts) for parts in zip(*systems, strict=True))
+        values = np.split(likelihood + integral(H, g), np.cumsum([len(p) for _, p, _ in alike])[:-1])
+        for (spectrum, p, t), own in zip(alike, values, strict=True):
+            spectrum._evidences[p, t] = own
+
+
+def integral(H: Array, g: Array, least: Array | float = 1.0) -> Array:
+    """(...) what parameters of unit priors with normal systems (..., P, P), (..., P) add to twice the logarithm.
+
+    With g below H in one matrix, the last row of its factor squares to g^T (H + 1)^-1 g. The corner is larger than
+    that, for H with the priors is no smaller than 1, or than what `least` (...) rounding leaves it.
     """
-    known = {at: float(evidences(np.array([at]))[0])}
-    least = known[at] + 2 * float(np.log(np.finfo(np.float64).eps))
-    for way in (-1, 1):
-        end = at
-        while known[end] > least and 0 <= end + way < count:
-            near = end + way * np.arange(1, STRIDE + 1)
-            near = near[(near >= 0) & (near < count)]
-            known |= zip(near.tolist(), evidences(near).tolist(), strict=True)
-            end = int(near[-1])
-    return np.array(list(known.values())), count
-
-
-def integral(H: Array, g: Array, precision: Array, least: Array | float = 1.0) -> Array:
-    """(...) what parameters with normal systems (..., P, P), (..., P) and priors (P,) add to twice the logarithm.
-
-    With g below H in one matrix, the last row of its factor squares to g^T (H + prior)^-1 g. The corner is larger than
-    that, for H over the priors is no smaller than 1, or than what `least` (...) rounding leaves it.
-    """
-    scale, count = 1 / np.sqrt(precision), len(precision)
-    whole = np.empty((*H.shape[:-2], count + 1, count + 1))
-    np.multiply(H, np.outer(scale, scale), out=whole[..., :-1, :-1])
+    count = g.shape[-1]
+    whole = np.empty((*g.shape[:-1], count + 1, count + 1))
+    whole[..., :-1, :-1] = H
     diagonal = np.einsum("...ii->...i", whole)  # a view
     diagonal[..., :-1] += np.asarray(least)[..., None]
-    whole[..., -1, :-1] = g * scale
-    diagonal[..., -1] = 2 * (1.0 + (whole[..., -1, :-1] ** 2).sum(axis=-1))
+    whole[..., -1, :-1] = g
+    diagonal[..., -1] = 2 * (1.0 + (g**2).sum(axis=-1))
     factor = np.linalg.cholesky(whole)
     pivots = np.diagonal(factor, axis1=-2, axis2=-1)[..., :-1]
     added: Array = (factor[..., -1, :-1] ** 2).sum(axis=-1) - 2 * np.log(pivots).sum(axis=-1)

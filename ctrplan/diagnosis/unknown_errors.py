@@ -39,7 +39,9 @@ from ctrplan.calibration.discrepancy import (
     Spectrum,
     block_of,
     decay,
+    highest_of,
     integral,
+    log_means,
     of_configurations,
 )
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
@@ -343,7 +345,7 @@ def _with_unit_priors(fit: Linearised) -> Array:
 def _marginal(square: Array) -> Array:
     """(...) logarithm of the evidence by the squares (..., P + 1, P + 1) of what `_with_unit_priors` has."""
     H, g, of_r = square[..., :-1, :-1], square[..., :-1, -1], square[..., -1, -1]
-    logarithm: Array = (integral(H, g, np.ones(H.shape[-1]), _least(H)) - of_r) / 2
+    logarithm: Array = (integral(H, g, _least(H)) - of_r) / 2
     return logarithm
 
 
@@ -371,11 +373,11 @@ def _over_kinds(errors: Sequence[SmoothError], spectra: Sequence[Spectrum]) -> t
 
     No average is above its peak: kinds whose peaks are lost to rounding beside the others get no evidence.
     """
-    peaks, values = [spectrum.highest() for spectrum in spectra], np.full(len(errors), -np.inf)
-    for k in sorted(range(len(errors)), key=lambda k: -peaks[k][0]):
-        if peaks[k][0] / 2 < logsumexp(values) + np.log(np.finfo(np.float64).eps):
-            break
-        values[k] = spectra[k].log_mean(*peaks[k]) / 2
+    peaks, values = highest_of(spectra), np.full(len(errors), -np.inf)
+    order = sorted(range(len(errors)), key=lambda k: -peaks[k][0])
+    best = log_means([spectra[order[0]]], [peaks[order[0]]])[0]
+    there = [k for k in order if peaks[k][0] >= best + 2 * np.log(np.finfo(np.float64).eps)]
+    values[there] = np.array(log_means([spectra[k] for k in there], [peaks[k] for k in there])) / 2
     best = int(values.argmax())
     return values, Peak(errors[best], *peaks[best][1:]), peaks[best][0] / 2
 

@@ -12,7 +12,7 @@ from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
 from ctrplan.base.arrays import Array
-from ctrplan.calibration.discrepancy import Linearised, Spectrum
+from ctrplan.calibration.discrepancy import Linearised, Spectrum, highest_of, log_means
 from ctrplan.calibration.residuals import Noise, compared, residuals
 from ctrplan.diagnosis.unknown_errors import SmoothError, at_rest, of_motion
 from ctrplan.measurement.measurements import Measurements
@@ -84,8 +84,22 @@ def test_the_search_over_sizes_finds_the_highest_evidence_and_lines_through_it_l
     assert highest == pytest.approx(grid.max(), abs=1e-9)
     assert (position, tangent) == sizes_of(spectrum, int(p), int(t))
     means = sum(logsumexp(line / 2) - np.log(len(line)) for line in (grid[:, t], grid[p]))
-    assert spectrum.log_mean(highest, position, tangent) / 2 == pytest.approx(means - highest / 2, abs=1e-9)
+    assert log_means([spectrum], [(highest, position, tangent)])[0] / 2 == pytest.approx(means - highest / 2, abs=1e-9)
     assert spectrum.of_residuals(fit.r, error.position, error.tangent).highest() == (highest, position, tangent)
+
+
+def test_kinds_of_errors_are_searched_together_as_each_alone() -> None:
+    data = logged()
+    fit, errors = fit_of(data), of_motion(data, axes_of(data))
+    alone = [error.spectrum(fit) for error in errors]
+    peaks = [spectrum.highest() for spectrum in alone]
+    means = [log_means([spectrum], [peak])[0] for spectrum, peak in zip(alone, peaks, strict=True)]
+    together = [error.spectrum(fit) for error in errors]
+    together.append(errors[0].spectrum(fit).of([0]))  # of one parameter less
+    found = highest_of(together)
+    np.testing.assert_allclose(found[:-1], peaks, rtol=1e-9)
+    np.testing.assert_allclose(log_means(together[:-1], found[:-1]), means, rtol=1e-9)
+    assert found[-1] == pytest.approx(together[-1].of([0]).highest(), rel=1e-9)
 
 
 def sizes_of(spectrum: Spectrum, position: int, tangent: int) -> tuple[float, float]:
