@@ -48,6 +48,14 @@ def merge_legs(waypoints: Array) -> Array:
     return points[corners]
 
 
+def new_legs(corners: Array, before: Array) -> Array:
+    """The polyline (L, m) of a path's legs without those that begin or end the path before it, (K, m) each."""
+    least = min(len(corners), len(before))
+    first = int((corners[:least] == before[:least]).all(axis=1).cumprod().sum())
+    last = int((corners[-least:] == before[-least:]).all(axis=1)[::-1].cumprod().sum())
+    return corners[max(0, first - 1) : max(first, len(corners) - last) + 1]
+
+
 def distance_from_leg(points: Array, start: Array, end: Array) -> Array:
     """Distances (K,) of points (K, m) from the straight segments start - end, each (m,) or (K, m), 1 rad as 1 m."""
     chord = end - start

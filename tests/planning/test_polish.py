@@ -12,7 +12,7 @@ from places import SCENARIOS
 from ctrplan.anatomy.parts import AnatomyPart
 from ctrplan.anatomy.shapes.sphere import Sphere
 from ctrplan.base.arrays import MM_PER_M, Array
-from ctrplan.drive.legs import merge_legs
+from ctrplan.drive.legs import merge_legs, new_legs
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.motion.checker import MotionChecker
 from ctrplan.planning.compensate import CLOSE_M, aimed, brought_to_goal
@@ -386,14 +386,27 @@ def test_a_path_of_other_legs_is_aimed_anew_before_it_is_priced(
     """Another last leg leaves other friction, which steps would follow too late; a small miss is left to them."""
     path, offered = roundabout()[:-1], list[Array]()
     path[-1] = GOAL
-    monkeypatch.setattr(Polish, "_takes", lambda _, corners: offered.append(corners))
     for is_aimed, followed_m in ((False, 1e-4), (True, 1e-4), (True, 1.0)):
         monkeypatch.setattr("ctrplan.planning.search.polish.FOLLOWED_M", followed_m)
-        Polish(checker, roundabout(), 0, is_aimed=is_aimed)._takes_aimed(path)
+        offered.append(Polish(checker, roundabout(), 0, is_aimed=is_aimed)._aimed_anew(path))
     plain, anew, small = offered
     np.testing.assert_array_equal(plain, path)
     np.testing.assert_array_equal(small, path)
     assert np.linalg.norm(miss_m(case, anew)) < TIP_TOLERANCE_M < 1e-4 < np.linalg.norm(miss_m(case, path))
+
+
+def test_a_step_that_is_dearer_only_for_where_friction_takes_its_tip_is_aimed_anew(
+    case: Scenario, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Friction at the end of the new path is another: with the tip brought back it is cheaper, and it is taken."""
+    monkeypatch.setattr("ctrplan.planning.search.polish.FOLLOWED_M", 1e-4)
+    strict = MotionChecker(replace(case, cost=replace(case.cost, error_goal=1000.0)))
+    path, polish = roundabout()[:-1], Polish(strict, roundabout(), 0, is_aimed=True)
+    path[-1] = GOAL
+    before_mm = polish.cost_mm
+    assert polish._priced_mm(path) < before_mm and not polish._takes(path)
+    assert polish._takes_corrected(path) and polish.cost_mm < before_mm
+    assert np.linalg.norm(miss_m(strict.scenario, polish.corners)) < TIP_TOLERANCE_M
 
 
 TURNED = CostTerm("turned", 100.0, lambda q: np.abs(q[:, 1]))
@@ -422,6 +435,6 @@ def test_new_legs_are_those_that_changed(checker: MotionChecker) -> None:
     for rows in ([2], [2, 3], [5], list(range(1, 7))):
         moved = polish.corners.copy()
         moved[rows, :] += 1e-3
-        np.testing.assert_array_equal(polish._new_legs(moved), moved[rows[0] - 1 : rows[-1] + 2])
+        np.testing.assert_array_equal(new_legs(moved, polish.corners), moved[rows[0] - 1 : rows[-1] + 2])
     shorter = np.delete(polish.corners, 3, axis=0)
-    np.testing.assert_array_equal(polish._new_legs(shorter), shorter[2:4])
+    np.testing.assert_array_equal(new_legs(shorter, polish.corners), shorter[2:4])

@@ -51,6 +51,15 @@ class Levels:
     level: NDArray[np.int_]  # (X,) the level of each
     has_goal: bool  # whether the last level is the goal's
 
+    def places(self) -> list[tuple[int, int, NDArray[np.bool_]]]:
+        """The first corner, that after the last, and the joints (m,) of each level."""
+        result = []
+        for level in np.unique(self.level):
+            moves = self.spread[:, :, self.level == level].sum(axis=2) > 0
+            rows = np.flatnonzero(moves.sum(axis=1))
+            result.append((int(rows[0]), int(rows[-1]) + 1, moves.sum(axis=0) > 0))
+        return result
+
 
 def levels_of(checker: MotionChecker, corners: Array, *, moves_goal: bool) -> Levels:
     """The levels of a path (K, m) that may move, in order: those of the goal are one, where joints are to spare."""

@@ -15,11 +15,10 @@ from functools import cached_property, partial
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.base.long_work import ROOM_NS
-from ctrplan.drive.legs import merge_legs
+from ctrplan.drive.legs import merge_legs, new_legs
 from ctrplan.mechanics.walk import PathSamples
 from ctrplan.motion.checker import ASTRAY_M, DEFINITE_COLLISION_M, MotionChecker
 from ctrplan.planning.compensate import aimed, brought_to_goal
@@ -159,25 +158,16 @@ class Polish:
     def _leave_out(self) -> Iterator[None]:
         """Leaves out every level that the path does not need: a leg less, and its way."""
         k = 0
-        while k < len(levels := self._inner_levels()):
+        while k < len(levels := levels_of(self.checker, self.corners, moves_goal=False).places()):
             first, last, joints = levels[k]
             for beside in (first - 1, last):
                 yield
                 corners = self.corners.copy()
                 corners[first:last, joints] = corners[beside, joints]
-                if self._takes_aimed(corners):
+                if self._takes(self._aimed_anew(corners)):
                     break
             else:
                 k += 1
-
-    def _inner_levels(self) -> list[tuple[int, int, NDArray[np.bool_]]]:
-        """The first corner, that after the last, and the joints (m,) of each level but the goal's."""
-        levels, result = levels_of(self.checker, self.corners, moves_goal=False), []
-        for level in np.unique(levels.level):
-            moves = levels.spread[:, :, levels.level == level].sum(axis=2) > 0
-            rows = np.flatnonzero(moves.sum(axis=1))
-            result.append((int(rows[0]), int(rows[-1]) + 1, moves.sum(axis=0) > 0))
-        return result
 
     def _divide(self) -> Iterator[None]:
         """Lets half of the last leg but one follow the last, and half of the second precede the first, where that pays.
@@ -190,7 +180,8 @@ class Polish:
             moves = a != b if is_end else b != c  # the joints whose motion is divided
             between = np.array([a, c] if is_end else [a, b])
             between[:, moves] = ((a + b if is_end else b + c) / 2)[moves]
-            self._takes_aimed(np.concatenate([self.corners[: first + 1], between, self.corners[first + 2 :]]))
+            divided = np.concatenate([self.corners[: first + 1], between, self.corners[first + 2 :]])
+            self._takes(self._aimed_anew(divided))
 
     def _model(self) -> PathModel:
         """The model of the best path so far."""
@@ -206,32 +197,47 @@ class Polish:
             places += [place.moved(delta) for place in before.places]
         return PathModel(self.checker, corners, levels, places, along)
 
-    def _takes_aimed(self, corners: Array) -> bool:
-        """Whether a path of other legs costs less, aimed anew where friction takes the tip farther than steps do."""
+    def _aimed_anew(self, corners: Array) -> Array:
+        """The path with its end where the tip with friction arrives, if friction takes it farther than steps follow.
+
+        There friction at the end has turned round, or is no longer released: the aim is another one.
+        """
         if self.is_aimed and self.space.allowed(corners) and np.linalg.norm(self._miss_m(corners)) > FOLLOWED_M:
-            _, corners = aimed(self.checker, corners, self.corners)
-        return self._takes(corners)
+            return aimed(self.checker, corners, self.corners)[1]
+        return corners
 
     def _takes_corrected(self, corners: Array | None) -> bool:
-        """Whether a path, corrected where it comes too close, is valid and costs less; then it is the path."""
+        """Whether a path, corrected where it comes too close, is valid and costs less; then it is the path.
+
+        One that is dearer only for where friction takes its tip is aimed anew, and corrected there.
+        """
+        there = self._corrected(corners)
+        if there is None or self._takes(there):
+            return there is not None
+        if not self._priced_mm(there) < self.cost_mm - LEAST_GAIN_MM or (anew := self._aimed_anew(there)) is there:
+            return False
+        return self._takes(self._corrected(anew, self._tip_m(anew)))
+
+    def _corrected(self, corners: Array | None, aim_m: Array | None = None) -> Array | None:
+        """A path (K, m) to an aim (3,) corrected where it is too close; None where that leads astray, or is refused."""
         model = None
         for correction in range(1 + CORRECTIONS):
             samples = None if corners is None else self._walked(corners)
             if corners is None or samples is None:
-                return False
+                return None
             short_m = self.checker.limits.clearance_m - float(samples.clearance_m.min())
             if short_m <= 0 or correction == CORRECTIONS:
-                return self._takes(corners)
+                return corners
             if not short_m < ASTRAY_M:
-                return False
+                return None
             model = self._model_of(corners, samples, model)
             step = model.correction()
-            corners = None if step is None else self._moved(model, step)
-        return False
+            corners = None if step is None else self._moved(model, step, aim_m)
+        return None
 
     def _takes(self, corners: Array | None) -> bool:
         """Whether a path is valid and costs less; then it is the path."""
-        if corners is None or self.checker.refusal(self._new_legs(corners)):
+        if corners is None or self.checker.refusal(new_legs(corners, self.corners)):
             return False
         corners, most_mm = merge_legs(corners), self.cost_mm - LEAST_GAIN_MM
         cost_mm = self._cost_mm(corners)
@@ -245,16 +251,18 @@ class Polish:
         return True
 
     def _cost_mm(self, corners: Array) -> float:
+        cost_mm = self._priced_mm(corners)
+        if self.is_aimed and cost_mm < self.cost_mm:
+            cost_mm += self._miss_cost_mm(corners)
+        return cost_mm
+
+    def _priced_mm(self, corners: Array) -> float:
+        """What a path costs if the tip arrives; infinite where it is not valid."""
         samples = self._walked(corners)
         if samples is None or not self._arrives(samples):
             return np.inf
         motion = self.checker.judged(corners, samples)
-        if not motion.valid:
-            return np.inf
-        cost_mm = self.checker.cost_mm(motion, ends_at_goal=True)
-        if self.is_aimed and cost_mm < self.cost_mm:
-            cost_mm += self._miss_cost_mm(corners)
-        return cost_mm
+        return self.checker.cost_mm(motion, ends_at_goal=True) if motion.valid else np.inf
 
     def _miss_cost_mm(self, corners: Array, beside: Array | None = None) -> float:
         """What it costs that the tip with friction misses by more than the next step makes up for.
@@ -268,11 +276,9 @@ class Polish:
 
     def _walked(self, corners: Array) -> PathSamples | None:
         """The walk of a path; None where limits or zero-clearance shapes along new legs refuse it."""
-        if not self.space.allowed(corners):
-            return None
-        if self.checker.rooms([self._new_legs(corners)])[0] < DEFINITE_COLLISION_M - ASTRAY_M:
-            return None
-        return self.checker.known_walk(corners)
+        legs, least_m = new_legs(corners, self.corners), DEFINITE_COLLISION_M - ASTRAY_M
+        is_refused = not self.space.allowed(corners) or self.checker.rooms([legs])[0] < least_m
+        return None if is_refused else self.checker.known_walk(corners)
 
     def _arrives(self, samples: PathSamples) -> bool:
         """Whether the frictionless tip at the end of a walk is at the goal, where that is a tip.
@@ -287,34 +293,26 @@ class Polish:
         turned_rad = float(angle_to(samples.tip_tangent[-1:], target.direction)[0])
         return off_m <= goal.tolerance_m and turned_rad <= target.direction_tolerance_rad
 
-    def _new_legs(self, corners: Array) -> Array:
-        """The polyline (L, m) of a path's legs without those that begin or end the best path so far."""
-        least = min(len(corners), len(self.corners))
-        first = int((corners[:least] == self.corners[:least]).all(axis=1).cumprod().sum())
-        last = int((corners[-least:] == self.corners[-least:]).all(axis=1)[::-1].cumprod().sum())
-        return corners[max(0, first - 1) : max(first, len(corners) - last) + 1]
-
-    def _moved(self, model: PathModel, step: Array) -> Array | None:
-        """The model's path after a step (X,), the tip on the target; None where it can't be, or limits forbid it."""
+    def _moved(self, model: PathModel, step: Array, aim_m: Array | None = None) -> Array | None:
+        """The model's path after a step (X,), the tip at its aim; None where it can't be, or limits forbid it."""
         corners = model.corners + model.levels.spread @ step / self.space.weights_mm
         if model.levels.has_goal:
-            back = self._brought_back(model, corners[-1])
+            back = self._brought_back(model, corners[-1], self._aim_m if aim_m is None else aim_m)
             if back is None:
                 return None
             is_goal = model.levels.level == model.levels.level[-1]
             corners = corners + model.levels.spread[:, :, is_goal].sum(axis=2) * (back - corners[-1])
         return corners if self.space.allowed(corners) else None
 
-    def _brought_back(self, model: PathModel, q: Array) -> Array | None:
-        """Joint values (m,) near q with the tip on the target; None where they stray beyond limits."""
+    def _brought_back(self, model: PathModel, q: Array, aim_m: Array) -> Array | None:
+        """Joint values (m,) near q with the frictionless tip at (3,); None where they stray beyond limits."""
         end = model.corners[-1]
-        aim = self.solver.tips(end[None])[0] + self._aim_m - model.slopes.tip_m
+        aim = self.solver.tips(end[None])[0] + aim_m - model.slopes.tip_m
         if not np.isfinite(aim).all():
             return None
         start = self.space.projected(q[None], fallback=end[None])
         self.checker.meter.add(ROOM_NS * TIP_STEPS)
-        back: Array = self.solver.solve(TipTarget(aim), start, TIP_STEPS, turned=False).joints[0]
-        return back
+        return np.asarray(self.solver.solve(TipTarget(aim), start, TIP_STEPS, turned=False).joints[0])
 
     @cached_property
     def _aim_m(self) -> Array:
@@ -324,7 +322,11 @@ class Polish:
             return target_in_robot_frame(scenario)
         miss_m = self._miss_m(self.corners)
         share = min(1.0, FOLLOWED_M / max(float(np.linalg.norm(miss_m)), 1e-12))
-        return np.asarray(frictionless_tips(scenario.robot, self.corners[-1:])[0][0] + share * miss_m)
+        return self._tip_m(self.corners) + share * miss_m
+
+    def _tip_m(self, corners: Array) -> Array:
+        """(3,) the frictionless tip at the end of a path (K, m)."""
+        return np.asarray(frictionless_tips(self.checker.scenario.robot, corners[-1:])[0][0])
 
     def _miss_m(self, corners: Array, beside: Array | None = None) -> Array:
         """(3,) to the target from where the tip with friction ends on a path (K, m), by the best one or `beside`."""
