@@ -11,7 +11,6 @@ the grid has. meshes: the clearances of a plan of each scenario, certified on bo
 
 import itertools
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import common
 import numpy as np
@@ -29,15 +28,6 @@ RADIUS_M = 1e-3
 AWAY_M = (2.2e-3, 2.6e-3, 3.0e-3, 3.5e-3)  # of the sphere's centre from a centreline
 
 
-@dataclass(frozen=True)
-class Claim:
-    """What a certificate says of a scene, and what is there."""
-
-    stated_m: float
-    true_m: float
-    is_valid: bool
-
-
 def beside(joints: Array, center_m: Array) -> Scenario:
     """A scenario that rests at joints (m,) beside a sphere."""
     names = {joint.name: q / joint.si_per_unit for joint, q in zip(ROBOT.drive.joints, joints.tolist(), strict=True)}
@@ -46,8 +36,8 @@ def beside(joints: Array, center_m: Array) -> Scenario:
     return scenario_from_dict(content, file=str(ROBOTS / "made_up.toml"))
 
 
-def claims(rng: np.random.Generator) -> Iterator[Claim]:
-    """Claims about one random configuration; None where a state has no equilibrium."""
+def claims(rng: np.random.Generator) -> Iterator[tuple[float, float, bool]]:
+    """Clearances stated and true [m], and whether certified, at a random configuration whose states are all solved."""
     joints = np.array([*np.radians(rng.uniform(-180, 180, 3)), rng.uniform(-60e-3, -5e-3)])
     bodies = ROBOT.mechanics.friction_bodies(*ROBOT.drive.collars(joints), STATES, accuracy="exact")
     if not bodies.solved.all():
@@ -58,18 +48,18 @@ def claims(rng: np.random.Generator) -> Iterator[Claim]:
         center_m = beside_m + away_m * side / np.linalg.norm(side)
         walk = walk_legs(beside(joints, center_m), joints[None])
         true = (np.linalg.norm(bodies.point_m - center_m, axis=2) - RADIUS_M - bodies.radius_m).min()
-        yield Claim(float(walk.samples.clearance_m.min()), float(true), not walk.problems)
+        yield float(walk.samples.clearance_m.min()), float(true), not walk.problems
 
 
 def print_claims(robots: int, seed: int) -> None:
     rngs = (np.random.default_rng([seed, number]) for number in range(robots))
     found = [claim for rng in rngs for claim in claims(rng)]
-    valid = [claim for claim in found if claim.is_valid]
-    above = [claim.stated_m - claim.true_m for claim in valid if claim.stated_m > claim.true_m]
-    free = [claim for claim in found if claim.true_m > 1e-3]
-    print(f"{len(found)} scenes, {len(valid)} certified, {sum(claim.true_m < 0 for claim in valid)} of them hit")
+    valid = [(stated_m, true_m) for stated_m, true_m, is_valid in found if is_valid]
+    above = [stated_m - true_m for stated_m, true_m in valid if stated_m > true_m]
+    free = [is_valid for _, true_m, is_valid in found if true_m > 1e-3]
+    print(f"{len(found)} scenes, {len(valid)} certified, {sum(true_m < 0 for _, true_m in valid)} of them hit")
     print(f"claims above the truth: {len(above)}, by {1e3 * max(above, default=0.0):.2f} mm at most")
-    print(f"certified of those with more than 1 mm left: {sum(claim.is_valid for claim in free)} of {len(free)}")
+    print(f"certified of those with more than 1 mm left: {sum(free)} of {len(free)}")
 
 
 NAMES = ["airway", "heart_chamber", "ribs", "sinus", "ventricle", "vessel"]

@@ -1,15 +1,13 @@
 """What is a bound? Corner shapes of a three-tube robot and the tip farthest from the frictionless one, for README.md.
 
-python benchmarks/run.py corner_shapes [--output FILE.png]
-python benchmarks/run.py --write corner_shapes                # renews docs/images/corner_shapes.png
+python benchmarks/run.py [--write] corner_shapes
 """
 
 import itertools
-from pathlib import Path
 
 import common
 import numpy as np
-from common import IMAGES, ROBOTS, prepare
+from common import ROBOTS, prepare, save
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
@@ -21,7 +19,6 @@ from ctrplan.base.arrays import Array
 from ctrplan.reports import looks
 
 ROBOT = ROBOTS / "three_tube.toml"
-PICTURE = IMAGES / "corner_shapes.png"
 THETA_RAD = np.radians([0, 180, 180])  # of the collars: the outer tube's curve against those of the inner ones
 L_M = np.array([0, -17, -60]) * 1e-3
 COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7")  # of the corners
@@ -101,12 +98,11 @@ def styles(bound: Bound) -> list[tuple[Shape, str, float]]:
 
 
 def main() -> None:
-    output = common.arguments(__doc__, output=Path).output or (PICTURE if common.is_writing[0] else None)
+    common.arguments(__doc__)
     bound = ctrplan.load_robot(ROBOT).bound(THETA_RAD, L_M, accuracy="certificate")
     figure = Figure(figsize=(10.4, 4.2), dpi=130, facecolor="white", layout="constrained")
     left, right = figure.subplots(1, 2, width_ratios=[1.35, 1])
     draw_side(prepare(left), bound)
     draw_tips(prepare(right), bound)
-    if output:
-        figure.savefig(output, metadata={"Software": ""})
+    save(figure, "corner_shapes")
     print(f"bound {bound.position_m * 1e3:.1f} mm")

@@ -127,11 +127,8 @@ def halving() -> None:
             share = 100 * np.mean(np.array(changes_mm) <= 0.05)
             shown = [f"{value:.3f}" for value in np.quantile(changes_mm, (0.5, 0.95, 1))]
             rows.append((label, accuracy, steps, paths - snapped, len(changes_mm), *shown, f"{share:.1f} %"))
-    table(
-        "halving",
-        "robot | mesh | steps | paths | waypoints | median, mm | 95 %, mm | largest, mm | within 0.05 mm",
-        rows,
-    )
+    head = "robot | mesh | steps | paths | waypoints | median, mm | 95 %, mm | largest, mm | within 0.05 mm"
+    table("halving", head, rows)
 
 
 def energy() -> None:

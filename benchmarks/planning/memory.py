@@ -1,16 +1,15 @@
 """Does memory stay flat over a long life of one process, what does a plan take, and how does that grow?
 
     python benchmarks/run.py memory runs [--plans 1000] [--bounds 100000]
-    python benchmarks/run.py memory plan [SCENARIO ...] [--triangles 200000]
+    python benchmarks/run.py memory plan [SCENARIO ...]
     python benchmarks/run.py memory growth [spheres] [triangles] [tubes] [targets] [legs]
 
 runs: plans a tiny scenario again and again, each time from the file with another seed, and asks for bounds at random
 configurations, one at a time and in batches. Resident memory after the first WARM_UP plans (a twentieth of the bounds)
 is compared with that at the end. Exits with 1 where it grew by GROWTH or more. plan: peak memory and CPU time of
-`ctrplan plan` of each scenario, as a process of its own with empty caches; with --triangles its meshes are divided into
-smaller triangles, whose corners are moved by hundredths of a millimetre so that nothing can be taken together again.
-growth: seconds by the clock by spheres of an anatomy; of a processor by its triangles, tubes, targets of a tour in free
-space, legs of a path.
+`ctrplan plan` of each scenario, as a process of its own with empty caches. growth: seconds by the clock by spheres of
+an anatomy; of a processor by its triangles (those of a mesh divided, their corners moved by hundredths of a millimetre
+so that nothing can be taken together again), tubes, targets of a tour in free space, legs of a path.
 """
 
 import contextlib
@@ -98,7 +97,7 @@ def runs(plans: int, bounds: int) -> int:
     return int(max(grown) >= GROWTH)
 
 
-def plan_apart(scenario: str, at_least: int) -> tuple[object, ...]:
+def plan_apart(scenario: str, at_least: int = 0) -> tuple[object, ...]:
     """A row of the table."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -239,14 +238,13 @@ BY: dict[str, common.Table] = {
 
 
 def main() -> int:
-    options = {"plans": 1000, "bounds": 100_000, "triangles": 0}
-    given = common.arguments(__doc__, ("section", ("runs", "plan", "growth")), "names*", **options)
+    given = common.arguments(__doc__, ("section", ("runs", "plan", "growth")), "names*", plans=1000, bounds=100_000)
     common.end_searches_by_count()
     if given.section == "runs":
         return runs(given.plans, given.bounds)
     if given.section == "growth":
         common.sections(given.names, BY)
     else:
-        rows = (plan_apart(name, given.triangles) for name in common.chosen(given.names, SHIPPED))
+        rows = map(plan_apart, common.chosen(given.names, SHIPPED))
         table("a plan by itself", f"scenario | {OUTCOME}", rows)
     return 0

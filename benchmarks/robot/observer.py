@@ -1,15 +1,14 @@
 """Following a robot: time per step, and tip errors one step ahead, with an observer and without.
 
-    python benchmarks/run.py observer [--only times|small|logs] [--sets N]
+    python benchmarks/run.py observer [--only times|small|log]
     python benchmarks/run.py observer --measured ROBOT.toml LOG.csv [--slow NAME=SIGMA ...] [--set KEY=VALUE ...]
 
-Small motions are of ctrplan's own histories, noise 0.1 mm. Synthetic logs come from the independent generator of
-tests/oracles/hidden_effects: three tubes on a continuous motion at 10 Hz, with friction, of tubes as ctrplan believes
-them or a little different. ctrplan is told the friction, or that times --friction-factor. It follows a log from row
---first on, and knows nothing of what was before. Beside the observer: the frictionless robot, a history that starts
-released there, and that history corrected by the error of the row before, which needs no friction state. Held: share of
-measured coordinates inside the interval of 95 %, noise added in squares, and half the interval's width.
---measured: a log of one's own. --logs keeps the synthetic ones, which take a minute each.
+Small motions are of ctrplan's own histories, noise 0.1 mm. The synthetic log comes from the independent generator of
+tests/oracles/hidden_effects: three tubes as ctrplan believes them on a continuous motion at 10 Hz, with friction, which
+ctrplan is told. It follows the log from row FIRST on, and knows nothing of what was before. Beside the observer: the
+frictionless robot, a history that starts released there, and that history corrected by the error of the row before,
+which needs no friction state. Held: share of measured coordinates inside the interval of 95 %, noise added in squares,
+and half the interval's width. --measured: a log of one's own.
 """
 
 import itertools
@@ -19,7 +18,6 @@ import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import common
 import numpy as np
@@ -31,8 +29,8 @@ from ctrplan.base.arrays import Array
 from ctrplan.robot.slow_states import SlowOffset, SlowParameter
 from ctrplan.studies.follow import Following, follow
 
-SIZES = (2.0, 4.0)  # times 0.015, about: coefficients of friction
-ROWS, MOST_ATTEMPTS = 90, 8
+SIZE = 2.0  # times 0.015, about: coefficients of friction
+ROWS, FIRST, MOST_ATTEMPTS = 90, 30, 8
 
 
 def rms_mm(off_m: Array) -> float:
@@ -76,12 +74,6 @@ def translations(n: int, inner_m: Array) -> Array:
     return l_b
 
 
-def logged(theta: Array, l_b: Array, seen: Array) -> tuple[Array, ...]:
-    """One run of joints and tips, every row measured."""
-    count = len(theta)
-    return np.zeros(count, int), theta, l_b, np.arange(count), seen, np.full(seen.shape, np.nan)
-
-
 def small_motions() -> Iterator[list[object]]:
     """Logs of ctrplan's own histories, which begin loaded: motions too small to wipe out what was before."""
     for name in ("table_5_pair.toml", "three_tube.toml"):
@@ -91,39 +83,35 @@ def small_motions() -> Iterator[list[object]]:
         l_b = translations(n, 0.1e-3 * np.sin(3 * phase))
         truth = robot.history([0.7, -0.9][: n - 1]).follow(theta, l_b)
         seen = truth.position_m + 0.1e-3 * np.random.default_rng(n).standard_normal(truth.position_m.shape)
-        yield from compared(f"small motions, {robot.name}", robot, Measurements(*logged(theta, l_b, seen)))
+        rows = np.arange(len(theta))
+        log = Measurements(0 * rows, theta, l_b, rows, seen, np.full(seen.shape, np.nan))  # one run, all rows measured
+        yield from compared(f"small motions, {robot.name}", robot, log)
 
 
-def synthetic(folder: Path, given: Any) -> Iterator[list[object]]:
-    """Logs of the independent generator, friction as it is but for the factor; every second one of another robot."""
-    for k in range(given.sets):
-        of_another, place = bool(k % 2), folder / f"log_{k}"
-        if not (place / "truth.json").exists():
-            make_log(place, SIZES[k // 2 % len(SIZES)], k, of_another)  # of the first motion with equilibria
-        friction = json.loads((place / "truth.json").read_text())["friction"]
-        factor = given.friction_factor
-        overrides = [f"contact.{i}.friction_coefficient={factor * mu:.6g}" for i, mu in enumerate(friction, start=1)]
-        robot = ctrplan.load_robot(place / "robot.toml", overrides)
-        data = ctrplan.load_measurements(place / "measurements.csv", robot)
-        values = ", ".join(f"{mu:.2f}" for mu in friction)
-        name = f"{'tubes a little different' if of_another else 'tubes as believed'}, friction {values}"
-        yield from compared(name, robot, since(data, given.first))
+def synthetic(place: Path) -> Iterator[list[object]]:
+    """A log of the independent generator, friction as it is."""
+    make_log(place)
+    friction = json.loads((place / "truth.json").read_text())["friction"]
+    overrides = [f"contact.{i}.friction_coefficient={mu:.6g}" for i, mu in enumerate(friction, start=1)]
+    robot = ctrplan.load_robot(place / "robot.toml", overrides)
+    data = ctrplan.load_measurements(place / "measurements.csv", robot)
+    values = ", ".join(f"{mu:.2f}" for mu in friction)
+    yield from compared(f"tubes as believed, friction {values}", robot, since(data, FIRST))
 
 
-def make_log(place: Path, size: float, number: int, of_another: bool) -> None:
+def make_log(place: Path) -> None:
     """ROWS rows of the first continuous motion that keeps an equilibrium, with noise; a minute or so."""
     from hidden_effects import effects, experiment
     from hidden_effects.chain import poses
     from hidden_effects.dataset import measurements_csv, robot_toml, write_folder
     from hidden_effects.equilibrium import NoEquilibrium
     from hidden_effects.noise import add_noise
-    from hidden_effects.world import believed, draw_ordinary
+    from hidden_effects.world import believed
 
     for attempt in range(MOST_ATTEMPTS):
-        rng = np.random.default_rng([number, 23, attempt])
+        rng = np.random.default_rng([0, 23, attempt])
         motion = experiment.continuous_motion(believed(), ROWS, rng)
-        world = draw_ordinary(believed().n, rng).of(believed()) if of_another else believed()
-        world, parameters = effects.apply("friction", world, effects.Draw(size, rng, motion.duration_s))
+        world, parameters = effects.apply("friction", believed(), effects.Draw(SIZE, rng, motion.duration_s))
         try:
             found = poses(world, motion)
             break
@@ -183,13 +171,11 @@ OF_ERRORS = "log | rows | frictionless, mm | history, mm | history + last error,
 OF_ERRORS += " | observer + offset 2 mm, 20 rows, mm | held | held with offset"
 
 
-SECTIONS = ("times", "small", "logs")
+SECTIONS = ("times", "small", "log")
 
 
 def main() -> None:
-    texts = {"measured": [""], "set": [""], "slow": [""]}
-    options: dict[str, Any] = {"sets": 4, "first": 30, "friction_factor": 1.0, "logs": Path, **texts}
-    given = common.arguments(__doc__, only=list(SECTIONS), **options)
+    given = common.arguments(__doc__, only=list(SECTIONS), measured=[""], set=[""], slow=[""])
     rows: list[Iterator[list[object]]] = []
     if any(given.measured):
         if len(given.measured) != 2:
@@ -204,6 +190,6 @@ def main() -> None:
         table("steps", OF_TIMES, times())
     with tempfile.TemporaryDirectory() as scratch:
         rows += [small_motions()] * ("small" in only)
-        rows += [synthetic(given.logs or Path(scratch), given)] * ("logs" in only)
+        rows += [synthetic(Path(scratch) / "log")] * ("log" in only)
         if rows:
             table("errors one step ahead", OF_ERRORS, itertools.chain(*rows))

@@ -1,13 +1,13 @@
 """Where the tip gets and from where: reach maps, entries of scenarios, poses in a burr hole, with their pictures.
 
-    python benchmarks/run.py places reach FOLDER [--read]   # reach_maps.png, 4,000 targets, 0.3 s apiece
+    python benchmarks/run.py places reach FOLDER   # reach_maps.png, 4,000 targets, 0.3 s apiece
     python benchmarks/run.py places entry [--candidates 128] [SCENARIO ...]   # entry.png
-    python benchmarks/run.py places poses FOLDER [--read]   # entry_study.png, 1,352 tasks, 0.2 s apiece
+    python benchmarks/run.py places poses FOLDER   # entry_study.png, 1,352 tasks, 0.2 s apiece
 
 reach: where the tip gets within 1 and 2 mm, whatever friction does and without regard to it. Targets are drawn at
 random, so that the first of them are a fair sample, too; intervals are 95 % of what a share of so many draws may be
 (Wilson). entry: `ctrplan place` beside the pose that a scenario has. poses: which pose in the burr hole of
-scenarios/studies/entry_ventricle.toml reaches most. With --read nothing is computed: what is in FOLDER is drawn.
+scenarios/studies/entry_ventricle.toml reaches most. What is in FOLDER is not done again.
 Pictures of docs/images are renewed by `run.py --write places ...`.
 """
 
@@ -56,11 +56,11 @@ def draw_reach(axes: Axes, table: ctrplan.StudyTable, column: str, outline: Arra
     axes.set_aspect("equal")
 
 
-def reach(folder: Path, read: bool) -> None:
+def reach(folder: Path) -> None:
     figure, (axes,) = panels(1, 4, (11, 5.6))
     for k, name in enumerate(NAMES):
         study = ctrplan.Study.read(STUDIES / f"reach_{name}.toml")
-        table = ctrplan.load_study(folder / name) if read else study.run(folder / name)
+        table = study.run(folder / name)
         print_shares(name, table)
         assert study.scenario is not None
         outline = study.scenario.anatomy[0].shape.surface().vertices_m * 1e3
@@ -162,10 +162,9 @@ def draw_poses(poses: BasePoses) -> None:
     save(figure, "entry_study")
 
 
-def poses_of_study(folder: Path, read: bool) -> None:
+def poses_of_study(folder: Path) -> None:
     study = ctrplan.Study.read(ENTRY_STUDY)
-    table = ctrplan.load_study(folder) if read else study.run(folder)
-    poses = BasePoses.of(table, "worst_mm")
+    poses = BasePoses.of(study.run(folder), "worst_mm")
     assert poses is not None and study.entry.bases is not None and study.entry.bases.patch is not None
     middle = np.array(study.entry.bases.patch.normal)
     tilt = np.degrees(np.arccos(np.clip(poses.direction @ middle / np.linalg.norm(middle), -1, 1)))
@@ -174,10 +173,10 @@ def poses_of_study(folder: Path, read: bool) -> None:
 
 
 def main() -> None:
-    given = common.arguments(__doc__, ("section", ("reach", "entry", "poses")), "names*", read=False, candidates=128)
+    given = common.arguments(__doc__, ("section", ("reach", "entry", "poses")), "names*", candidates=128)
     if given.section == "entry":
         entry(common.chosen(given.names or ["ventricle", "airway", "ribs"], SHIPPED), given.candidates)
     elif len(given.names) != 1:
         sys.exit(f"{given.section} needs the folder of its study, and nothing else")
     else:
-        {"reach": reach, "poses": poses_of_study}[given.section](Path(given.names[0]), given.read)
+        {"reach": reach, "poses": poses_of_study}[given.section](Path(given.names[0]))

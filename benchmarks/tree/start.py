@@ -1,17 +1,14 @@
-"""How soon do commands start? Help, import, a bound and a loaded scenario, by the clock; a whole plan.
+"""How soon do commands start? Help, import, a bound and a loaded scenario, by the clock.
 
     python benchmarks/run.py start [SCENARIO] [--runs 9] [--robot three_tube]
-    python benchmarks/run.py start [SCENARIO] --plan 1 [--runs 9]
 
 Each row is a process of its own, run so many times after one that is not counted. Modules are those of ctrplan that are
-imported at the end. --plan: processor time, user and system, of a whole `ctrplan plan` with a search of so many
-seconds, with its report and without, in turn.
+imported at the end.
 """
 
 import os
 import subprocess
 import sys
-import tempfile
 from pathlib import Path
 
 import common
@@ -41,26 +38,9 @@ def bound_arguments(file: Path) -> list[str]:
     return ["bound", str(file), *(word for flag, row in flags for word in (flag, *(f"{x:.4f}" for x in row)))]
 
 
-def plans(scenario: str, search_s: float, runs: int) -> None:
-    """Prints seconds of a processor that `ctrplan plan` takes, processes of their own in turn."""
-    kinds: dict[str, list[str]] = {"with report.html and plan.png": [], "--no-report": ["--no-report"]}
-    taken: dict[str, list[float]] = {kind: [] for kind in kinds}
-    with tempfile.TemporaryDirectory() as folder:
-        command = [sys.executable, "-m", "ctrplan", "plan", str(SCENARIOS / f"{scenario}.toml"), "-o", folder]
-        command += ["--time", f"{search_s:g}", "--quiet"]
-        for _ in range(runs):
-            for kind, options in kinds.items():
-                taken[kind].append(spent([*command, *options], os.environ, subprocess.DEVNULL)[2])
-    rows = [(kind, f"{min(each):.2f} s", f"{np.median(each):.2f} s") for kind, each in taken.items()]
-    table(f"ctrplan plan, {scenario}, a search of {search_s:g} s: of a processor", ("what", "least", "median"), rows)
-
-
 def main() -> None:
-    given = common.arguments(__doc__, ("scenario?", SHIPPED), plan=float, runs=9, robot="three_tube")
+    given = common.arguments(__doc__, ("scenario?", SHIPPED), runs=9, robot="three_tube")
     scenario = given.scenario or "vessel"
-    if given.plan:
-        plans(scenario, given.plan, given.runs)
-        return
     file = SCENARIOS / f"{scenario}.toml"
     load = f"import ctrplan; ctrplan.load_scenario({str(file)!r})"
     measured: dict[str, tuple[str, list[str]]] = {
