@@ -26,7 +26,7 @@ NEWTON_STEPS, LOAD_STEPS = 12, 32  # for one load, and parts into which a load i
 SETTLED = 1e-10  # of what is left at the tips over the largest moment of a precurvature
 SMALL = 1e-7  # step of the unknowns over their size, for derivatives
 LEAST_MOMENT_NM = 1e-6  # that counts as a scale, of straight tubes
-SOFTENING_STEPS = 30  # of the fixed point by which softened tubes share a bend, at most: a budget
+SOFTENING_STEPS = 30  # by which softened tubes share a bend, half of Newton's, then of a fixed point: a budget
 ROWS_AT_ONCE = 256  # integrated side by side, with n + 3 variants each
 
 
@@ -285,48 +285,34 @@ class _Spans:
     ) -> tuple[Array, Array]:
         """Common curvature (K, 2) as change of the tangent in the twist-free frame, and moments (K, n, 2) of tubes."""
         robot = self.robot
-        v = self._precurvature(a.s_m, middle, l_b)
+        bent = _Bends(self._stiffness(a.theta), _turned(a.theta, self._precurvature(a.s_m, middle, l_b)), there)
         m = np.einsum("kxi,kx->ki", a.R, a.m)
-        wanted = np.stack([m[:, 1], -m[:, 0]], axis=-1)  # a moment about y bends towards x
-        stiffness = self._stiffness(a.theta)
-        w = _turned(a.theta, v)
+        wanted = m[:, 1], -m[:, 0]  # a moment about y bends towards x
         f = np.where(there, 1.0, 0.0)
         soft = bool(np.isfinite(robot.knee).any()) and (share > 0).any()
-        kappa = self._balanced(stiffness, f, w, wanted, there)
-        for _ in range(SOFTENING_STEPS if soft else 0):
-            k = kappa[:, None] - w
-            rho = np.sqrt(np.maximum(np.einsum("knx,knxy,kny->kn", k, stiffness / robot.EI[:, None, None], k), 0.0))
-            with np.errstate(divide="ignore", invalid="ignore"):
-                beyond = robot.fraction + (1 - robot.fraction) * robot.knee / rho
-            aim = np.where(there, np.where(rho > robot.knee, beyond, 1.0), 0.0)
-            aim = 1 * there + share[:, None] * (aim - there)
-            settled = np.abs(aim - f).max() < 1e-13
-            f = aim
-            kappa = self._balanced(stiffness, f, w, wanted, there)
-            if settled:
-                break
-        moments = f[..., None] * np.einsum("knxy,kny->knx", stiffness, kappa[:, None] - w)
-        return kappa, moments
+        kappa = bent.balanced(f, wanted)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            for done in range(SOFTENING_STEPS if soft else 0):
+                rho = np.sqrt(np.maximum(bent.square(kappa) / robot.EI, 0.0))
+                is_soft = there & (rho > robot.knee)
+                lost = np.where(is_soft, share[:, None] * (1 - robot.fraction), 0.0)
+                aim: Array = there - np.where(is_soft, lost * (1 - robot.knee / rho), 0.0)
+                settled = np.abs(aim - f).max() < 1e-13
+                f = aim
+                if settled or done >= SOFTENING_STEPS // 2:
+                    kappa = bent.balanced(f, wanted)
+                else:
+                    slope = np.where(is_soft, lost * robot.knee / (robot.EI * rho**3), 0.0)
+                    kappa = bent.nearer(kappa, f, slope, wanted)
+                if settled:
+                    break
+        return np.stack(kappa, axis=-1), np.stack([f * part for part in bent.moments(kappa)], axis=-1)
 
-    def _balanced(self, stiffness: Array, f: Array, w: Array, wanted: Array, there: NDArray[np.bool_]) -> Array:
-        total = np.einsum("kn,knxy->kxy", f, stiffness)
-        load = np.einsum("kn,knxy,kny->kx", f, stiffness, w) + wanted
-        none = ~there.any(axis=1)
-        total[none] = np.eye(2)
-        load[none] = 0.0
-        result: Array = np.linalg.solve(total, load[..., None])[..., 0]
-        return result
-
-    def _stiffness(self, theta: Array) -> Array:
-        """(K, n, 2, 2) against changes of the common curvature."""
+    def _stiffness(self, theta: Array) -> tuple[Array, Array, Array]:
+        """Along x, across and along y (K, n) against changes of the common curvature."""
         robot = self.robot
-        angle = theta + robot.axis
-        c, s, e = np.cos(2 * angle), np.sin(2 * angle), robot.ovality
-        result = np.empty((*theta.shape, 2, 2))
-        result[..., 0, 0], result[..., 1, 1] = 1 + e * c, 1 - e * c
-        result[..., 0, 1] = result[..., 1, 0] = e * s
-        stiffness: Array = result * robot.EI[:, None, None]
-        return stiffness
+        c, s = (robot.ovality * f(2 * (theta + robot.axis)) for f in (np.cos, np.sin))
+        return robot.EI * (1 + c), robot.EI * s, robot.EI * (1 - c)
 
     def _precurvature(self, s: Array, middle: Array, l_b: Array) -> Array:
         """(K, n, 2) as change of the tangent in the tubes' own frames."""
@@ -382,6 +368,47 @@ class _Spans:
             curvature[k_row, :2] = -own[1], own[0]  # as a rotation rate
             strain[k_row] = robot.tubes[i].outer_diameter_m / 2 * float(np.linalg.norm(own - v))
         return TubeShape(s, p, frames, theta, curvature, strain)
+
+
+@dataclass(frozen=True, eq=False)
+class _Bends:
+    """Tubes at one station of K configurations, which share a bend; written out by components, as arrays are small."""
+
+    stiffness: tuple[Array, Array, Array]  # (K, n) along x, across, along y
+    own: Array  # (K, n, 2) precurvatures in the twist-free frame
+    there: NDArray[np.bool_]  # (K, n)
+
+    def moments(self, kappa: tuple[Array, Array]) -> tuple[Array, Array]:
+        """What each tube (K, n) takes at a common curvature (K,), (K,) before it softens."""
+        xx, xy, yy = self.stiffness
+        x, y = (k[:, None] - self.own[..., i] for i, k in enumerate(kappa))
+        return xx * x + xy * y, xy * x + yy * y
+
+    def square(self, kappa: tuple[Array, Array]) -> Array:
+        """(K, n) changes of curvature by their moments: EI times the square where a tube is round."""
+        x, y = self.moments(kappa)
+        square: Array = x * (kappa[0][:, None] - self.own[..., 0]) + y * (kappa[1][:, None] - self.own[..., 1])
+        return square
+
+    def balanced(self, f: Array, wanted: tuple[Array, Array]) -> tuple[Array, Array]:
+        """The common curvature (K,), (K,) at which tubes softened to shares f (K, n) bear a moment; 0 without tubes."""
+        none = np.zeros(len(f))
+        return self.nearer((none, none), f, np.zeros_like(f), wanted)
+
+    def nearer(
+        self, kappa: tuple[Array, Array], f: Array, slope: Array, wanted: tuple[Array, Array]
+    ) -> tuple[Array, Array]:
+        """A step of Newton's from a curvature, where shares fall by `slope` (K, n) times what a change does by moments.
+
+        Where they do not fall it is the solution.
+        """
+        moments, (xx, xy, yy) = self.moments(kappa), self.stiffness
+        left = [w - (f * part).sum(axis=1) for w, part in zip(wanted, moments, strict=True)]
+        a = (f * xx - slope * moments[0] ** 2).sum(axis=1)
+        b = (f * xy - slope * moments[0] * moments[1]).sum(axis=1)
+        c = (f * yy - slope * moments[1] ** 2).sum(axis=1)
+        det = np.where(self.there.any(axis=1), a * c - b * b, np.inf)
+        return kappa[0] + (c * left[0] - b * left[1]) / det, kappa[1] + (a * left[1] - b * left[0]) / det
 
 
 def _turned(theta: Array, v: Array) -> Array:

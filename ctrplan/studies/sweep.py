@@ -34,7 +34,6 @@ from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.mechanics.shapes import Status
 from ctrplan.mechanics.walk import TASK, chunks, columns_of, join, run
 from ctrplan.pipeline.chain import range_notes
-from ctrplan.planning.planner import plan
 from ctrplan.plans.plan import Plan
 from ctrplan.robot.robot import Robot, nesting_violation
 from ctrplan.storage.csv_table import csv_text
@@ -342,5 +341,7 @@ def _result(future: Any) -> Plan | CtrplanError:
 
 
 def _plan(scenario: Scenario, seed: int, time_s: float | None) -> Plan:
+    from ctrplan.planning.planner import plan  # which pictures of a path, who import this file, do not need
+
     with one_core():
         return plan(scenario, seed=seed, time_s=time_s)
