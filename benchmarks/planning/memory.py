@@ -1,12 +1,12 @@
 """Does memory stay flat over a long life of one process, what does a plan take, and how does that grow?
 
-    python benchmarks/run.py memory runs [--plans 1000] [--bounds 100000]
+    python benchmarks/run.py memory runs [--plans 1000] [--bounds 100000] [--growth 0.05]
     python benchmarks/run.py memory plan [SCENARIO ...]
     python benchmarks/run.py memory growth [spheres] [triangles] [tubes] [targets] [legs]
 
 runs: plans a tiny scenario again and again, each time from the file with another seed, and asks for bounds at random
 configurations, one at a time and in batches. Resident memory after the first WARM_UP plans (a twentieth of the bounds)
-is compared with that at the end. Exits with 1 where it grew by GROWTH or more. plan: peak memory and CPU time of
+is compared with that at the end. Exits with 1 where it grew by such a share. plan: peak memory and CPU time of
 `ctrplan plan` of each scenario, as a process of its own with empty caches. growth: seconds by the clock by spheres of
 an anatomy; of a processor by its triangles (those of a mesh divided, their corners moved by hundredths of a millimetre
 so that nothing can be taken together again), tubes, targets of a tour in free space, legs of a path.
@@ -42,7 +42,6 @@ NEAR = "goal.joints={'rotate outer' = 6, 'rotate inner' = 10, 'translate inner' 
 SEARCH_S = 0.1
 WARM_UP = 50  # plans
 BATCH = 100  # bounds
-GROWTH = 0.05
 ROUGHNESS_MM = 0.01  # of meshes that are divided
 LOOKS = 10  # at the memory, over a run
 SHORT = 0.15  # of the way between random configurations, which is certified
@@ -83,7 +82,7 @@ def bounds_at_random(robot: ctrplan.Robot) -> Callable[[int], None]:
     return ask
 
 
-def runs(plans: int, bounds: int) -> int:
+def runs(plans: int, bounds: int, most: float) -> int:
     several, batches = bounds_at_random(ctrplan.load_robot(ROBOTS / "three_tube.toml")), bounds // BATCH
     found = {
         f"{batches * BATCH:,} bounds, three tubes": growth(several, batches, max(batches // 20, 1)),
@@ -94,7 +93,7 @@ def runs(plans: int, bounds: int) -> int:
         shown = " ".join(f"{value:.1f}" for value in between)
         rows.append((what, f"{first:.1f} MB", f"{last:.1f} MB", f"{100 * share:+.2f} %", shown))
     table("runs", "run | after the warm-up | at the end | growth | at even distances between, MB", rows)
-    return int(max(grown) >= GROWTH)
+    return int(max(grown) >= most)
 
 
 def plan_apart(scenario: str, at_least: int = 0) -> tuple[object, ...]:
@@ -238,10 +237,12 @@ BY: dict[str, common.Table] = {
 
 
 def main() -> int:
-    given = common.arguments(__doc__, ("section", ("runs", "plan", "growth")), "names*", plans=1000, bounds=100_000)
+    given = common.arguments(
+        __doc__, ("section", ("runs", "plan", "growth")), "names*", plans=1000, bounds=100_000, growth=0.05
+    )
     common.end_searches_by_count()
     if given.section == "runs":
-        return runs(given.plans, given.bounds)
+        return runs(given.plans, given.bounds, given.growth)
     if given.section == "growth":
         common.sections(given.names, BY)
     else:

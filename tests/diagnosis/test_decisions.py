@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import tomli_w
 from measured_data import SIGMA_M, SIGMA_RAD, measured, pair_robot, waypoints, write_csv
 
+from ctrplan import diagnosis
 from ctrplan.__main__ import main
 from ctrplan.calibration.residuals import Noise
-from ctrplan.diagnosis import CATALOGUE, diagnose
+from ctrplan.diagnosis import CATALOGUE, Diagnosis, diagnose, workflow
 from ctrplan.diagnosis.next_experiment import Decision, Proposal, decision, proposed_waypoints
 from ctrplan.diagnosis.usable_poses import bench_of, checked_split
 from ctrplan.diagnosis.verdict import Alternative, Finding
@@ -22,6 +25,7 @@ from ctrplan.diagnosis.workflow import decide
 from ctrplan.errors import InputError
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.pipeline.term import term
+from ctrplan.robot.robot import Robot
 
 ROBOT = pair_robot()
 NOISE = Noise(SIGMA_M, SIGMA_RAD)
@@ -67,7 +71,7 @@ def test_where_neither_explains_the_new_poses_that_is_said() -> None:
 
 def test_what_predicts_the_same_everywhere_stays_undecided() -> None:
     data = measured(ROBOT, waypoints(ROBOT, 18), BASE | {"homing_offset": {"theta_2_deg": 6.0}})
-    few = {name: CATALOGUE[name] for name in ("homing_offset", "off_plane_precurvature", "tip_load", "backlash")}
+    few = {name: CATALOGUE[name] for name in ("homing_offset", "off_plane_precurvature", "backlash")}
     before = diagnose(ROBOT, data, catalogue=few)
     assert before.verdict == "ambiguous"
     (finding,) = before.judgement.findings  # look-alikes are reported together
@@ -97,6 +101,22 @@ def test_sentences_and_waypoints() -> None:
     np.testing.assert_allclose(places, [[0.0, -0.02]] * 6)
 
 
+@pytest.fixture
+def diagnosed_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Commands and decisions that ask for a diagnosis of the same file with the same catalogue get the same one."""
+    known = dict[tuple[str, frozenset[str]], Diagnosis]()
+
+    def kept(robot: Robot, data: Measurements, *more: Any, without: Sequence[str] = (), **keys: Any) -> Diagnosis:
+        asked = data.sha256, frozenset(without)
+        if asked not in known:
+            known[asked] = diagnose(robot, data, *more, without=without, **keys)
+        return known[asked]
+
+    for place in (diagnosis, workflow):
+        monkeypatch.setattr(place, "diagnose", kept)
+
+
+@pytest.mark.usefixtures("diagnosed_once")
 def test_the_command_proposes_and_decides(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     robot = tmp_path / "pair.toml"
     robot.write_text(tomli_w.dumps(ROBOT.content), encoding="utf-8")

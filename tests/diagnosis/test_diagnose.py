@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import tomli_w
 from counted_calls import count_calls
-from made_up_input import FUZZ
+from made_up_input import FUZZ, thorough
 from measured_data import SIGMA_M, SIGMA_RAD, measured, pair_robot, waypoints, without_solutions, write_csv
 from packed_page import library
 
@@ -89,7 +89,7 @@ def test_two_effects_that_hide_one_another_are_found_together() -> None:
 @pytest.mark.usefixtures("without_building")  # of the same effect test_gross_outliers.py builds a term
 def test_an_effect_outside_the_catalogue_gets_no_name() -> None:
     data = measured(ROBOT, PLAN, BASE | {"eccentricity": {"sin_2_deg": 9.0, "cos_2_deg": 5.0}})
-    found = diagnose(ROBOT, data, catalogue=QUICK)
+    found = diagnose(ROBOT, data, catalogue=FEW)
     assert found.verdict == "unexplained" and not found.listed
     assert found.judgement.adequacy.within.p > 1e-3 > found.judgement.adequacy.between.p
 
@@ -157,9 +157,11 @@ def test_no_name_is_given_beside_a_calibration_that_no_tube_can_have() -> None:
     found = diagnose(ROBOT, measured(ROBOT, PLAN, impossible | {"backlash": {"theta_2_deg": 8.0}}), catalogue=QUICK)
     assert {step.effect for step in found.path if step.taken} == {"backlash"}  # found, and not believed
     assert found.verdict == "unexplained" and any("no tube has" in note for note in found.notes)
+    assert found.chosen.names == () and "backlash" not in found.robot_content().get("effects", {})
 
 
 @pytest.mark.usefixtures("without_building")
+@thorough("test_no_name_is_given_beside_a_calibration_that_no_tube_can_have")
 def test_what_is_handed_over_has_the_effects_of_the_verdict_alone() -> None:
     values = {"tip_load": {"force_x_N": 0.1, "force_y_N": -0.1, "force_z_N": 0.0}, "backlash": {"theta_2_deg": 3.0}}
     data = measured(ROBOT, PLAN, BASE | values | {"eccentricity": {"sin_2_deg": 2.0, "cos_2_deg": 2.0}})

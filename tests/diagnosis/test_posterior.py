@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from copy import copy
 from dataclasses import replace
+from functools import cache
 from itertools import combinations
 
 import numpy as np
 import pytest
+from made_up_input import FUZZ
 from measured_data import SIGMA_M, SIGMA_RAD, measured, pair_robot, waypoints
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
@@ -19,7 +21,7 @@ from ctrplan.calibration.residuals import Noise
 from ctrplan.diagnosis import CATALOGUE, partial_diagnosis, posterior
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
 from ctrplan.diagnosis.linear_fit import Linear, widths_of
-from ctrplan.diagnosis.posterior import compared
+from ctrplan.diagnosis.posterior import Compared, compared
 from ctrplan.diagnosis.unknown_errors import UnknownErrors, without_error
 from ctrplan.diagnosis.verdict import Hypothesis, Posterior, normalised, shown
 from ctrplan.diagnosis.workbench import Teller, Workbench, candidates
@@ -156,19 +158,28 @@ def test_acting_effect_has_nearly_all_and_nothing_else_any() -> None:
     assert told.of_unknown < 0.2 and told.of_effect("joint_scale", "tip_load") < 0.2
 
 
+@cache
+def of_pair() -> Compared:
+    """What the search comes to from nothing where two effects act."""
+    bench, data = bench_of("pair")
+    return compared(bench, bench.scored([]), candidates(ROBOT, data, QUICK))
+
+
 def test_search_comes_to_the_true_pair_that_something_unknown_stood_for() -> None:
     bench, data = bench_of("pair")
-    known = candidates(ROBOT, data, QUICK)
     base = bench.scored([])
     before = compared(bench, base, candidates(ROBOT, data, {}))
     assert before.posterior.of_unknown > 0.99 and before.sets == (base,)
-    told = compared(bench, base, known)
+    told = of_pair()
     assert set(told.sets[0].names) == {"sensor_offset", "joint_scale"}
     assert told.posterior.of_effect("sensor_offset") > 0.99 and told.posterior.of_effect("joint_scale") > 0.99
     assert told.posterior.of_unknown < 0.2 and told.posterior.probabilities.sum() == pytest.approx(1)
 
 
-@pytest.mark.parametrize("begun", [("sensor_offset",), ("tip_load",), ("tip_load", "sensor_offset")])
+BEGUN = [("tip_load",), ("sensor_offset",), ("tip_load", "sensor_offset")]
+
+
+@pytest.mark.parametrize("begun", BEGUN if FUZZ else BEGUN[:1])
 def test_search_ends_with_the_same_set_wherever_it_begins(begun: tuple[str, ...]) -> None:
     bench, data = bench_of("pair")
     known = candidates(ROBOT, data, QUICK)
@@ -178,11 +189,9 @@ def test_search_ends_with_the_same_set_wherever_it_begins(begun: tuple[str, ...]
 
 
 def test_sets_that_are_hopeless_are_as_hopeless_beside_everything_unknown(monkeypatch: pytest.MonkeyPatch) -> None:
-    told = []
-    for window in (posterior.WINDOW, np.inf):
-        monkeypatch.setattr(posterior, "WINDOW", window)
-        bench, data = bench_of("pair")
-        told.append(compared(bench, bench.scored([]), candidates(ROBOT, data, QUICK)).posterior)
+    told = [of_pair().posterior]
+    monkeypatch.setattr(posterior, "WINDOW", np.inf)
+    told.append(of_pair.__wrapped__().posterior)
     for names in (*((name,) for name in QUICK), tuple(QUICK)):
         assert told[0].of_effect(*names) == pytest.approx(told[1].of_effect(*names), abs=1e-3)
     assert told[0].of_unknown == pytest.approx(told[1].of_unknown, abs=1e-3)
@@ -233,12 +242,6 @@ def test_fit_that_has_used_up_its_steps_goes_on_from_there(monkeypatch: pytest.M
     assert not short.fit.converged and further.fit.loss < short.fit.loss
     assert further.fit.loss == pytest.approx(whole.fit.loss, abs=2)
     assert bench.continued(whole) is whole
-
-
-def test_null_has_no_effect_and_nothing_unknown() -> None:
-    bench, data = bench_of("", 7)
-    told = compared(bench, bench.scored([]), candidates(ROBOT, data, QUICK)).posterior
-    assert told.of_verdict("no_missing_effect", []) > 0.8
 
 
 def test_effect_that_nobody_knows_is_something_unknown() -> None:
