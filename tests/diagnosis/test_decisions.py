@@ -71,7 +71,7 @@ def test_where_neither_explains_the_new_poses_that_is_said() -> None:
 
 def test_what_predicts_the_same_everywhere_stays_undecided() -> None:
     data = measured(ROBOT, waypoints(ROBOT, 18), BASE | {"homing_offset": {"theta_2_deg": 6.0}})
-    few = {name: CATALOGUE[name] for name in ("homing_offset", "off_plane_precurvature", "backlash")}
+    few = {name: CATALOGUE[name] for name in ("homing_offset", "off_plane_precurvature")}
     before = diagnose(ROBOT, data, catalogue=few)
     assert before.verdict == "ambiguous"
     (finding,) = before.judgement.findings  # look-alikes are reported together
