@@ -29,7 +29,7 @@ from ctrplan.base.arrays import Array
 from ctrplan.robot.slow_states import SlowOffset, SlowParameter
 from ctrplan.studies.follow import Following, follow
 
-SIZE = 2.0  # times 0.015, about: coefficients of friction
+SIZE = 4.0  # times 0.015, about: coefficients of friction
 ROWS, FIRST, MOST_ATTEMPTS = 90, 30, 8
 
 
@@ -109,7 +109,7 @@ def make_log(place: Path) -> None:
     from hidden_effects.world import believed
 
     for attempt in range(MOST_ATTEMPTS):
-        rng = np.random.default_rng([0, 23, attempt])
+        rng = np.random.default_rng([2, 23, attempt])
         motion = experiment.continuous_motion(believed(), ROWS, rng)
         world, parameters = effects.apply("friction", believed(), effects.Draw(SIZE, rng, motion.duration_s))
         try:
