@@ -55,7 +55,7 @@ class Variants:
     scenario: Scenario
     parameters: UncertainParameters
     box: OffsetBox
-    play: tuple[Array, ...]  # (2 n,) each: rotations [rad] and translations [m] of one collar with play
+    play: tuple[Array, ...]  # (2 G n,) each: rotations [rad] and translations [m] of one collar at one place of play
     late: tuple[Array, ...]  # (m,) each: how far one joint [rad or m] may be behind or ahead
     large: tuple[int, ...] = ()  # axes that are looked at in cells
     _robots: dict[bytes, Robot] = field(default_factory=dict, repr=False)
@@ -144,9 +144,8 @@ class Variants:
         if self.late:  # on its path, which keeps the limits; effects of the drive follow from where joints are
             behind = np.array(self.late).T @ np.array(point[-len(self.late) :])
             joints = np.clip(joints + behind, drive.lower, drive.upper)
-        off = np.zeros(2 * robot.n)
-        for row, s in zip(self.play, point[self.of_parameters :], strict=False):
-            off += s * row
+        sides = zip(point[self.of_parameters :], self.play, strict=False)
+        off = np.sum([s * row for s, row in sides], axis=0) if self.play else None
         return held(robot, *drive.commanded(joints), off)
 
     def configuration(self, point: Point, joints: Array, accuracy: Accuracy) -> FrictionStates:
@@ -169,7 +168,7 @@ class Variants:
 
 
 def _widest_play(parameters: UncertainParameters) -> Array:
-    """(2 n,) [rad], [m] half widths of the play of collars, all parameters of the drive where they widen it most."""
+    """(2 G n,) [rad], [m] half widths of the play of collars, all parameters of the drive where they widen it most."""
     own = half_widths(parameters.robot)
     widest = own.copy()
     for k, name in enumerate(parameters.names):

@@ -17,7 +17,7 @@ from ctrplan.base.package import shown
 from ctrplan.errors import InputError
 
 Kind = Literal["rotation", "translation"]
-DriveTerm = Callable[[Array, Array, Array], tuple[Array, Array]]
+DriveTerm = Callable[[Array, Array, Array | None], tuple[Array, Array]]
 
 ANGLE_STEP, LENGTH_STEP = 1e-4, 1e-6  # rad, m: of differences, exact to about their square
 
@@ -107,9 +107,9 @@ class Drive:
     joints: tuple[Joint, ...]
     home_theta_rad: Array  # (n,)
     home_l_m: Array  # (n,)
-    terms: tuple[DriveTerm, ...] = ()  # of [effects.*]: what it makes of collars (K, n), (K, n), off by play (2 n,)
+    terms: tuple[DriveTerm, ...] = ()  # of [effects.*]: what it makes of collars (K, n), (K, n), off by play
     counted: frozenset[int] = frozenset()  # tubes, from 1, on whose rotations terms depend beyond whole turns
-    play: tuple[Array, Array] | None = None  # (n,) [rad], (n,) [m]: how far collars may be off either way, likewise
+    play: Array | None = None  # (G, 2 n) [rad], [m]: how far collars may be off either way at G places, likewise
     execution: ExecutionTolerance = ExecutionTolerance()
     late_s: tuple[Array, Array] | None = None  # (n,), (n,): how much later collars turn and slide, likewise
 
@@ -149,15 +149,15 @@ class Drive:
     def reached(self, theta: ArrayLike, l: ArrayLike, off: Array | None = None) -> tuple[Array, Array]:  # noqa: E741
         """theta_b [rad] and l_b [m] where theta, l, each (n,) or (K, n), are commanded: with the drive's effects.
 
-        They are `off` (2 n,) [rad], [m] by play; without it in its middle.
+        They are `off` (2 G n,) [rad], [m] by play at its G places in the drive; without it in its middle.
         """
         theta_b, l_b = numbers(theta, "theta_commanded"), numbers(l, "l_commanded")
-        n = len(self.home_l_m)
         if not self.terms:
+            n = len(self.home_l_m)
             return (theta_b, l_b) if off is None else (theta_b + off[:n], l_b + off[n:])
         rows = np.atleast_2d(theta_b), np.atleast_2d(l_b)
         for term in self.terms:
-            rows = term(*rows, np.zeros(2 * n) if off is None else off)
+            rows = term(*rows, off)
         return rows[0].reshape(theta_b.shape), rows[1].reshape(l_b.shape)
 
     def collars_by_joints(self, q: ArrayLike) -> Array:

@@ -110,7 +110,7 @@ def _refuse_unsaid(robot: Robot) -> None:
                 raise InputError(rule, key=f"tube.{i}.section.{k}.bent", value=section.bent)
     if robot.loads != Loads():
         raise InputError(rule, key="loads")
-    if robot.drive is not None and (robot.drive.terms or robot.drive.play or robot.drive.late_s):
+    if robot.drive is not None and (robot.drive.terms or robot.drive.play is not None or robot.drive.late_s):
         raise InputError(rule, key="drive")
 
 

@@ -84,7 +84,7 @@ def usual_play_shift(robot: Robot, space: JointSpace) -> float:
 
 
 def _single_actuators(robot: Robot) -> Array:
-    """(A, 2 n) [rad], [m] half widths of play as displacements of one collar each."""
+    """(A, 2 G n) [rad], [m] half widths of play as displacements of one collar at one place each."""
     rows = np.diag(half_widths(robot))
     return rows[rows.any(axis=1)]
 

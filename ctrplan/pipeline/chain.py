@@ -13,7 +13,8 @@ the robot is: the chain has them.
 from __future__ import annotations
 
 import difflib
-from collections.abc import Mapping, Sequence
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -318,7 +319,7 @@ def _not_in_shapes_m(robot: Robot, chain: Chain) -> float:
     its numbers be.
 
     A turn of the plate moves it by its length at the largest angle. That grows or shrinks with every number, so that of
-    each the end is taken where it is larger.
+    each the end is taken where it is larger, until no end makes it larger.
     """
 
     def reach_m(ideal: Robot, acting: Sequence[Acting]) -> float:
@@ -327,17 +328,38 @@ def _not_in_shapes_m(robot: Robot, chain: Chain) -> float:
         turn_rad = sum(given.effect.largest_turn_rad(given.values, built) for given in of_mechanics)
         return turn_rad * max(tube.length_m for tube in built.tubes)
 
-    ideal, acting = chain.ideal, list(chain.acting)
+    ideal, acting, most_m, before_m = chain.ideal, list(chain.acting), 0.0, -np.inf
     if not any(given.effect.overrides("largest_turn_rad") for given in acting):
         return 0.0
-    for name, ends in robot.intervals.ci95.items():
-        ideal = max([ideal, *(with_values(ideal, {name: end}) for end in ends)], key=lambda one: reach_m(one, acting))
-    for k, given in enumerate(acting):
-        si = {parameter.name: parameter.si for parameter in given.effect.parameters(ideal)}
-        for key, ends in robot.effects.get(given.effect.name, {}).get("ci95", {}).items():
-            tried = [acting[k], *(replace(acting[k], values={**acting[k].values, key: end * si[key]}) for end in ends)]
-            acting[k] = max(tried, key=lambda one: reach_m(ideal, [*acting[:k], one, *acting[k + 1 :]]))
-    return reach_m(ideal, acting)
+    while most_m > before_m:
+        before_m = most_m
+        for name, ends in robot.intervals.ci95.items():
+            tried = [ideal, *(with_values(ideal, {name: end}) for end in ends)]
+            ideal = max(tried, key=lambda one: reach_m(one, acting))
+        for k, given in enumerate(acting):
+            ways = [acting[k], *(replace(given, values=values) for values in _at_ends(acting[k], robot))]
+            acting[k] = max(ways, key=lambda one: reach_m(ideal, [*acting[:k], one, *acting[k + 1 :]]))
+        most_m = reach_m(ideal, acting)
+    return most_m
+
+
+def _at_ends(given: Acting, robot: Robot) -> Iterator[Values]:
+    """The values of an effect with one of them at an end of what the robot's file says of it."""
+    name, si = given.effect.name, {parameter.name: parameter.si for parameter in given.effect.parameters(robot)}
+    for key, ends in robot.effects.get(name, {}).get("ci95", {}).items():
+        yield from ({**given.values, key: end * si[key]} for end in ends)
+    for key, most in anywhere(robot, name).items():
+        yield from ({**given.values, key: side * most} for side in (-1, 1))
+
+
+def anywhere(robot: Robot, name: str) -> Mapping[str, float]:
+    """What values of an effect of the robot's file that differ from pose to pose come to at most, either way [SI]."""
+    table = robot.effects.get(name, {})
+    effect = effect_of(name, table, robot.n)
+    si = {parameter.name: parameter.si for parameter in effect.parameters(robot.ideal or robot)}
+    widest = {key: float(value) for key, value in table.items() if key in si}
+    widest |= {key: max([widest.get(key, 0.0), *ends], key=abs) for key, ends in table.get("ci95", {}).items()}
+    return effect.anywhere({key: value * si[key] for key, value in widest.items()})
 
 
 def _at_rest(chain: Chain) -> tuple[DriveAtRest, ...]:
@@ -345,17 +367,22 @@ def _at_rest(chain: Chain) -> tuple[DriveAtRest, ...]:
     return (DriveAtRest(Chain(chain.ideal, able)),) if any(given.effect.acts_at_rest for given in able) else ()
 
 
-def _play(chain: Chain) -> tuple[Array, Array] | None:
-    """(n,) [rad], (n,) [m] how far effects that depend on directions move the collars, every way the same.
+def _play(chain: Chain) -> Array | None:
+    """(G, 2 n) [rad], [m] how far effects that depend on directions move the collars, every way the same.
 
-    Those of several effects add up.
+    Those of effects that follow one another add up; G are the places in the stage that other effects part.
     """
-    able = [given for given in chain.on(None, {}).of_stage("drive") if not given.effect.acts_at_rest]
-    if not able:
-        return None
-    n = chain.ideal.n
-    moved = [given.effect.play(given.values, n) for given in able]
-    return np.sum([m.theta[0] for m in moved], axis=0), np.sum([m.l[0] for m in moved], axis=0)
+    n, places = chain.ideal.n, list[Array]()
+    for plays, group in _grouped(chain.on(None, {}).of_stage("drive")):
+        if plays:
+            moved = [given.effect.play(given.values, n) for given in group]
+            places.append(np.sum([np.hstack([own.theta[0], own.l[0]]) for own in moved], axis=0))
+    return np.array(places) if places else None
+
+
+def _grouped(acting: Sequence[Acting]) -> Iterator[tuple[bool, Iterator[Acting]]]:
+    """Effects of the drive that follow one another and all have play, or all have none, and whether they have."""
+    return itertools.groupby(acting, key=lambda given: not given.effect.acts_at_rest)
 
 
 def _late_s(chain: Chain) -> tuple[Array, Array] | None:
@@ -373,25 +400,19 @@ class DriveAtRest:
 
     chain: Chain
 
-    def __call__(self, theta: Array, l: Array, off: Array) -> tuple[Array, Array]:  # noqa: E741 (as in the equations)
-        """Where collars stand that are commanded to theta [rad], l [m], `off` (2 n,) [rad], [m] by play.
+    def __call__(self, theta: Array, l: Array, off: Array | None) -> tuple[Array, Array]:  # noqa: E741 (as in the equations)
+        """Where collars stand that are commanded to theta [rad], l [m], `off` (2 G n,) [rad], [m] by play.
 
-        Effects with play of one collar share it in proportion to theirs, alike where none has any.
+        None: in the middle of all play. An effect between two places of play acts on what the first of them leaves: a
+        collar may stand on another side in each.
         """
-        n, moved, shares = theta.shape[1], Collars(theta, l), iter(self._shares)
-        nowhere = np.zeros((len(theta), 2 * n))
-        for given in self.chain.acting:
-            if given.effect.acts_at_rest:
-                moved = given.effect.drive(given.values, moved, nowhere)
-            else:
-                own = next(shares) * off
+        n, moved, nowhere = theta.shape[1], Collars(theta, l), np.zeros((len(theta), 2 * theta.shape[1]))
+        places = iter(() if off is None else off.reshape(-1, 2 * n))
+        for plays, group in _grouped(self.chain.acting):
+            if plays:
+                own = next(places, nowhere[0])
                 moved = Collars(moved.theta + own[:n], moved.l + own[n:])
+                continue
+            for given in group:
+                moved = given.effect.drive(given.values, moved, nowhere)
         return moved.theta, moved.l
-
-    @cached_property
-    def _shares(self) -> list[Array]:
-        """(2 n,) each: what the effects with play have of that of each collar; asked for with every configuration."""
-        played = [g.effect.play(g.values, self.chain.ideal.n) for g in self.chain.acting if not g.effect.acts_at_rest]
-        plays = [np.concatenate([own.theta[0], own.l[0]]) for own in played]
-        whole = np.sum(plays, axis=0) if plays else np.zeros(0)
-        return [np.where(whole > 0, own / np.where(whole > 0, whole, 1), 1 / len(plays)) for own in plays]

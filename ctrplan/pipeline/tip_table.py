@@ -107,7 +107,7 @@ def nested(robot: Robot, l_b: Array) -> Array:
 
 
 def held(robot: Robot, theta: Array, l: Array, off: Array | None = None) -> tuple[Array, Array]:  # noqa: E741
-    """Where the drive holds collars (K, n) [rad], [m] that nest: commanded to theta, l, and `off` (2 n,) by play."""
+    """Where the drive holds collars (K, n) [rad], [m] that nest: commanded to theta, l, and `off` (2 G n,) by play."""
     theta_b, l_b = robot.drive.reached(theta, l, off)
     return theta_b, nested(robot, l_b)
 

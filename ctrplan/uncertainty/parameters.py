@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ctrplan.base.arrays import CI95, Array
 from ctrplan.effects.learned.learned import effect_of, is_learned
 from ctrplan.mechanics.tube import SOFTEST_NM2
-from ctrplan.pipeline.chain import Acting, Chain, with_chain
+from ctrplan.pipeline.chain import Acting, Chain, anywhere, with_chain
 from ctrplan.robot.named_numbers import value_of, with_values
 from ctrplan.robot.robot import KEYS, Robot, file_key
 
@@ -171,10 +171,7 @@ def _of_effects(robot: Robot) -> dict[str, Row]:
             ends = min(low, value), max(high, value), parameter.lower, parameter.upper
             si = parameter.si
             results[f"effects.{name}.{key}"] = (value * si, *(end * si for end in ends), si)  # type: ignore[assignment]
-        own = {key: float(value) for key, value in table.items() if key in known}
-        wide = {key: max([own.get(key, 0.0), *ends], key=abs) for key, ends in table.get("ci95", {}).items()}
-        widest = {key: value * known[key].si for key, value in {**own, **wide}.items()}
-        for key, most in effect.anywhere(widest).items():
+        for key, most in anywhere(robot, name).items():
             results[f"effects.{name}.{key}"] = 0.0, -most, most, -most, most, 1.0
     return results
 

@@ -157,13 +157,13 @@ def _collars_by(parameters: UncertainParameters, theta: Array, l: Array) -> Arra
 
 
 def _wider(parameters: UncertainParameters, robot: Robot) -> Array:
-    """(2 n,) [rad], [m] by how much the play of a robot's collars is wider than the file's to either side."""
+    """(2 G n,) [rad], [m] by how much the play of a robot's collars is wider than the file's to either side."""
     return half_widths(robot) - half_widths(parameters.robot)
 
 
 def half_widths(robot: Robot) -> Array:
-    """(2 n,) [rad], [m] half widths of the play of a robot's collars."""
-    return np.zeros(2 * robot.n) if robot.drive.play is None else np.concatenate(robot.drive.play)
+    """(2 G n,) [rad], [m] half widths of the play of a robot's collars at G places in its drive, at least one."""
+    return np.zeros(2 * robot.n) if robot.drive.play is None else robot.drive.play.ravel()
 
 
 def _beside(parameters: UncertainParameters, j: int) -> tuple[Robot, Robot, float]:

@@ -175,7 +175,7 @@ def test_play_is_looked_at_in_every_shape_and_over_its_whole_box() -> None:
         assert loose.drive.play is not None
         here = loose.mechanics.body(theta_b, l_b)[0]
         for _ in range(4):
-            off = rng.uniform(-1, 1, loose.n) * loose.drive.play[0]
+            off = rng.uniform(-1, 1, loose.n) * loose.drive.play[0, : loose.n]
             there = loose.mechanics.body(theta_b + off, l_b)[0]
             assert np.linalg.norm(there[:, -1] - here[:, -1], axis=1).max() <= reach + 1e-9
 

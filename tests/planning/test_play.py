@@ -49,7 +49,8 @@ def test_a_drive_without_play_moves_nothing() -> None:
 
 def test_no_place_within_the_play_is_farther_away() -> None:
     robot = three_tube()
-    theta_off, l_off = robot.drive.play or ((), ())
+    assert robot.drive.play is not None
+    theta_off, l_off = np.split(robot.drive.play[0], 2)
     np.testing.assert_allclose(np.degrees(theta_off), [0, 2, 1.5])
     np.testing.assert_allclose(l_off, [0, 0, 0.5e-3])
     rng = np.random.default_rng(3)
@@ -65,7 +66,7 @@ def test_no_place_within_the_play_is_farther_away() -> None:
 def test_the_play_of_one_actuator_moves_the_tip_by_the_shift_at_one_end_of_it(name: str) -> None:
     robot = three_tube(**{name: WIDTHS[name]})
     assert robot.drive.play is not None
-    theta_off, l_off = robot.drive.play
+    theta_off, l_off = np.split(robot.drive.play[0], 2)
     for theta_b, l_b in configurations(robot):
         here = robot.solve(theta_b, l_b).tip_m
         ends = [robot.solve(theta_b + side * theta_off, l_b + side * l_off).tip_m for side in (1, -1)]

@@ -22,6 +22,7 @@ from ctrplan.certificate.variants import Variants
 from ctrplan.drive.drive import STEP_M, STEP_RAD
 from ctrplan.drive.legs import Collars, distance_from_polyline
 from ctrplan.drive.trajectory import driven_ways, time_parameterise
+from ctrplan.effects.learned.parts import LARGEST
 from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.pipeline.chain import Chain
 from ctrplan.robot.robot import Robot
@@ -360,6 +361,41 @@ def test_effects_after_play_act_on_what_it_left(effects: Any) -> None:
         simulated = chain.drive(Collars(theta, l), side * behind[None])
         np.testing.assert_allclose(theta_b, simulated.theta, atol=1e-12)
         np.testing.assert_allclose(l_b, simulated.l, atol=1e-12)
+
+
+FREE = {"backlash": {"theta_2_deg": 8.0}}
+COUPLED = {
+    "stage": "drive",
+    "acts_on": "the rotation of tube 3",
+    "sin_3_theta_2_deg": 25.0,
+    "range": {"theta_2": [-180, 180]},
+}
+BY_WAY = {"stage": "drive", "acts_on": "the rotation of tube 2", "sign_theta_1_deg": 4.0}
+BOTH = {**FRICTIONLESS, "effects": {**FREE, "learned_theta_3": COUPLED, "learned_theta_2_way": BY_WAY}}
+
+
+def test_a_collar_may_stand_on_another_side_at_each_place_of_its_play() -> None:
+    """What turns the inner tube stands between the places: it follows the first alone. Both counted on one side."""
+    loose, at = robot(**BOTH), joints(0, 0, 60, -30)
+    variants, chain = Variants.of(scene(loose, at, at), np.array([at])), Chain.of(loose)
+    theta, l = (part[None] for part in loose.drive.commanded(at))  # noqa: E741 (as in the equations)
+    corners = [variants.collars(point, at[None])[0][0] for point in itertools.product((1.0, -1.0), repeat=2)]
+    for outer, middle in itertools.product((1.0, -1.0), repeat=2):
+        stands = chain.drive(Collars(theta, l), np.array([[outer, middle, 0, 0, 0, 0]])).theta[0]
+        assert min(np.abs(corner - stands).max() for corner in corners) < np.radians(4.0 * (LARGEST - 1)) + 1e-12
+
+
+def test_a_ball_that_two_places_of_play_reach_is_refused() -> None:
+    loose = robot(**BOTH)
+    at, end = joints(0, 0, 60, -30), joints(0, 0.3, 60.2, -30)
+    theta, l = (part[None] for part in loose.drive.commanded(end))  # noqa: E741 (as in the equations)
+    ways = np.array([[0, 0, 0, 0, 0, 0], [1, -1, 0, 0, 0, 0], [1, 1, 0, 0, 0, 0]])
+    none, same, other = (Chain.of(loose).drive(Collars(theta, l), way[None]) for way in ways)
+    tips = [loose.solve(one.theta[0], one.l[0], accuracy="certificate").tip_m for one in (none, same, other)]
+    along = (tips[1] - tips[0]) / np.linalg.norm(tips[1] - tips[0])
+    off = tips[2] - tips[0] - along * (along @ (tips[2] - tips[0]))
+    reached = tips[2] + (0.2e-3 + loose.tubes[2].outer_diameter_m / 2) * off / np.linalg.norm(off)
+    assert not certified(scene(loose, at, end, ((1e3 * reached).tolist(), 0.5))).valid
 
 
 def test_a_ball_that_amplified_play_reaches_is_refused() -> None:
