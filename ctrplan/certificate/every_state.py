@@ -207,6 +207,11 @@ class _PieceView:
         tries = {sample: self._tries(sample) for sample in samples if sample not in self._found}
         while going := {sample: attempt for sample, attempts in tries.items() if (attempt := next(attempts, None))}:
             for sample, result in zip(going, self._least(going), strict=True):
+                if going[sample].accuracy == "exact" and not np.isfinite(result.clearance_m):
+                    with self._lock:
+                        self._states.pop((sample, "exact"), None)  # not solved: what a mesh says counts
+                    if sample in self._found:
+                        continue
                 self._found[sample], self._asked_m[sample] = result, self.needed.clearance_m
                 if result.keeps(self.needed):
                     tries[sample].close()
@@ -225,11 +230,14 @@ class _PieceView:
 
     def _tries(self, sample: int) -> Generator[_Try]:
         """From the cheapest on; what the last says holds."""
-        if (sample, "exact") not in self.piece.finer:
-            yield from self._on_meshes(sample)
-            if not 0 < self.limit_m - self._found[sample].clearance_m <= exact_gives_back_m(self.scenario.robot):
+        if is_exact := (sample, "exact") in self.piece.finer:
+            yield _Try("exact", DEPTH, is_last=True)
+            if np.isfinite(self._found[sample].clearance_m):
                 return
-        yield _Try("exact", DEPTH, is_last=True)
+        yield from self._on_meshes(sample)
+        lacking_m = self.limit_m - self._found[sample].clearance_m
+        if not is_exact and 0 < lacking_m <= exact_gives_back_m(self.scenario.robot):
+            yield _Try("exact", DEPTH, is_last=True)
 
     def _on_meshes(self, sample: int) -> Generator[_Try]:
         own, is_walked_closely = self.piece.accuracy, self.piece.accuracy == "certificate"

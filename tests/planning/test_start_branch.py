@@ -172,6 +172,20 @@ PAIR = bent(4), np.array([0, np.radians(185), -29.6e-3]), np.array([np.radians(1
 RVIM = rvim(), in_si(rvim(), WOUND[1]), in_si(rvim(), MOVED)
 
 
+@pytest.mark.parametrize("room_mm", [0.45, 0.55])
+def test_what_exact_geometry_does_not_solve_is_left_to_the_meshes(room_mm: float) -> None:
+    """Its iteration ends on no shape of tubes that oppose each other so strongly, which was called a second one."""
+    robot, start, by = PAIR
+    path = np.array([start, start + 0.3 * np.where(robot.drive.is_rotation, by, 0.0)])
+    here = standing(wound(robot, start, path[-1]), path).robot
+    states = [here.mechanics.friction_states(*here.drive.collars(q)) for q in path]
+    tips = np.concatenate([each.bodies(np.linspace(-1, 1, 9)[:, None]).point_m[:, -1] for each in states])
+    below = tips[np.argmin(tips[:, 2])] - [0, 0, room_mm * 1e-3 + 0.5e-3 + robot.tubes[1].outer_diameter_m / 2]
+    ball = sphere((below * 1e3).tolist(), 0.5)
+    result = ctrplan.certify(wound(robot, start, path[-1], anatomy=(ball,)), path)
+    assert result.valid, result.problems
+
+
 @pytest.mark.parametrize(("robot", "start", "by"), [PAIR, RVIM] if FUZZ else [PAIR])
 def test_a_plan_of_a_wound_robot_ends_at_its_target_on_its_branch(
     robot: Robot, start: Array, by: Array, tmp_path: Path
