@@ -130,7 +130,8 @@ def problems_of_walk(scenario: Scenario, space: JointSpace, corners: Array, piec
             results.append(
                 f"On {where}: a shape leaps by {leap * MM_PER_M:.1f} mm, its friction state loses its equilibrium."
             )
-        if (low := float((piece.height_m - piece.offset_m(scenario, piece.accuracy)).min())) < 0:
+        kept_m = piece.offset_m(scenario, piece.accuracy) + scenario.robot.model_error_m
+        if (low := float((piece.height_m - kept_m).min())) < 0:
             results.append(
                 f"On {where}: a shape curls back to the front plate, {-low * MM_PER_M:.1f} mm too near or through it."
             )

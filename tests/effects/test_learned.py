@@ -156,6 +156,7 @@ def test_half_waves_over_the_time_are_nothing_where_nobody_knows_it() -> None:
     [
         ("theta_2", {**RIPPLE, "sin_3_theta_9_deg": 1.0}, r"sin_3_theta_9_deg = 1.0 deg: is no part of a built term"),
         ("theta_2", {**RIPPLE, "sin_3_theta_2_mm": 1.0}, "is no part of a built term"),
+        ("theta_2", {"slope_load_1_deg": 1.0, "range": {"load_1": [-1, 1]}}, "load_1, which a drive does not know"),
         ("theta_2", {"slope_l_2_deg": 1.0}, r"must have l_2 = \[lowest, highest\]"),
         ("theta_2", {"slope_l_2_deg": 1.0, "range": {"l_2": [3.0, -3.0]}}, "must have l_2"),
         ("theta_2", {**RIPPLE, "sign_theta_2_deg": 1.0}, "is no part of a built term"),

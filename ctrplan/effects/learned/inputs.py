@@ -56,6 +56,11 @@ def is_rotation(name: str) -> bool:
     return name.startswith(("theta_", "turn_"))
 
 
+def is_of_collars(name: str) -> bool:
+    """Whether collars alone say an input."""
+    return name.startswith(("theta_", "turn_", "l_")) and OF_TUBE.fullmatch(name) is not None
+
+
 def unit(name: str) -> str:
     """The unit of an input; empty for columns of the data, whose names say it, and pure numbers."""
     return UNITS.get(name.rsplit("_", 1)[0] if OF_TUBE.fullmatch(name) else name, "")

@@ -21,6 +21,7 @@ from ctrplan.effects.learned.inputs import (
     Ranges,
     Situation,
     Target,
+    is_of_collars,
     is_rotation,
     outside,
     target,
@@ -269,7 +270,9 @@ def faults(name: str, table: Mapping[str, Any], notes: tuple[str, ...], n: int) 
             axis = "AXIS_" if on.kind.has_axes else ""
             yield key, f"is no part of a built term, which are named {axis}PART_{on.kind.unit}: docs/effects.md"
         else:
-            needed |= set(parts.inputs(result[1]))
+            needed |= (inputs := set(parts.inputs(result[1])))
+            if on.kind.stage == "drive" and (unknown := [name for name in inputs if not is_of_collars(name)]):
+                yield key, f"depends on {', '.join(sorted(unknown))}, which a drive does not know"
     if len(coefficients) > MOST_PARTS:
         yield "", f"has {len(coefficients)} coefficients, more than {MOST_PARTS}"
     for key in TEXTS:
