@@ -75,10 +75,10 @@ curved parts of tubes I and I + 1) [mm], `load_I` (friction state of a pair), `s
 tip's `x, y, z` [mm] and `tx, ty, tz`, and columns of the data. `formula`, `may_be`, `stage`, `acts_on` and
 `largest_mm` are comments.
 
-Outside its range an input is held at the edge, and every command says so. Terms of the drive act in bounds, shapes and
-plans. Those of the mechanics act in fits; in bounds and plans a property is anything up to its most, and the largest
-tilt times the robot's length is added to `model_error_mm`. Those of the sensor act on what is measured. A column that
-is not given is taken at the middle of its range; without a time, waves over it are nothing.
+Outside its range an input is held at the edge; every command says so. Terms of the drive know the first three, and act
+in bounds, shapes and plans. Those of the mechanics act in fits; in bounds and plans a property is anything up to its
+most, and the largest tilt times the robot's length is added to `model_error_mm`. Those of the sensor act on what is
+measured. A column not given is at the middle of its range; without time, waves over it are nothing.
 """
 
 
