@@ -25,8 +25,9 @@ from ctrplan.effects.learned.learned import effect_of
 from ctrplan.mechanics.shapes import Status
 from ctrplan.mechanics.walk import PathDensity, PathSamples
 from ctrplan.pipeline.tip_table import held
+from ctrplan.scenario.joint_space import JointSpace
 from ctrplan.uncertainty.parameters import UncertainParameters, uncertain_parameters
-from ctrplan.uncertainty.tip_slopes import friction_states, half_widths
+from ctrplan.uncertainty.tip_slopes import friction_states, widest_play
 from ctrplan.uncertainty.worst_case import BaseBall, IntervalSides, OffsetBox, farthest
 
 if TYPE_CHECKING:
@@ -69,13 +70,16 @@ class Variants:
         Axes are large where they move the tip by more than LARGE_M on it, `most` at most, unless it is said which are.
         """
         robot, parameters = scenario.robot, uncertain_parameters(scenario.robot)
-        play, late = (tuple(r for r in np.diag(by) if r.any()) for by in (_widest_play(parameters), _late_by(robot)))
+        play, late = (tuple(r for r in np.diag(by) if r.any()) for by in (widest_play(parameters), _late_by(robot)))
         box = OffsetBox.of(parameters) if parameters.count else OffsetBox(np.zeros(0), np.zeros((0, 0)))
         result = cls(scenario, parameters, box, play, late, large or ())
         if not result.count or large is not None:
             return result
-        rows = joints[np.unique(np.linspace(0, len(joints) - 1, PLACES).round().astype(int))]
-        moved_m = result.tip_moves(rows)
+        ways = JointSpace.of_robot(robot).straight_steps(joints)
+        places = np.unique(np.linspace(0, len(ways) - 1, PLACES).round().astype(int))
+        aside = result.moved_collars(ways)
+        between = aside.max(axis=0) > aside[places].max(axis=0) + JOINT_ROUNDING  # where a term may act alone
+        moved_m = result.tip_moves(ways[np.union1d(places, aside.argmax(axis=0)[between])])
         order = np.argsort(-moved_m, kind="stable")[: max(0, min(most, MOST_TUBES - robot.n))]
         return cls(scenario, parameters, box, play, late, tuple(sorted(int(k) for k in order if moved_m[k] > LARGE_M)))
 
@@ -148,6 +152,14 @@ class Variants:
         off = np.sum([s * row for s, row in sides], axis=0) if self.play else None
         return held(robot, *drive.commanded(joints), off)
 
+    def moved_collars(self, joints: Array) -> Array:
+        """(K, C) [rad], [m] how far either end of each axis moves each collar at joints (K, m) driven."""
+        middle, *ends = (
+            np.hstack(self.collars(self.end(k, side), joints))
+            for k, side in [(-1, 0.0), *((k, side) for k in range(self.count) for side in (1.0, -1.0))]
+        )
+        return np.abs(np.hstack([end - middle for end in ends]))
+
     def configuration(self, point: Point, joints: Array, accuracy: Accuracy) -> FrictionStates:
         """Friction states of the variant at joints (m,). Raises the errors of the mechanics."""
         theta_b, l_b = self.collars(point, joints[None])
@@ -165,21 +177,6 @@ class Variants:
         robot = self.robot(point)
         tips = robot.mechanics.tips_with_friction(*self.collars(point, joints), np.zeros((len(joints), robot.n - 1)))
         return np.where((tips.status == Status.FAILED)[:, None], np.nan, tips.position_m)
-
-
-def _widest_play(parameters: UncertainParameters) -> Array:
-    """(2 G n,) [rad], [m] half widths of the play of collars, all parameters of the drive where they widen it most."""
-    own = half_widths(parameters.robot)
-    widest = own.copy()
-    for k, name in enumerate(parameters.names):
-        kind, *rest = name.split(".")
-        if (
-            kind == "effects"
-            and effect_of(rest[0], parameters.robot.effects[rest[0]], parameters.robot.n).stage == "drive"
-        ):
-            ends = np.outer([parameters.low[k], parameters.high[k]] - parameters.value[k], np.eye(parameters.count)[k])
-            widest += np.max([half_widths(parameters.robot_at(end)) - own for end in ends], axis=0).clip(0.0)
-    return widest
 
 
 def _late_by(robot: Robot) -> Array:
@@ -257,9 +254,13 @@ def _with_axes(
     walks: VariantWalks,
     accuracy: Accuracy,
 ) -> VariantWalks:
-    """The walks with what single axes do, each at its end, at every few samples."""
+    """The walks with what single axes do, each at its end, at every few samples and where one moves collars farther
+    than at these.
+    """
     count = len(joints)
     rows = np.unique(np.append(np.arange(0, count, LOOK_EVERY), count - 1))
+    aside = variants.moved_collars(joints)
+    rows = np.union1d(rows, np.flatnonzero((aside > _larger(rows, aside[rows], count) + JOINT_ROUNDING).any(axis=1)))
     coarse_m = 2 * LOOK_EVERY * SPACING_M
     density = PathDensity(motion_m=coarse_m, near_m=coarse_m, point_spacing_m=POINT_SPACING_M)
     middle: PathSamples | None = samples.at_rows(rows)

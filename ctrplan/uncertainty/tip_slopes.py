@@ -166,6 +166,21 @@ def half_widths(robot: Robot) -> Array:
     return np.zeros(2 * robot.n) if robot.drive.play is None else robot.drive.play.ravel()
 
 
+def widest_play(parameters: UncertainParameters) -> Array:
+    """(2 G n,) [rad], [m] half widths of the play of collars, all parameters of the drive where they widen it most."""
+    own = half_widths(parameters.robot)
+    widest = own.copy()
+    for k, name in enumerate(parameters.names):
+        kind, *rest = name.split(".")
+        if (
+            kind == "effects"
+            and effect_of(rest[0], parameters.robot.effects[rest[0]], parameters.robot.n).stage == "drive"
+        ):
+            ends = np.outer([parameters.low[k], parameters.high[k]] - parameters.value[k], np.eye(parameters.count)[k])
+            widest += np.max([half_widths(parameters.robot_at(end)) - own for end in ends], axis=0).clip(0.0)
+    return widest
+
+
 def _beside(parameters: UncertainParameters, j: int) -> tuple[Robot, Robot, float]:
     """Robots on both sides of parameter j, and how far they are apart in it [SI]."""
     step = STEP * parameters.half_width[j]

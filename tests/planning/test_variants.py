@@ -363,6 +363,21 @@ def test_effects_after_play_act_on_what_it_left(effects: Any) -> None:
         np.testing.assert_allclose(l_b, simulated.l, atol=1e-12)
 
 
+@pytest.mark.parametrize("half_mm", [0.5, 1.0])
+def test_a_term_that_acts_between_the_places_that_are_looked_at_is_found(half_mm: float) -> None:
+    """A bump within a millimetre or two of the way, of no size but by its interval: no sample was where it acts."""
+    middle, key = -61.3, "bump_3_of_5_l_3_deg"
+    bump = {**BUMP, key: 10.0, "range": {"l_3": [middle - half_mm, middle + half_mm]}}
+    wide = robot(**FRICTIONLESS, effects={"learned_theta_3": bump})
+    maybe = robot(**FRICTIONLESS, effects={"learned_theta_3": {**bump, key: 0.0, "ci95": {key: [-10.0, 10.0]}}})
+    at = joints(0, 20, 60, middle + 34)
+    tips = [one.solve(*one.drive.collars(at), accuracy="certificate").tip_m for one in (maybe, wide)]
+    away = (tips[1] - tips[0]) / np.linalg.norm(tips[1] - tips[0])
+    reached = tips[1] + (0.2e-3 + wide.tubes[2].outer_diameter_m / 2) * away
+    case = scene(maybe, joints(0, 20, 60, -45), joints(0, 20, 60, -10), ((1e3 * reached).tolist(), 0.5))
+    assert not certified(case).valid
+
+
 FREE = {"backlash": {"theta_2_deg": 8.0}}
 COUPLED = {
     "stage": "drive",
