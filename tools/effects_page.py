@@ -31,7 +31,7 @@ A robot file with effects is the same robot to every command. What an effect doe
 | `backlash` | stated as play; plans take it off every clearance | followed along the path |
 | `plate_clearance`, `plate_compliance`, `bent_base` | add the largest turn times the length to `model_error_mm` | act |
 | `friction_speed`, `relaxation`, `precurvature_loss` | full friction, tubes as at the last pose | act in fits |
-| `homing_shift` | none: the robot stands as after the first homing | acts on logs |
+| `homing_shift` | an interval: any later homing | acts on logs |
 
 `python tools/effects_page.py` makes this page from the catalogue. How to write another effect:
 [extending](extending.md#an-effect).
