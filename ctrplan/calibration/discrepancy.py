@@ -344,7 +344,7 @@ class Spectrum:
         _work_out([(self, list(zip(p.ravel().tolist(), t.ravel().tolist(), strict=True)))])
         return np.array(self._evidences[p, t])
 
-    def system(self, p: NDArray[np.int_], t: NDArray[np.int_]) -> System:
+    def normal_system(self, p: NDArray[np.int_], t: NDArray[np.int_]) -> System:
         """The system at numbers (K,) of the sizes, over the priors' widths, without what is moved or integrated."""
         H, g, likelihood = self._beside_process(p, t) if self.modes else self._sums(p, t, self._chosen)
         if count := len(self.moved):  # residuals r become r + J moved
@@ -424,7 +424,7 @@ def _work_out(wanted: Sequence[tuple[Spectrum, Pairs]]) -> None:
             p, t = np.array(new).T
             of_count.setdefault(len(spectrum.precision), []).append((spectrum, p, t))
     for alike in of_count.values():
-        systems = [spectrum.system(p, t) for spectrum, p, t in alike]
+        systems = [spectrum.normal_system(p, t) for spectrum, p, t in alike]
         H, g, likelihood = (np.concatenate(parts) for parts in zip(*systems, strict=True))
         values = np.split(likelihood + integral(H, g), np.cumsum([len(p) for _, p, _ in alike])[:-1])
         for (spectrum, p, t), own in zip(alike, values, strict=True):
