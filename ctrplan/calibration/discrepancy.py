@@ -240,7 +240,7 @@ class Spectrum:
     moved: Array = field(default_factory=lambda: np.zeros(0))  # (M,) by how much
     begin: tuple[int, int] | None = None  # numbers of sizes near which the highest evidence is sought
     modes: int = 0  # last parameters of the sums, of unit priors: the amounts of a process, over which is integrated
-    _beside: dict[tuple[int, int], System] = field(default_factory=dict)  # the process, by numbers of sizes
+    _marginalised: dict[tuple[int, int], System] = field(default_factory=dict)  # over the process, by numbers of sizes
 
     @classmethod
     def at(cls, fit: Linearised, blocks: Sequence[Block]) -> Spectrum:
@@ -283,7 +283,7 @@ class Spectrum:
         begin, known = self.begin, self._evidences
         if not np.isnan(known).all():
             begin = divmod(int(np.nanargmax(known)), known.shape[1])
-        return replace(self, position=sums[0], tangent=sums[1], begin=begin, _beside={})
+        return replace(self, position=sums[0], tangent=sums[1], begin=begin, _marginalised={})
 
     @cached_property
     def _evidences(self) -> Array:
@@ -312,10 +312,10 @@ class Spectrum:
             stride //= 1 + (at == before)
         return float(self._evidences[tuple(at)]), float(self.position.size[at[0]]), float(self.tangent.size[at[1]])
 
-    def mean(self, peak: Highest) -> Generator[Pairs, None, float]:
+    def log_mean(self, peak: Highest) -> Generator[Pairs, None, float]:
         """Twice the logarithm of the mean evidence over sizes, by the lines through its peak; yields pairs to ask for.
 
-        Of each line counts what rounding leaves beside the peak: evidences fall on either side of it.
+        A line counts as far as rounding leaves anything beside the peak: evidences fall on either side of it.
         """
         result, least = peak[0], peak[0] + 2 * float(np.log(np.finfo(float).eps))
         p, t = (int(np.abs(s.size - at).argmin()) for s, at in ((self.position, peak[1]), (self.tangent, peak[2])))
@@ -379,14 +379,14 @@ class Spectrum:
 
         pairs, m, kept = list(zip(p.tolist(), t.tolist(), strict=True)), self.modes, self.columns
         for k, pair in enumerate(pairs):
-            if pair not in self._beside:
+            if pair not in self._marginalised:
                 H, g, likelihood = (values[0] for values in self._sums(p[k : k + 1], t[k : k + 1], slice(None)))
                 factor = np.linalg.cholesky(H[-m:, -m:] + np.eye(m))
                 seen = solve_triangular(factor, np.column_stack([H[-m:, :-m], g[-m:]]), lower=True, check_finite=False)
                 taken = seen.T @ seen
                 likelihood = likelihood + taken[-1, -1] - 2 * np.log(np.diag(factor)).sum()
-                self._beside[pair] = H[:-m, :-m] - taken[:-1, :-1], g[:-m] - taken[:-1, -1], likelihood
-        systems = [self._beside[pair] for pair in pairs]
+                self._marginalised[pair] = H[:-m, :-m] - taken[:-1, :-1], g[:-m] - taken[:-1, -1], likelihood
+        systems = [self._marginalised[pair] for pair in pairs]
         H = np.array([H[kept[:, None], kept] for H, _, _ in systems])
         return H, np.array([g[kept] for _, g, _ in systems]), np.array([likelihood for *_, likelihood in systems])
 
@@ -398,7 +398,7 @@ def highest_of(spectra: Sequence[Spectrum]) -> list[Highest]:
 
 def log_means(spectra: Sequence[Spectrum], peaks: Sequence[Highest]) -> list[float]:
     """Twice the logarithms of the mean evidence of each over sizes, by the lines through its peak."""
-    return _together(spectra, [spectrum.mean(peak) for spectrum, peak in zip(spectra, peaks, strict=True)])
+    return _together(spectra, [spectrum.log_mean(peak) for spectrum, peak in zip(spectra, peaks, strict=True)])
 
 
 def _together(spectra: Sequence[Spectrum], searches: Sequence[Generator[Pairs, None, T]]) -> list[T]:

@@ -375,8 +375,8 @@ def _over_kinds(errors: Sequence[SmoothError], spectra: Sequence[Spectrum]) -> t
     """
     peaks, values = highest_of(spectra), np.full(len(errors), -np.inf)
     order = sorted(range(len(errors)), key=lambda k: -peaks[k][0])
-    best = log_means([spectra[order[0]]], [peaks[order[0]]])[0]
-    there = [k for k in order if peaks[k][0] >= best + 2 * np.log(np.finfo(np.float64).eps)]
+    of_best = log_means([spectra[order[0]]], [peaks[order[0]]])[0]
+    there = [k for k in order if peaks[k][0] >= of_best + 2 * np.log(np.finfo(np.float64).eps)]
     values[there] = np.array(log_means([spectra[k] for k in there], [peaks[k] for k in there])) / 2
     best = int(values.argmax())
     return values, Peak(errors[best], *peaks[best][1:]), peaks[best][0] / 2

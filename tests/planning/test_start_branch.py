@@ -6,13 +6,11 @@ rods there.
 
 from __future__ import annotations
 
-import copy
 import itertools
 from contextlib import suppress
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -23,6 +21,7 @@ from hidden_effects.tube import Section
 from hidden_effects.tube import Tube as Rod
 from made_up_input import FUZZ
 from stated_plans import bent, in_si, rvim, sphere
+from wound_robots import beyond_m, l_shaped, wound
 
 import ctrplan
 from ctrplan.base.arrays import Array
@@ -35,46 +34,13 @@ from ctrplan.mechanics.equilibria import SAME_SHAPE_M, Torus
 from ctrplan.mechanics.guide import Guide
 from ctrplan.robot.robot import Robot
 from ctrplan.scenario.joint_space import JointSpace, bare_scenario
-from ctrplan.scenario.scenario import Goal, Scenario
+from ctrplan.scenario.scenario import Goal
 from ctrplan.scenario.start_branch import standing, start_guide
 
 # deg, mm: wound up by the rotations straight from home, without a snap.
 WOUND = [[25.3, -237.5, -478.9, -40.9, -45.0, -51.0], [-352.5, -38.0, 236.2, -140.0, -151.8, -158.9]]
 T5 = [0, 68.2221, 45.0959, -129.4931, -174.9751, -203.5571]
 MOVED = [10, 6, -6, 2, -2, 3]
-STATED = [(1.45, 1.9, 185), (1.3, 1.9, 185), (1.4, 2.2, 195)]  # precurvature, its most, and where
-TURNS = [(turns, *stated) for turns in ("absolute", "unknown") for stated in STATED][: 6 if FUZZ else 4]
-
-
-def wound(robot: Robot, start: Array, end: Array, **changes: Any) -> Scenario:
-    """From joints to joints (m,), where turns count."""
-    return bare_scenario(robot).with_(start=start, goal=Goal(joints=end), start_turns="absolute", **changes)
-
-
-def l_shaped(robot: Robot, start: Array, by: Array) -> Array:
-    """Rotations before translations, by a motion (m,)."""
-    return np.array([start, start + np.where(robot.drive.is_rotation, by, 0.0), start + by])
-
-
-def beyond_m(robot: Robot, certificate: Certificate, start: Array, rng: np.random.Generator) -> tuple[float, int]:
-    """How far tips of the robot's own histories straight from home leave the stated bound, and snaps on the way.
-
-    From every corner of friction at home, and with turns at the start that load it otherwise.
-    """
-    samples, turns, results = certificate.samples, robot.drive.is_rotation, [-np.inf]
-    home, snaps = np.where(turns, 0.0, start), 0
-    for phi in ("released", *itertools.product((1.0, -1.0), repeat=robot.n - 1)):
-        for size in (0.0, 0.2):
-            aside = start + np.where(turns, size * rng.uniform(-1, 1, len(start)), 0.0)
-            history = robot.history(phi)
-            before = history.follow(*robot.drive.collars(np.array([home, start, aside, start])))
-            if before.snaps[2:].any():
-                continue
-            path = history.follow(*robot.drive.collars(samples.joints))
-            off = np.linalg.norm(path.position_m - samples.tip_m, axis=1)
-            results.append(float((off - samples.bound_m).max()))
-            snaps += int(path.snaps.sum())
-    return max(results), snaps
 
 
 @cache
@@ -357,88 +323,6 @@ def test_targets_on_the_way_are_passed_on_the_branch() -> None:
     assert certificate.valid and len(certificate.targets) == 2
     most, snaps = beyond_m(robot, certificate, way[0], np.random.default_rng(2))
     assert most < BEYOND_BOUND_M and not snaps
-
-
-def stated_pair(factor: float, ends: tuple[float, float], friction: float = 0.2) -> tuple[Robot, list[Robot]]:
-    """The bent pair whose inner precurvature is in an interval, in shares of its own, and the pairs at its ends."""
-    pair = bent(factor)
-    content = {**pair.content, "contact": [{"friction_coefficient": friction}]}
-    most = content["tube"][1]["section"][1]["curvature_y_per_m"]
-    interval = {"tube.2.section.2.curvature_per_m": [share * most for share in ends]}
-    stated = robot_from_dict({**content, "uncertainty": {"ci95": interval}}, file=pair.path)
-    others = []
-    for share in ends:
-        other = copy.deepcopy(content)
-        other["tube"][1]["section"][1]["curvature_y_per_m"] = share * most
-        others.append(robot_from_dict(other, file=pair.path))
-    return stated, others
-
-
-def test_a_start_that_intervals_may_leave_on_another_branch_is_refused() -> None:
-    """The pair stays wound past where its tubes are opposed; bent less, within its interval, it snaps on the way."""
-    start = np.array([0, np.radians(215), -29.6e-3])
-    for least, is_refused in ((0.99, False), (0.4, True)):
-        robot, _ = stated_pair(2.5, (least, 1.0))
-        scenario = standing(wound(robot, start, start, start_friction="released"))
-        assert scenario.robot.guide is not None
-        certificate = ctrplan.certify(scenario, np.array([start, start]))
-        assert ("may end by what is stated of" in next(iter(certificate.problems), "")) == is_refused
-
-
-@pytest.mark.parametrize(("turns", "factor", "most", "at_deg"), TURNS)
-def test_a_start_is_refused_where_a_robot_within_its_interval_has_another_shape(
-    turns: Any, factor: float, most: float, at_deg: float
-) -> None:
-    """The file's pair has one shape at every angle; bent more, as its interval allows, it stays wound past 180 deg."""
-    robot, others = stated_pair(factor, (0.999, most / factor), friction=0.01)
-    start = np.array([0, np.radians(at_deg), -29.6e-3])
-    path = np.array([start, start + [0, np.radians(3), 0]])
-    theta, l = robot.drive.collars(start)  # noqa: E741 (as in the equations)
-    assert len(robot.equilibria(theta, l).stable) == 1
-    scenario = bare_scenario(robot).with_(
-        start=start, goal=Goal(joints=path[-1]), start_turns=turns, start_friction="released"
-    )
-    certificate = ctrplan.certify(scenario, path)
-    beyond = [beyond_m(other, certificate, start, np.random.default_rng(3))[0] for other in others]
-    assert max(beyond) > 10 * BEYOND_BOUND_M
-    assert not certificate.valid and "by what is stated of" in certificate.problems[0]
-
-
-def test_no_robot_at_an_end_of_an_interval_leaves_the_bound_on_a_branch() -> None:
-    """Bent less by a tenth the wound pair's tip moves 2 mm farther than bent more by it."""
-    robot, others = stated_pair(2.09, (0.8975, 1.1025), friction=0.0)
-    start = np.array([0, np.radians(218.4), -32.7e-3])
-    path = np.array([start, start - [0, np.radians(20), 0]])
-    certificate = ctrplan.certify(wound(robot, start, path[-1]), path)
-    assert certificate.valid, certificate.problems
-    for other in others:
-        most, snaps = beyond_m(other, certificate, start, np.random.default_rng(4))
-        assert most < BEYOND_BOUND_M and not snaps
-
-
-@pytest.mark.parametrize("width", [0.02, 0.1] if FUZZ else [0.1])
-def test_no_combination_of_many_intervals_snaps_on_a_certified_way(width: float) -> None:
-    """The inner precurvature in six parts, each in an interval: all at their lower ends, the wound pair snaps first."""
-    content, parts = copy.deepcopy(bent(2.2).content), 6
-    content["contact"] = [{"friction_coefficient": 0.0}]
-    straight, curved = content["tube"][1]["section"]
-    content["tube"][1]["section"] = [straight, *({**curved, "length_mm": curved["length_mm"] / parts},) * parts]
-    most = curved["curvature_y_per_m"]
-    ends = {f"tube.2.section.{k + 2}.curvature_per_m": [(1 - width) * most, (1 + width) * most] for k in range(parts)}
-    robot = robot_from_dict({**content, "uncertainty": {"ci95": ends}}, file=bent(2.2).path)
-    softest = copy.deepcopy(content)
-    softest["tube"][1]["section"] = [
-        straight,
-        *({**part, "curvature_y_per_m": (1 - width) * most} for part in content["tube"][1]["section"][1:]),
-    ]
-    other, start = robot_from_dict(softest, file=robot.path), np.array([0, np.radians(185), -29.6e-3])
-    angles = np.append([0.0, start[1]], np.radians(np.arange(200, 240, 0.25)))
-    driven = other.history().follow(*other.drive.collars(np.array([[0, angle, start[2]] for angle in angles])))
-    snap_deg = float(np.degrees(angles[np.flatnonzero(driven.snaps)[0]]))
-    for beyond_deg in (-0.5, 0.0, 0.5, 3.0) if FUZZ else (-0.5, 0.5):
-        path = np.array([start, [0, np.radians(snap_deg + beyond_deg), start[2]]])
-        for way in (path, path[::-1]):  # there, and back by a robot that was wound up so far
-            assert ctrplan.certify(wound(robot, way[0], way[-1]), way).valid == (beyond_deg < 0)
 
 
 @pytest.mark.parametrize("at_deg", [178, 182] if FUZZ else [182])

@@ -198,10 +198,7 @@ class Polish:
         return PathModel(self.checker, corners, levels, places, along)
 
     def _aimed_anew(self, corners: Array) -> Array:
-        """The path with its end where the tip with friction arrives, if friction takes it farther than steps follow.
-
-        There friction at the end has turned round, or is no longer released: the aim is another one.
-        """
+        """The path with its end where the tip with friction arrives, if friction takes it farther than steps follow."""
         if self.is_aimed and self.space.allowed(corners) and np.linalg.norm(self._miss_m(corners)) > FOLLOWED_M:
             return aimed(self.checker, corners, self.corners)[1]
         return corners
@@ -214,9 +211,10 @@ class Polish:
         there = self._corrected(corners)
         if there is None or self._takes(there):
             return there is not None
-        if not self._priced_mm(there) < self.cost_mm - LEAST_GAIN_MM or (anew := self._aimed_anew(there)) is there:
+        if not self.is_aimed or not self._priced_mm(there) < self.cost_mm - LEAST_GAIN_MM:
             return False
-        return self._takes(self._corrected(anew, self._tip_m(anew)))
+        anew = aimed(self.checker, there, self.corners)[1]
+        return anew is not there and self._takes(self._corrected(anew, self._tip_m(anew)))
 
     def _corrected(self, corners: Array | None, aim_m: Array | None = None) -> Array | None:
         """A path (K, m) to an aim (3,) corrected where it is too close; None where that leads astray, or is refused."""
