@@ -14,7 +14,7 @@ OUTPUT ?= demo-output
 .PHONY: demo test lint read install clean fuzz mutants wheel api gallery pictures sanitize bank bank-core bank-diagnosis
 
 # What takes a while says so before it starts, builds included.
-FIRST_BUILD = $(if $(wildcard $(VENV)/.installed),, The first time the environment is built: two minutes more.)
+FIRST_BUILD = $(if $(wildcard $(VENV)/.installed),, The first time the environment is built: two to six minutes more.)
 
 .PHONY: demo-time test-time
 demo-time:
