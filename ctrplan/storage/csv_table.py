@@ -134,7 +134,7 @@ class CsvTable:
             if count > 1:
                 raise self.fault(f"the header has this column {count} times", column=name or "(no name)")
         for row, cells in enumerate(self.rows):
-            if [cell.strip() for cell in cells] == self.header:
+            if cells[0].strip() == self.header[0] and [cell.strip() for cell in cells] == self.header:
                 raise self.fault("repeats the header, were files joined?", row)
             if len(cells) != len(self.header):
                 there = f"has {len(cells)} values, the header has {len(self.header)} columns"
@@ -151,14 +151,17 @@ class CsvTable:
     def numbers(self, name: str, *, blanks: bool = False) -> Array:
         """(K,) finite numbers of a column; with `blanks` NaN where nothing stands, or a word of MISSING."""
         column = self.header.index(name)
-        texts = [cells[column].strip() for cells in self.rows]
+        texts = [cells[column] for cells in self.rows]
+        if (values := _plain_numbers(texts)) is not None:
+            return values
+        texts = [text.strip() for text in texts]
         if blanks:
             texts = ["" if text.lower() in MISSING else text for text in texts]
-        given = np.array([bool(text) for text in texts])
-        if blanks or given.all():
-            result = np.array([in_plain_digits(text) if text else np.nan for text in texts], dtype=np.float64)
-            if (np.abs(result[given]) <= LARGEST_NUMBER).all():  # not so with None, which is NaN here
-                return result
+        given = np.fromiter(map(bool, texts), bool, len(texts))
+        if blanks and (values := _plain_numbers(list(filter(None, texts)))) is not None:
+            result = np.full(len(texts), np.nan)
+            result[given] = values
+            return result
         return np.array([self._number(row, name, text, blanks) for row, text in enumerate(texts)])
 
     def columns(self, names: Sequence[str]) -> Array:
@@ -189,6 +192,18 @@ class CsvTable:
             rule = f"must be from {-LARGEST_NUMBER:g} to {LARGEST_NUMBER:g}, left empty where nothing was measured"
             raise self.fault(rule, row, name, text)
         return value
+
+
+def _plain_numbers(texts: Sequence[str]) -> Array | None:
+    """(K,) numbers of a whole column at once; None where a cell is none, is blank, or needs a second look."""
+    together = "".join(texts)
+    if "_" in together or not together.isascii():  # as in `in_plain_digits`
+        return None
+    try:
+        values = np.array(list(map(float, texts)))
+    except ValueError:
+        return None
+    return values if (np.abs(values) <= LARGEST_NUMBER).all() else None
 
 
 def _likely(text: str) -> str:
