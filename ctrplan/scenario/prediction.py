@@ -35,11 +35,11 @@ LOOK_EVERY = 5  # configurations after which a body is looked at
 SAME_RAD = 1e-5  # of tangents; tips and friction as where an observer joins histories
 TIP_TOLERANCE_M = 0.05e-3  # of simulated tips (`history numerics` of benchmarks/run.py)
 _STEPS = HistoryOptions()
-QUARTER_STEPS = replace(
+HALF_STEPS = replace(
     _STEPS,
-    rotation_rad=_STEPS.rotation_rad / 4,
-    translation_m=_STEPS.translation_m / 4,
-    state_change=_STEPS.state_change / 4,
+    rotation_rad=_STEPS.rotation_rad / 2,
+    translation_m=_STEPS.translation_m / 2,
+    state_change=_STEPS.state_change / 2,
 )
 SCATTER_M = 0.01e-3  # by which tips still differ whatever the steps (`arrival steps` of benchmarks/run.py: 0.007 mm)
 
@@ -239,9 +239,9 @@ def step_error(
 ) -> float:
     """[m] how far off the last tips of histories along joints (K, m) may be by their steps; a state for each start.
 
-    Histories of a quarter of the steps are followed beside it, one for each of the different ends. Their tips are
-    nearer to those of endless refinement: twice the difference covers an error that falls with at least the square root
-    of the step (it falls linearly).
+    Histories of half the steps are followed beside it, one for each of the different ends. Their tips are nearer to
+    those of endless refinement: the difference, divided by 1 - sqrt(1/2), covers an error that falls with at least the
+    square root of the step (it falls linearly).
     """
     coarse = _follow(robot, begun_histories(robot, end_states, accuracy), joints[-1:])
     ends = np.concatenate([part[:, -1] for part in (coarse.tip_m, coarse.tangent, coarse.phi)], axis=1)
@@ -249,10 +249,10 @@ def step_error(
     for k in range(len(ends)):
         if not are_same(ends[k], ends[different]).any():
             different.append(k)
-    begun = begun_histories(robot, [starts[k] for k in different], accuracy, QUARTER_STEPS)
+    begun = begun_histories(robot, [starts[k] for k in different], accuracy, HALF_STEPS)
     finer = _follow(robot, begun, joints)
     off = np.linalg.norm(finer.tip_m[:, -1] - coarse.tip_m[different, -1], axis=1)
-    return float(np.nan_to_num(2 * off, nan=np.inf).max()) + SCATTER_M
+    return float(np.nan_to_num(off / (1 - np.sqrt(0.5)), nan=np.inf).max()) + SCATTER_M
 
 
 def begun_histories(
