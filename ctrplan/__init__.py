@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from ctrplan.anatomy.shapes.capsule import Capsule as Capsule
     from ctrplan.anatomy.shapes.mesh import Mesh as Mesh
     from ctrplan.anatomy.shapes.sphere import Sphere as Sphere
+    from ctrplan.anatomy.shapes.surface import Sheet as Sheet
     from ctrplan.anatomy.shapes.volume import Volume as Volume
     from ctrplan.audit.verify import Verification
     from ctrplan.audit.verify import verify as verify
@@ -38,7 +39,9 @@ if TYPE_CHECKING:
     from ctrplan.files.robot_file import robot_from_dict as robot_from_dict
     from ctrplan.files.scenario_file import load_scenario
     from ctrplan.files.scenario_file import scenario_from_dict as scenario_from_dict
+    from ctrplan.measurement.measurements import Marker as Marker
     from ctrplan.measurement.measurements import Measurements
+    from ctrplan.measurement.measurements import SensorNoise as SensorNoise
     from ctrplan.mechanics.history import History, HistoryStep
     from ctrplan.mechanics.shapes import Bound, Bounds, Shape, Status
     from ctrplan.mechanics.tube import Contact as Contact
@@ -69,6 +72,7 @@ if TYPE_CHECKING:
     from ctrplan.reports.object_figures import show as show
     from ctrplan.reports.plan_page import save_plan as save_plan
     from ctrplan.robot.robot import Robot
+    from ctrplan.robot.robot import StatedIntervals as StatedIntervals
     from ctrplan.scenario.joint_space import l_shaped as l_shaped
     from ctrplan.scenario.scenario import Cost as Cost
     from ctrplan.scenario.scenario import CostTerm as CostTerm
@@ -109,6 +113,7 @@ __all__ = [
     "Joint",
     "Loads",
     "Margins",
+    "Marker",
     "Measurements",
     "Mesh",
     "MotionChecker",
@@ -122,8 +127,11 @@ __all__ = [
     "Robot",
     "Scenario",
     "Section",
+    "SensorNoise",
     "Shape",
+    "Sheet",
     "Sphere",
+    "StatedIntervals",
     "Status",
     "Study",
     "StudyTable",

@@ -25,7 +25,7 @@ import numbers
 import os
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any, ParamSpec, TypeVar, get_type_hints
 
 from ctrplan.errors import InputError
@@ -291,6 +291,31 @@ def require(key: str, value: Any, kind: Kind) -> None:
         rule = f"{kind.rule}; ctrplan.{reader} reads one from a file" if reader else kind.rule
         rule += percent_hint(value, kind.high) if isinstance(kind, Limited) else ""
         raise InputError(rule, key=key, value=value, unit=kind.unit)
+
+
+PLAIN: dict[str, tuple[Kind, type]] = {
+    "float": (Number(-math.inf, math.inf), float), "str": (Text(), str), "bool": (Flag(), bool),
+}  # fmt: skip
+
+
+def read_plain_fields(made: object) -> None:
+    """Turns numbers of numpy among the fields of a dataclass into Python's, by the fields' annotations.
+
+    Raises InputError that names a field annotated as a number, a text or a flag which is none.
+    """
+    made_of: Any = type(made)
+    for name, plain, kind, may_be_none in _plain_fields(made_of):
+        value = getattr(made, name)
+        if type(value) is not plain and not (may_be_none and value is None):
+            require(name, value, kind)
+            object.__setattr__(made, name, plain(value))
+
+
+@functools.cache
+def _plain_fields(made: type[Any]) -> tuple[tuple[str, type, Kind, bool], ...]:
+    """Of each field that holds one plain value: name, class and kind, and whether it may be None."""
+    rows = [(each.name, *str(each.type).partition(" | None")[:2]) for each in fields(made)]
+    return tuple((name, *PLAIN[plain][::-1], bool(none)) for name, plain, none in rows if plain in PLAIN)
 
 
 def rows_of(key: str, values: Any, kind: type[T]) -> tuple[T, ...]:

@@ -43,7 +43,7 @@ from ctrplan.uncertainty.worst_case import BaseBall, OffsetBox, farthest
 
 if TYPE_CHECKING:
     from ctrplan.robot.robot import Robot
-    from ctrplan.scenario.scenario import Scenario
+    from ctrplan.scenario.scenario import Goal, Scenario
 
 FORGOTTEN = 0.01  # share of all friction states below which a pair has forgotten its past
 MOST_RESTARTS = 3  # waypoints that are tried, a budget
@@ -112,6 +112,15 @@ class Arrival:
     by_cause: ArrivalCauses
     erased: tuple[ErasedPair, ...]  # per pair, outermost first
     restart: int | None = None  # waypoint from which an interrupted run begins again; None: from a start as stated
+
+    def keeps(self, goal: Goal) -> bool:
+        """Whether the tip arrives within the goal's tolerances whatever friction was before; verdicts are amber else.
+
+        Of a goal in joint values alone, which states none for the tip: True.
+        """
+        is_near = goal.tip_m is None or self.error_m <= goal.tolerance_m
+        most_rad = goal.direction_tolerance_rad
+        return bool(is_near and (most_rad is None or self.error_rad <= most_rad))
 
     def after(self, before: Arrival | None, legs: int) -> Arrival:
         """This arrival in a tour, whose stage begins after `legs` legs with the friction states that `before` left."""

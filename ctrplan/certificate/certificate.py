@@ -292,7 +292,7 @@ class Certificate:
         title="Largest motion of the body between samples",
     ))
     cost_mm: float = field(metadata=figure(
-        "sum", "mm", "with released errors along the path, bound and unknown friction at the goal, see the targets",
+        "sum", "mm", "of released errors along the path, bound and unknown friction at the goal, terms of one's own",
         title="Cost", line=("cost", "{}"),
     ))
     stops: int = field(metadata=figure(

@@ -46,7 +46,7 @@ from ctrplan.mechanics.equilibria import SAME_SHAPE_M, is_unique
 from ctrplan.mechanics.shapes import Accuracy
 from ctrplan.motion.checker import left_at_end
 from ctrplan.motion.limits import TOO_CLOSE, path_limits
-from ctrplan.scenario.joint_space import JointSpace
+from ctrplan.scenario.joint_space import JointSpace, terms_mm
 from ctrplan.scenario.prediction import start_load
 from ctrplan.scenario.scenario import path_cost_mm
 from ctrplan.scenario.start_branch import followed, standing
@@ -113,9 +113,9 @@ class WalkedLegs:
 
     @cached_property
     def cost_mm(self) -> float:
-        """By the scenario's weights."""
+        """By the scenario's weights, its own terms included."""
         samples = self.samples
-        return path_cost_mm(
+        return sum(terms_mm(self.scenario, self.corners)) + path_cost_mm(
             self.scenario.cost,
             length_mm=self.length_mm,
             legs=self.legs,

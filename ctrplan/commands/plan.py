@@ -224,7 +224,9 @@ def _print_levers(arguments: argparse.Namespace, plan: Plan, interrupted: thread
     unit, scale = ("deg", math.degrees(1.0)) if is_turned else ("mm", 1e3)
     helpful = sorted((lever for lever in result.computed if lever.off < off), key=lambda lever: lever.off)
     print(
-        f"  what would bring it below {off * scale:.2f} {unit}, computed:" if helpful else "  nothing computed helps:"
+        f"  what would bring it below {off * scale:.2f} {unit}, computed:"
+        if helpful
+        else "  nothing computed brings it nearer"
     )
     for lever in helpful:
         enough = " (enough)" if most is not None and lever.off <= most else ""
@@ -233,7 +235,7 @@ def _print_levers(arguments: argparse.Namespace, plan: Plan, interrupted: thread
     if math.isfinite(off):
         key = f"{worst_table(plan, worst)}.{'direction_tolerance_deg' if is_turned else 'tolerance_mm'}"
         allowed = command.with_keys(f"{key}={math.ceil(off * scale * 100) / 100:g}")
-        print(f"    as it is, with another tolerance: {allowed.line(arguments)}")
+        print(f"    as it is, it keeps another tolerance: {allowed.line(arguments)}")
     if result.missing:
         why = "interrupted" if interrupted.is_set() else f"not within {LEVERS_S:g} s"
         print(f"    not computed ({why}): {', '.join(dict.fromkeys(result.missing))}")

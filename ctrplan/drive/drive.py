@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ctrplan.base.arguments import Choice, Number, require, rows_of
+from ctrplan.base.arguments import Choice, Number, read_plain_fields, require, rows_of
 from ctrplan.base.arrays import Array, numbers, read_only, vector, warn_of_degrees
 from ctrplan.base.package import shown
 from ctrplan.errors import InputError
@@ -64,6 +64,7 @@ class Joint:
         for name, default in zip(RATES, DEFAULT_MOTION[self.kind], strict=True):
             if getattr(self, name) is None:
                 object.__setattr__(self, name, default * self.si_per_unit)
+        read_plain_fields(self)
         for name in ("lower", "upper"):  # rates are looked at where something moves by them
             require(name, getattr(self, name), Number(-math.inf, math.inf))
 
@@ -93,6 +94,10 @@ class ExecutionTolerance:
     rotation_rad: float = math.radians(0.2)
     translation_m: float = 0.05e-3
 
+    def __post_init__(self) -> None:
+        """Raises InputError for what is no number."""
+        read_plain_fields(self)
+
 
 @shown
 @dataclass(frozen=True, eq=False)
@@ -116,6 +121,8 @@ class Drive:
     def __post_init__(self) -> None:
         """Reads its numbers. Raises InputError unless every joint moves as many tubes as have a home."""
         object.__setattr__(self, "joints", rows_of("joints", self.joints, Joint))
+        if not self.joints:
+            raise InputError("must hold one joint at least", key="joints")
         n = len(vector("home_theta_rad", self.home_theta_rad))
         for name in ("home_theta_rad", "home_l_m"):
             object.__setattr__(self, name, vector(name, getattr(self, name), n))

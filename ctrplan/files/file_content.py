@@ -10,7 +10,7 @@ import copy
 import math
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
 
@@ -33,6 +33,7 @@ from ctrplan.storage.toml_document import Document, toml_text
 if TYPE_CHECKING:
     from ctrplan.planning.base_pose import BaseFrame, BasePose
 
+OF_BODIES = ("robot", "anatomy", "fixture")  # keys of what a scenario is made with
 DIGITS_TRIED = (6, 9, 12, 15, 16, 17)
 ULPS_TRIED = 8  # to either side, where no number of digits is read as the same value
 
@@ -50,15 +51,36 @@ def as_read(given: Scenario, overrides: Sequence[str] | None = None) -> Scenario
 def as_read(given: Robot | Scenario, overrides: Sequence[str] | None = None) -> Robot | Scenario:
     """A robot or scenario as it is read from a file of its content, after `overrides` of keys. Raises InputError.
 
-    Without overrides, what no file says (loads, bodies of arrays) is left out of the content.
+    Without overrides, what no file says (loads, bodies of arrays) is left out of the content. A scenario's robot and
+    bodies stay as they are where no override is of them.
     """
+    if overrides is None:
+        try:
+            return _as_read(given, None)
+        except InputError as fault:
+            raise _in_code(fault) from None
+    return _as_read(given, overrides)
+
+
+def _in_code(fault: InputError) -> InputError:
+    """A file's refusal of what was made in code: a length beyond a metre was most likely given in millimetres."""
+    value = fault.value
+    if fault.unit != "mm" or not isinstance(value, (int, float)) or not MM_PER_M < abs(value) < math.inf:
+        return fault
+    rule = f"{fault.rule}; lengths in code are in metres: is {value / MM_PER_M:g} in millimetres?"
+    return InputError(rule, file=fault.file, key=fault.key, value=value, unit=fault.unit)
+
+
+def _as_read(given: Robot | Scenario, overrides: Sequence[str] | None) -> Robot | Scenario:
     complete = overrides is not None
     if isinstance(given, Robot):
         return robot_from_dict(robot_content(given, complete), file=given.path, overrides=overrides or ())
-    content = scenario_content(given, complete)
-    if complete:
-        return scenario_from_dict(content, file=given.path, overrides=overrides or (), allow_outside=True)
-    return checked_in_code(content, given)
+    if complete and any(text.lstrip().startswith(OF_BODIES) for text in overrides or ()):
+        whole = scenario_content(given)
+        read = scenario_from_dict(whole, file=given.path, overrides=overrides or (), allow_outside=True)
+    else:
+        read = checked_in_code(scenario_content(given, complete, bodies=False), given, overrides or ())
+    return replace(read, terms=given.terms) if complete and given.terms else read
 
 
 def robot_content(robot: Robot, complete: bool = True) -> dict[str, Any]:
@@ -185,8 +207,11 @@ def _intervals(stated: StatedIntervals) -> dict[str, Any]:
     return content
 
 
-def scenario_content(scenario: Scenario, complete: bool = True) -> dict[str, Any]:
-    """What a scenario file says of the scenario. Raises InputError, if `complete`, for what no file says."""
+def scenario_content(scenario: Scenario, complete: bool = True, *, bodies: bool = True) -> dict[str, Any]:
+    """What a scenario file says of the scenario.
+
+    Raises InputError, if `complete`, for what no file says; of robot and bodies if that is asked of `bodies`, too.
+    """
     drive, folder = scenario.robot.drive, Path(scenario.path or ".").parent
     friction = scenario.start_friction
     if friction == "observed":
@@ -199,11 +224,11 @@ def scenario_content(scenario: Scenario, complete: bool = True) -> dict[str, Any
     start = {"friction": friction, "turns": turns, **_joints(drive, scenario.start, "start")}
     content: dict[str, Any] = {
         "name": scenario.name,
-        "robot": robot_content(scenario.robot, complete),
+        "robot": robot_content(scenario.robot, bodies),
         "start": start,
         "base": _base(scenario),
-        "anatomy": [_body(part, folder, complete, f"anatomy.{k}") for k, part in enumerate(scenario.anatomy, 1)],
-        "fixture": [_body(body, folder, complete, f"fixture.{k}") for k, body in enumerate(scenario.fixtures, 1)],
+        "anatomy": [_body(part, folder, bodies, f"anatomy.{k}") for k, part in enumerate(scenario.anatomy, 1)],
+        "fixture": [_body(body, folder, bodies, f"fixture.{k}") for k, body in enumerate(scenario.fixtures, 1)],
         "margins": {"stability": scenario.margins.stability, "max_strain": scenario.margins.max_strain},
         "cost": _cost(scenario.cost),
         "planner": _without_none(**to_builtins(scenario.planner)),

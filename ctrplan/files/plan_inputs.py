@@ -19,8 +19,15 @@ from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 from typing import Any
 
+import numpy as np
+
+from ctrplan.anatomy.fixture import Fixture
 from ctrplan.anatomy.image import data_files
 from ctrplan.anatomy.image_file import MOST_BYTES
+from ctrplan.anatomy.parts import AnatomyPart
+from ctrplan.anatomy.shape import PartShape
+from ctrplan.anatomy.shapes.mesh import Mesh
+from ctrplan.anatomy.shapes.surface import Sheet
 from ctrplan.errors import InputError
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.scenario.scenario import Scenario
@@ -34,7 +41,10 @@ _OPENED: dict[tempfile.TemporaryDirectory[str], Path] = {}  # what was unpacked 
 
 
 def inputs_of(scenario: Scenario) -> bytes | None:
-    """The content of inputs.zip; None of a scenario that was read from no file and names some."""
+    """The content of inputs.zip; None of one that would be too large, which opens where its files are.
+
+    Meshes made of arrays become files. Raises InputError for other bodies that no file says.
+    """
     content: dict[str, Any] = copy.deepcopy(dict(scenario.content))
     if not content:
         return None
@@ -44,7 +54,12 @@ def inputs_of(scenario: Scenario) -> bytes | None:
         robot = _place(content["robot"], folder, names)
         packed[robot] = toml_text(scenario.robot.content).encode()
         content["robot"] = robot
-    for table in [*content.get("anatomy", []), *content.get("fixture", [])]:
+    tables = [*content.get("anatomy", []), *content.get("fixture", [])]
+    bodies: list[AnatomyPart | Fixture] = [*scenario.anatomy, *scenario.fixtures]
+    for k, table in enumerate(tables):
+        if len(bodies) == len(tables) and bodies[k].source_table is None:  # made in code
+            packed |= _written(bodies[k].shape, f"bodies/{k + 1}.ply", table)
+            continue
         for key in ("file", "files"):
             if key not in table:
                 continue
@@ -59,6 +74,24 @@ def inputs_of(scenario: Scenario) -> bytes | None:
     manifest = {"scenario_sha256": scenario.sha256, "robot_sha256": scenario.robot.sha256, "named": names}
     packed[MANIFEST] = json.dumps(manifest, indent=1, ensure_ascii=False).encode()
     return _zipped(packed)
+
+
+def _written(shape: PartShape, place: str, table: dict[str, Any]) -> dict[str, bytes]:
+    """The file of a body whose arrays no table says; the table names it then. Nothing for what keys say."""
+    try:
+        shape.keys()
+        return {}
+    except InputError:
+        if type(shape) not in (Mesh, Sheet):
+            raise InputError(f"a {shape.kind} made of arrays can't be saved: a ctrplan.Mesh of them can") from None
+    table |= {"file": place, "unit": "m"} | ({"repair": "off"} if shape.kind == Mesh.kind else {})
+    vertices, faces = shape.surface().vertices_m, shape.surface().faces
+    corners = "".join(f"property double {axis}\n" for axis in "xyz")
+    header = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(vertices)}\n{corners}"
+    header += f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
+    rows = np.zeros(len(faces), [("count", "u1"), ("corners", "<i4", 3)])
+    rows["count"], rows["corners"] = 3, faces
+    return {place: header.encode() + vertices.astype("<f8").tobytes() + rows.tobytes()}
 
 
 def _place(name: str, folder: Path, names: dict[str, str]) -> str:
@@ -150,7 +183,7 @@ def plan_json_of(path: str) -> Iterator[str]:
 
 
 CHANGED = {
-    "plan.json": "its figures may not be those that were computed; ctrplan verify computes them anew",
+    "plan.json": "its figures may not be those that were computed; verifying it computes them anew",
     "trajectory.csv": "the certificate is of the motion that was in it; ctrplan verify judges the one that is",
     "trajectory.yaml": "it may drive another motion than trajectory.csv; ctrplan plan writes it again",
     INPUTS: "scenario and robot have the plan's hashes all the same",

@@ -242,12 +242,15 @@ def _by_file(overrides: Sequence[str]) -> tuple[list[str], list[str]]:
     return own, [override[len(ROBOT_PREFIX) :] for override in stripped if override.startswith(ROBOT_PREFIX)]
 
 
-def checked_in_code(content: Mapping[str, Any], made: Scenario) -> Scenario:
+def checked_in_code(content: Mapping[str, Any], made: Scenario, overrides: Sequence[str] = ()) -> Scenario:
     """The scenario of `content`, which a scenario made in code would have as a file, with its robot and bodies.
 
-    Raises InputError, as `load_scenario`.
+    Overrides are of other keys than theirs. Raises InputError, as `load_scenario`.
     """
-    return _build(Document.of(content, "scenario", None), (), True, made)
+    own, _ = _by_file(overrides)
+    return _build(
+        Document.of(content, "scenario", made.path if overrides else None).with_overrides(own), (), True, made
+    )
 
 
 def _build(document: Document, for_robot: Sequence[str], allow_outside: bool, made: Scenario | None = None) -> Scenario:

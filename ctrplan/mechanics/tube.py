@@ -15,7 +15,7 @@ from numbers import Real
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrplan.base.arguments import Number, rows_of
+from ctrplan.base.arguments import Number, read_plain_fields, rows_of
 from ctrplan.base.arrays import ORIGIN, ROUNDING_M, Array
 from ctrplan.base.package import shown
 from ctrplan.errors import InputError
@@ -56,6 +56,10 @@ class TubeSection:
     curvature_y_per_m: float
     gradient: float = 0.0  # precurvature at x from its base: (1 + gradient (2 x / length - 1)) times the mean
     bent: tuple[tuple[int, float, float], ...] = ()  # cells from 1, and by how much each is bent about x and y [rad]
+
+    def __post_init__(self) -> None:
+        """Raises InputError for what is no number."""
+        read_plain_fields(self)
 
     @property
     def cells(self) -> int:
@@ -113,6 +117,7 @@ class Tube:
 
     def __post_init__(self) -> None:
         """Takes any sequence of sections. Raises InputError for what is none."""
+        read_plain_fields(self)
         object.__setattr__(self, "sections", rows_of("sections", self.sections, TubeSection))
 
     @property
@@ -141,6 +146,7 @@ class Contact:
 
     def __post_init__(self) -> None:
         """Raises InputError unless the friction coefficient is a number or an interval."""
+        read_plain_fields(self)
         given: object = self.friction_coefficient
         if isinstance(given, Real) and not isinstance(given, bool):
             object.__setattr__(self, "friction_coefficient", (float(given), float(given)))

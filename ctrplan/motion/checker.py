@@ -22,7 +22,7 @@ from ctrplan.mechanics.gradients import Clearances, clearances
 from ctrplan.mechanics.walk import Field, KnownLegs, PathDensity, PathLimits, PathSamples
 from ctrplan.motion.limits import SEARCH_ROOM_M, TOO_CLOSE, breach, clearance_between, search_limits
 from ctrplan.robot.friction_calibration import friction_law
-from ctrplan.scenario.joint_space import JointSpace, MotionStyle
+from ctrplan.scenario.joint_space import JointSpace, MotionStyle, terms_mm
 from ctrplan.scenario.scenario import anatomy_grid, path_cost_mm
 
 if TYPE_CHECKING:
@@ -34,7 +34,6 @@ DOUBTFUL_M = 3e-3  # less room than that, and a motion is looked at where it has
 JUMP, JUMP_M = 3.0, 5e-3  # times the steps of the tip beside, and more than that and the translation by
 FEW = 100  # shapes, which are not worth a thread
 ASTRAY_M = 1e-3  # by which a local search may be too close on its way: corrections of as much are about linear
-TERM_STEP_MM = 1.0  # of joint length between states at which terms of the cost are asked for
 COEFFICIENTS = 0.3  # share by which a friction coefficient is mostly uncertain, a prior of the search
 DEFINITE_COLLISION = "a corner shape comes too close to the anatomy: so does the zero-clearance shape"
 
@@ -383,16 +382,7 @@ class MotionChecker:
 
     def terms_mm(self, corners: Array) -> tuple[float, ...]:
         """What the scenario's own terms cost on a polyline (K, m), valid or not; a state alone costs nothing."""
-        terms, mm_per_rad = self.scenario.terms, self.scenario.cost.mm_per_rad
-        if not terms or len(corners) == 1:
-            return (0.0,) * len(terms)
-        lengths = self._lengths(corners)
-        steps = np.maximum(1, np.ceil(lengths / TERM_STEP_MM).astype(int))
-        corner = np.concatenate([[0.0], np.cumsum(steps)])
-        at = np.arange(corner[-1] + 1)
-        states = np.column_stack([np.interp(at, corner, joint) for joint in corners.T])
-        travelled = np.interp(at, corner, np.concatenate([[0.0], np.cumsum(lengths)]))
-        return tuple(term.cost_mm(states, travelled, mm_per_rad) for term in terms)
+        return terms_mm(self.scenario, corners)
 
     def cost_mm(self, motion: Motion, *, ends_at_goal: bool) -> float:
         """Weighted cost of a motion; at the goal it pays for the worst case there and for what is unknown of it."""

@@ -51,7 +51,8 @@ def certify(
     """The certificate of a path as it is: waypoints (K, m) of actuated joints, straight in between, or a trajectory.
 
     timing: the trajectory that drives the waypoints; its times count where joints follow late. The certificate says in
-    `valid` and `problems` whether the motion holds, its arrival included. Raises InputError, one sentence, for what is
+    `valid` and `problems` whether the motion holds and the middle of its arrivals is within tolerance, and by
+    `arrival.keeps(scenario.goal)` whether all of them are. Raises InputError, one sentence, for what is
     not the scenario's motion: another start, goal or direction, targets left out or out of order, limits, a trajectory
     beside the waypoints; and for waypoints alone, or several targets, of a robot whose joints follow unequally late:
     how far they leave the path depends on its timing.

@@ -87,7 +87,7 @@ def plan(
     end so that the tip with friction arrives, not the frictionless one; a goal in joint values is driven to as it is.
     With a `start_state` of `Robot.observer` predictions start from what was observed; bounds and clearances stay those
     of every friction state. `terms` of your own are added to the cost of every motion that is searched, reordered or
-    compared; endings and corrections at the goal are chosen without them.
+    compared, and of endings; corrections at the goal are chosen without them.
 
     The first path found is certified at once, better ones are sought until `time_s` is up. Without it, the search ends
     after the work that takes about the scenario's planner.time_s, and the same seed gives the same plan anywhere.

@@ -194,6 +194,15 @@ class Plan(PlannedMotion):
         """Hash of its content: the scenario's, the robot's in it, the legs, and when the trajectory is where."""
         return content_sha256((self.scenario, self.waypoints, self.trajectory.time_s, self.trajectory.position))
 
+    @property
+    def arrives(self) -> bool:
+        """Whether every target in space is reached within its tolerances, whatever friction was before; else amber."""
+        targets = self.certificate.targets
+        goals = self.scenario.targets[-len(targets) :]
+        arrivals = [*(target.arrival for target in targets[:-1]), self.certificate.arrival]
+        reached = zip(goals, arrivals, strict=True)
+        return all(goal.tip_m is None or (there is not None and there.keeps(goal)) for goal, there in reached)
+
     def headline(self) -> str:
         """The scenario, length and duration of the plan, shown where it is printed."""
         legs = f"{len(self.legs)} leg{'s' if len(self.legs) != 1 else ''}"

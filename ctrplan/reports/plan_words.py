@@ -342,7 +342,7 @@ def standing(plan: Plan) -> Standing:
     """What a plan's colour says: red where something required is not met, amber where a target may be missed."""
     if not is_acceptable(plan):
         return "bad"
-    return "caution" if any(arrival.exceeds for arrival in target_arrivals(plan)) else "good"
+    return "good" if plan.arrives else "caution"
 
 
 def is_acceptable(plan: Plan) -> bool:

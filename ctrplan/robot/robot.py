@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ctrplan.base.arguments import rows_of
+from ctrplan.base.arguments import Made, read_plain_fields, require, rows_of
 from ctrplan.base.arrays import ROUNDING_M, Array, content_sha256, frozen_content, numbers, read_only, warn_of_degrees
 from ctrplan.base.package import shown, warn_caller
 from ctrplan.drive.drive import Drive
@@ -113,6 +113,10 @@ def _base(robot: Robot, i: int, l_b: Array) -> str:
     return f"the base of tube {i + 1}{moved_by} at l_{i + 1}b = {l_b[i] * 1e3:.6g} mm"
 
 
+# Fields of a robot, and the class of each.
+MADE_OF = ("drive", "Drive"), ("measurement", "SensorNoise"), ("loads", "Loads"), ("intervals", "StatedIntervals")
+
+
 @shown
 @dataclass(frozen=True, eq=False)
 class Robot:
@@ -142,6 +146,10 @@ class Robot:
 
     def __post_init__(self) -> None:
         """Checks what was made in code. Raises InputError unless neighbouring tubes have a contact each."""
+        read_plain_fields(self)
+        for name, made_of in MADE_OF:
+            if getattr(self, name) is not None:
+                require(name, getattr(self, name), Made(made_of))
         object.__setattr__(self, "tubes", rows_of("tubes", self.tubes, Tube))
         object.__setattr__(self, "contacts", rows_of("contacts", self.contacts, Contact))
         if len(self.contacts) != max(len(self.tubes) - 1, 0):

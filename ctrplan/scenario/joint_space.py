@@ -249,6 +249,23 @@ def retracted(robot: Robot) -> Array:
     raise InputError("drawn back the robot is not stable within limits: a start has to be said", file=robot.path)
 
 
+TERM_STEP_MM = 1.0  # of joint length between states at which terms of the cost are asked for
+
+
+def terms_mm(scenario: Scenario, corners: Array) -> tuple[float, ...]:
+    """What a scenario's own terms cost on a polyline (K, m), valid or not; a state alone costs nothing."""
+    terms, mm_per_rad = scenario.terms, scenario.cost.mm_per_rad
+    if not terms or len(corners) == 1:
+        return (0.0,) * len(terms)
+    lengths = JointSpace.of(scenario).lengths_mm(np.diff(corners, axis=0))
+    steps = np.maximum(1, np.ceil(lengths / TERM_STEP_MM).astype(int))
+    corner = np.concatenate([[0.0], np.cumsum(steps)])
+    at = np.arange(corner[-1] + 1)
+    states = np.column_stack([np.interp(at, corner, joint) for joint in corners.T])
+    travelled = np.interp(at, corner, np.concatenate([[0.0], np.cumsum(lengths)]))
+    return tuple(term.cost_mm(states, travelled, mm_per_rad) for term in terms)
+
+
 def _combinations(drive: Drive) -> Array:
     """(K, m) joint values; the first rotation stays at 0, since only turns against each other matter."""
     back = _backwards(drive)

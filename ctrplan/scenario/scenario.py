@@ -20,7 +20,17 @@ from msgspec import Meta, Struct, to_builtins
 from numpy.typing import ArrayLike
 
 from ctrplan.anatomy.clearance_grid import SignedDistanceField, anatomy_field, field_bounds, shared_spacing_m
-from ctrplan.base.arguments import LONGEST_MM, PROGRESS, Limited, Text, checked, require, rows_of
+from ctrplan.base.arguments import (
+    LONGEST_MM,
+    PROGRESS,
+    Limited,
+    Made,
+    Text,
+    checked,
+    read_plain_fields,
+    require,
+    rows_of,
+)
 from ctrplan.base.arrays import (
     MILLIMETRE,
     MM_PER_M,
@@ -120,6 +130,7 @@ class Goal:
         for name, length in (("joints", None), ("tip_m", 3), ("direction", 3)):
             if getattr(self, name) is not None:
                 object.__setattr__(self, name, vector(name, getattr(self, name), length))
+        read_plain_fields(self)
         require("tolerance_m", self.tolerance_m, Limited(0, 1, "m", above=True))
         if self.line_m is not None:
             line = numbers(self.line_m, "line_m")
@@ -151,6 +162,10 @@ class Margins:
     stability: float = 0.1
     max_strain: float = 0.08
 
+    def __post_init__(self) -> None:
+        """Raises InputError for what is no number."""
+        read_plain_fields(self)
+
 
 WEIGHT = Limited(0, LARGEST_WEIGHT)
 
@@ -174,6 +189,10 @@ class Cost:
     error_goal: float = 10.0
     max_error_goal_m: float | None = None  # requirement on the worst-case friction error at the goal
     stop: float = 2.0  # of each leg, at whose end the drive stops
+
+    def __post_init__(self) -> None:
+        """Raises InputError for what is no number."""
+        read_plain_fields(self)
 
 
 @shown
@@ -236,10 +255,20 @@ class Registration:
     position_sigma_m: float = 0.0  # of each coordinate of the base's origin
     rotation_sigma_rad: float = 0.0  # of a small rotation about each axis through that origin
 
+    def __post_init__(self) -> None:
+        """Raises InputError for what is no number."""
+        read_plain_fields(self)
+
     @property
     def is_exact(self) -> bool:
         """Whether nothing is stated."""
         return self.position_sigma_m == 0 and self.rotation_sigma_rad == 0
+
+
+MADE_OF = (  # fields of a scenario, and the class of each
+    ("robot", "Robot"), ("margins", "Margins"), ("cost", "Cost"), ("registration", "Registration"),
+    ("planner", "PlannerSettings"),
+)  # fmt: skip
 
 
 @shown
@@ -275,6 +304,10 @@ class Scenario:
 
     def __post_init__(self) -> None:
         """Reads what was made in code, and checks it as files are checked. Raises InputError."""
+        if self.planner is None:
+            object.__setattr__(self, "planner", CATALOGUE[DEFAULT]())
+        for name, made_of in MADE_OF:
+            require(name, getattr(self, name), Made(made_of))
         object.__setattr__(self, "terms", rows_of("terms", self.terms, CostTerm))
         names = [term.name for term in self.terms]
         for name in (name for k, name in enumerate(names) if name in names[:k]):
@@ -282,8 +315,6 @@ class Scenario:
         object.__setattr__(self, "start", vector("start", self.start))
         object.__setattr__(self, "base_position_m", vector("base_position_m", self.base_position_m, 3))
         object.__setattr__(self, "base_R", rotation_matrix("base_R", self.base_R))
-        if self.planner is None:
-            object.__setattr__(self, "planner", CATALOGUE[DEFAULT]())
         if not self.content:
             import ctrplan  # files are of a package above, and stand in the public names
 

@@ -110,7 +110,11 @@ def base_doubt(robot: Robot, tips_m: Sequence[Array], base_m: Array, read_in: st
     """What speaks against the unit of a base's position (3,) [m] whose goals (3,) [m] are all beyond reach."""
     length = reach_m(robot)
     offset = float(np.linalg.norm(base_m))
-    if 0 < offset < FINE_M and PLAUSIBLE[0] * length <= offset * UNITS_M["m"] / UNITS_M["mm"] <= USUAL_PART[1] * length:
+    if (
+        read_in == "mm"
+        and 0 < offset < FINE_M
+        and PLAUSIBLE[0] * length <= offset * UNITS_M["m"] / UNITS_M["mm"] <= USUAL_PART[1] * length
+    ):
         rule = f"moves the base by {offset / UNITS_M['mm']:.2g} mm, finer than a base is placed: is it in metres?"
         return SizeDoubt(rule, False, "position_mm")
     away = [float(np.linalg.norm(tip - base_m)) for tip in tips_m]
@@ -122,7 +126,8 @@ def base_doubt(robot: Robot, tips_m: Sequence[Array], base_m: Array, read_in: st
         for moved in [[float(np.linalg.norm(tip - base_m * UNITS_M[unit] / UNITS_M[read_in])) for tip in tips_m]]
         if all(PLAUSIBLE[0] * length <= one <= PLAUSIBLE[1] * length for one in moved)
     ]
-    return SizeDoubt(_away(min(away), length, f"is the base in {in_words(units)}?")) if units else None
+    rule = f"puts the goals {min(away) * 1e3:.3g} mm or more from the base, the robot is {length * 1e3:.3g} mm long"
+    return SizeDoubt(f"{rule}: is the base in {in_words(units)}?") if units else None
 
 
 def turn_doubts(base: Mapping[str, object]) -> Iterator[SizeDoubt]:
@@ -235,6 +240,9 @@ def tolerance_doubts(
                 yield key, SizeDoubt("is finer than anything is turned: is it in radians?", False)
             elif are_radians([value]):
                 yield key, SizeDoubt("is a whole part of a turn in radians: is it in radians?", False)
+            elif key[-1] == "rotation_sigma_deg" and value > TURNED_DEG[2]:
+                unit = ": is it in degrees?" if read_in == "m" else ""
+                yield key, SizeDoubt(f"is more than a base is ever off by{unit}", False)
             continue
         is_fine = value < WITHIN_M[0] / UNITS_M["mm"]
         number = value * UNITS_M["mm"] / UNITS_M[read_in]

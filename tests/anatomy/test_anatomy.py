@@ -270,6 +270,17 @@ def test_malformed_parts_are_refused_by_name(make: Callable[[], Any], named: str
     assert caught.value.key == named
 
 
+def test_a_mesh_of_arrays_has_its_inside_within_however_it_is_wound() -> None:
+    """Turned inward, or as triangles without a common corner, it is the same body."""
+    box = trimesh.creation.box((0.02, 0.01, 0.03))
+    corners, faces = np.array(box.vertices), np.array(box.faces)
+    soup = Mesh(corners[faces].reshape(-1, 3), np.arange(3 * len(faces)).reshape(-1, 3)[:, ::-1])
+    points, right = random_points(500), Mesh(corners, faces)
+    for mesh in (Mesh(corners, faces[:, ::-1]), soup):
+        np.testing.assert_allclose(mesh.distance(points), right.distance(points), atol=1e-12)
+    assert right.distance(np.zeros((1, 3))) == pytest.approx(-0.005)
+
+
 @pytest.mark.parametrize("part", mixture(), ids=lambda part: part.shape.kind)
 def test_boxes_and_surfaces_hold_the_body(part: AnatomyPart) -> None:
     """No point outside the box is within the body; what is drawn lies on the surface and in the box."""

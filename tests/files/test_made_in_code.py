@@ -124,6 +124,42 @@ def test_what_is_made_in_code_is_what_the_file_makes(tmp_path: Path) -> None:
     assert inputs_of(made) is not None  # so that its plans travel
 
 
+def block(shift_m: float = 0.1) -> ctrplan.Mesh:
+    """A cube of 10 mm beside the robot, its corners in no order and its triangles turned inward."""
+    corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])[::-1] * 0.01 + [0, shift_m, 0.1]
+    sides = [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1]]
+    sides += [[2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]]
+    return ctrplan.Mesh(corners, np.array(sides)[:, ::-1])
+
+
+def test_overrides_leave_bodies_of_arrays_and_terms_as_they_are() -> None:
+    term = ctrplan.CostTerm("turned", 5, lambda joints: np.abs(joints[:, 0]))
+    made = scenario(anatomy=[ctrplan.Anatomy(block())], terms=[term])
+    changed = made.with_("goal.tolerance_mm=0.5", "planner.time_s=2")
+    assert changed.goal.tolerance_m == 0.5e-3 and changed.planner.time_s == 2
+    assert changed.anatomy == made.anatomy and changed.terms == made.terms
+
+
+def test_plans_beside_a_mesh_of_arrays_are_saved_and_opened(tmp_path: Path) -> None:
+    sheet = ctrplan.Sheet([[0.2, 0, 0], [0.2, 0, 0.1], [0.2, 0.1, 0]], [[0, 1, 2]])  # type: ignore[arg-type]
+    made = scenario(anatomy=[ctrplan.Anatomy(block()), ctrplan.Anatomy(sheet)])
+    ctrplan.plan(made, time_s=1).save(tmp_path / "plan", report=False)
+    opened = ctrplan.open_plan(tmp_path / "plan")
+    assert opened.scenario.sha256 == made.sha256
+    volume = ctrplan.Volume(block().vertices_m, block().faces)
+    with pytest.raises(InputError, match="a volume made of arrays can't be saved: a ctrplan.Mesh of them can"):
+        inputs_of(scenario(anatomy=[ctrplan.Anatomy(volume)]))
+
+
+def test_numbers_of_numpy_are_those_of_python() -> None:
+    single = np.float32(2.4e-3)
+    section = ctrplan.Section(np.float64(0.12), np.int64(0), np.int64(4))  # type: ignore[arg-type]
+    tube = replace(pair().tubes[0], outer_diameter_m=single, sections=(section,))
+    robot = pair(tubes=[tube, pair().tubes[1]], contacts=[ctrplan.Contact(np.float32(0.2))])  # type: ignore[arg-type]
+    made = scenario(robot=robot, cost=ctrplan.Cost(path=np.float32(2)))  # type: ignore[arg-type]
+    assert ctrplan.scenario_from_dict(content(made.to_toml())).sha256 == made.sha256
+
+
 GOOD = {"start": [0, 0, 0, 0]}
 TURNED = np.diag([-1.0, 1.0, 1.0])
 REFUSED = {
@@ -159,8 +195,22 @@ REFUSED = {
     ),
     "loads: stands in no robot file by itself": lambda: pair(loads=ctrplan.Loads((0.1, 0, 0))).to_toml(),
     "anatomy.1: a mesh made of arrays stands in no scenario file": lambda: scenario(
-        anatomy=[ctrplan.Anatomy(ctrplan.Mesh([[0, 0, 1], [1, 0, 1], [0, 1, 1]], [[0, 1, 2]]))]  # type: ignore[arg-type]
+        anatomy=[ctrplan.Anatomy(block())]
     ).to_toml(),
+    "faces: is not closed: has 3 open edges": lambda: ctrplan.Mesh([[0, 0, 1], [1, 0, 1], [0, 1, 1]], [[0, 1, 2]]),  # type: ignore[arg-type]
+    "length_m = '0.12': must be a number.": lambda: ctrplan.Section("0.12", 0, 4),  # type: ignore[arg-type]
+    "outer_diameter_m = [0.0024]: must be a number.": lambda: replace(
+        pair().tubes[0],
+        outer_diameter_m=np.array([2.4e-3]),  # type: ignore[arg-type]
+    ),
+    "name = None: must be a text.": lambda: pair(name=None),
+    "drive = [3]: must be a Drive.": lambda: pair(drive=[3]),
+    "measurement = [0.3, 0.4]: must be a SensorNoise.": lambda: pair(measurement=[0.3, 0.4]),
+    "joints: must hold one joint at least.": lambda: ctrplan.Drive((), [0, 0], [0, -0.015]),  # type: ignore[arg-type]
+    "planner = 'RRT*': must be a PlannerSettings.": lambda: scenario(planner="RRT*"),
+    "cost = {'path': 1}: must be a Cost.": lambda: scenario(cost={"path": 1}),
+    "tube.1.outer_diameter_mm = 2400.0 mm: must be above 0 and at most 1000; lengths in code are in metres: is 2.4 in "
+    "millimetres?": lambda: pair(tubes=[replace(pair().tubes[0], outer_diameter_m=2.4), pair().tubes[1]]),
 }
 
 

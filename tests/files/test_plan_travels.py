@@ -223,7 +223,7 @@ def spoil(folder: Path, name: str) -> None:
 
 MEANING = {
     "trajectory.csv": "the certificate is of the motion that was in it; ctrplan verify judges the one that is",
-    "plan.json": "its figures may not be those that were computed; ctrplan verify computes them anew",
+    "plan.json": "its figures may not be those that were computed; verifying it computes them anew",
     INPUTS: "scenario and robot have the plan's hashes all the same",
     "trajectory.yaml": "it may drive another motion than trajectory.csv; ctrplan plan writes it again",
     "report.html": "it may show another plan than plan.json; ctrplan plan writes it again",

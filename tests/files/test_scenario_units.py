@@ -82,7 +82,9 @@ def test_several_targets_a_line_and_a_base_in_metres(tmp_path: Path) -> None:
         scenario(tmp_path, goal=None, target=[{"tip_mm": [30, 10, 150]}, {"tip_mm": [0.03, 0.01, 0.15]}])
     with pytest.raises(InputError, match=r"goal.line_mm.1.*are these in metres"):
         scenario(tmp_path, goal={"line_mm": [[0.03, 0.01, 0.14], [0.03, 0.01, 0.15]]})
-    with pytest.raises(InputError, match=r"base.position_mm = .*: lies 1.02e\+03 mm .*: is the base in metres"):
+    with pytest.raises(
+        InputError, match=r"base.position_mm = .*: puts the goals 1.02e\+03 mm .*: is the base in metres"
+    ):
         scenario(tmp_path, base={"position_mm": [0.5, 0.2, 0.7]}, goal={"tip_mm": [530.0, 210.0, 850.0]})
     assert scenario(tmp_path, goal={"tip_mm": [500.0, 10.0, 850.0]}).warnings == ()  # merely out of reach
 

@@ -74,6 +74,8 @@ def test_the_search_heeds_a_term(plans: tuple[ctrplan.Plan, ctrplan.Plan]) -> No
     assert heeding.certificate.valid and term_mm(plain) > 200
     assert term_mm(heeding) < 0.1 * term_mm(plain)
     assert heeding.certificate.cost_mm > plain.certificate.cost_mm  # the way round is longer
+    bare = ctrplan.certify(heeding.scenario.with_(terms=()), heeding.waypoints)
+    assert heeding.certificate.cost_mm == pytest.approx(bare.cost_mm + term_mm(heeding))
     assert heeding.reorder.cost_after_mm <= heeding.reorder.cost_before_mm + 1e-6
 
 

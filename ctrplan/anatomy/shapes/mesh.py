@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ctrplan.anatomy.mesh_repair import MeshRefusal, merged, refuse_open, turned_outward
 from ctrplan.anatomy.parts import TriangleTree
 from ctrplan.anatomy.shape import PartShape, register
 from ctrplan.anatomy.surface_file import OfMeshFile, read_body
@@ -26,13 +27,15 @@ Indices = NDArray[np.int64]
 @shown
 @dataclass(frozen=True, eq=False)
 class Mesh(PartShape):
-    """vertices_m (V, 3), faces (F, 3), closed and turned outward, as `load_mesh` returns them, in the anatomy's frame.
+    """vertices_m (V, 3), faces (F, 3) of a closed surface, in the anatomy's frame; turned outward where they are not.
 
-    file: where it came from, for messages. notes: what was repaired. surface_error_m: what thinning moved it by.
-    Raises InputError for malformed or non-finite arrays.
+    file: where it came from, for messages; without one, corners that coincide are merged. notes: what was repaired.
+    surface_error_m: what thinning moved it by. Raises InputError for malformed or non-finite arrays, and where the
+    surface is open or bounds nothing.
     """
 
     kind = "mesh"
+    is_closed: ClassVar[bool] = True
     vertices_m: Array
     faces: Indices
     file: str | None = None
@@ -44,6 +47,17 @@ class Mesh(PartShape):
         object.__setattr__(self, "faces", _triangles("faces", self.faces))
         if self.faces.max() >= len(self.vertices_m):
             raise InputError(f"must hold vertex indices below {len(self.vertices_m)}", key="faces")
+        vertices, faces = self.vertices_m, self.faces
+        try:
+            if self.file is None:
+                vertices, faces = merged(vertices, faces)
+            if self.is_closed:
+                refuse_open(vertices, faces)
+                faces = turned_outward(vertices, faces)
+        except MeshRefusal as refusal:
+            raise InputError(str(refusal), key="faces") from refusal.__cause__
+        object.__setattr__(self, "vertices_m", read_only(vertices))
+        object.__setattr__(self, "faces", read_only(faces))
 
     def distance(self, points_m: Array) -> Array:
         if self not in _distances:

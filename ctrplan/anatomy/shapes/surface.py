@@ -20,6 +20,7 @@ class Sheet(Mesh):
     """vertices_m (V, 3), faces (F, 3) of an open surface; distances to it are never negative."""
 
     kind = "surface"
+    is_closed = False
 
     def distance(self, points_m: Array) -> Array:
         if self not in _trees:

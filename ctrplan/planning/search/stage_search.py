@@ -78,10 +78,8 @@ class Candidate:
 
     @cached_property
     def cost_mm(self) -> float:
-        """The cost of a path by its certificate's samples, the scenario's own terms included."""
-        if self.as_driven_mm is not None:
-            return self.as_driven_mm
-        return self.walk.cost_mm + sum(self.checker.terms_mm(self.corners))
+        """The cost of a path by its certificate's samples."""
+        return self.walk.cost_mm if self.as_driven_mm is None else self.as_driven_mm
 
     @cached_property
     def certificate(self) -> Certificate:
