@@ -18,13 +18,14 @@ keys out in the signature, and `ctrplan.commands.options.add_options` makes the 
 
 from __future__ import annotations
 
+import difflib
 import functools
 import inspect
 import math
 import numbers
 import os
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, ParamSpec, TypeVar, get_type_hints
 
@@ -316,6 +317,31 @@ def _plain_fields(made: type[Any]) -> tuple[tuple[str, type, Kind, bool], ...]:
     """Of each field that holds one plain value: name, class and kind, and whether it may be None."""
     rows = [(each.name, *str(each.type).partition(" | None")[:2]) for each in fields(made)]
     return tuple((name, *PLAIN[plain][::-1], bool(none)) for name, plain, none in rows if plain in PLAIN)
+
+
+def no_such_number(name: str, keys: Iterable[str]) -> InputError:
+    """The refusal of a name that is no number of a robot, with the nearest of the `keys` that such names end with."""
+    *place, last = name.split(".")
+    if close := difflib.get_close_matches(last, keys, n=1):
+        meant = (
+            f": is {'.'.join([*place, close[0]])} meant?" if close[0] != last else ": which tube, section or contact?"
+        )
+    else:
+        meant = ": names are as tube.1.poisson_ratio, tube.2.section.1.length_m and contact.1.clearance_m"
+    return InputError(f"no such parameter of the robot{meant}", key=name)
+
+
+def require_made(whole: object, classes: Mapping[str, str]) -> None:
+    """Raises InputError that names a field of an object which is neither None nor of its class, by name."""
+    for name, made_of in classes.items():
+        if getattr(whole, name) is not None:
+            require(name, getattr(whole, name), Made(made_of))
+
+
+def refuse_idle(parameters: Sequence[str], *, gradient: bool) -> None:
+    """Raises InputError for parameters by which nothing is differentiated."""
+    if parameters and not gradient:
+        raise InputError("need gradient=True", key="parameters", value=parameters)
 
 
 def rows_of(key: str, values: Any, kind: type[T]) -> tuple[T, ...]:

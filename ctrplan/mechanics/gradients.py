@@ -22,6 +22,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from ctrplan.base.arguments import no_such_number
 from ctrplan.base.arrays import Array
 from ctrplan.base.long_work import cores
 from ctrplan.base.package import shown
@@ -89,7 +90,7 @@ def _direction(name: str, tubes: Sequence[Tube], index: dict[str, int]) -> Direc
         weights, step = {number: 1.0}, _step(number)
     missing = [number for number in weights if number not in index]
     if missing:
-        raise InputError("is not a parameter of this robot", key=name)
+        raise no_such_number(name, (*DIRECT, "poisson_ratio", "bending_stiffness_Nm2", "density_kg_m3"))
     return [index[number] for number in weights], list(weights.values()), step
 
 
@@ -124,7 +125,7 @@ def _of_pieces(parts: list[str], tube: Tube) -> dict[str, float]:
 
 def _tube(parts: list[str], tubes: Sequence[Tube], name: str) -> Tube:
     if len(parts) < 3 or not parts[1].isdecimal() or not 1 <= int(parts[1]) <= len(tubes):
-        raise InputError("is not a parameter of this robot", key=name)
+        raise no_such_number(name, (*DIRECT, "poisson_ratio", "bending_stiffness_Nm2", "density_kg_m3"))
     return tubes[int(parts[1]) - 1]
 
 

@@ -132,6 +132,8 @@ def reorder(path: ArrayLike, scenario: Scenario, *, period_s: float = 0.01) -> P
 def _corners(scenario: Scenario, path: ArrayLike) -> Array:
     """Waypoints (K, m) of a path from the scenario's start. Raises InputError."""
     m = len(scenario.robot.drive.joints)
+    if hasattr(path, "waypoints"):
+        raise InputError("is a plan: plan.waypoints are meant", key="path")
     corners = numbers(path, "path").copy()
     if corners.ndim != 2 or corners.shape[1] != m or len(corners) < 2:
         raise InputError(f"must be of shape (K, {m}) with K >= 2, not {corners.shape}", key="path")

@@ -16,6 +16,7 @@ from dataclasses import dataclass, fields, replace
 from functools import cache
 from typing import Any, Literal, NamedTuple, Protocol, TypeVar
 
+from ctrplan.base.arguments import no_such_number
 from ctrplan.base.arrays import Array
 from ctrplan.errors import InputError
 from ctrplan.mechanics.tube import Contact, Loads, Tube, TubeSection
@@ -167,7 +168,7 @@ def _is_place(text: str) -> bool:
 
 
 def _unknown(name: str) -> InputError:
-    return InputError("no such parameter of the robot", key=name)
+    return no_such_number(name, (*TUBE_KEYS, *SECTION_KEYS, MAGNITUDE, "clearance_m", "friction_coefficient"))
 
 
 BENDING, YOUNG = "bending_stiffness_Nm2", "youngs_modulus_GPa"

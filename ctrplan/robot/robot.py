@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ctrplan.base.arguments import Made, read_plain_fields, require, rows_of
+from ctrplan.base.arguments import read_plain_fields, refuse_idle, require_made, rows_of
 from ctrplan.base.arrays import ROUNDING_M, Array, content_sha256, frozen_content, numbers, read_only, warn_of_degrees
 from ctrplan.base.package import shown, warn_caller
 from ctrplan.drive.drive import Drive
@@ -113,8 +113,7 @@ def _base(robot: Robot, i: int, l_b: Array) -> str:
     return f"the base of tube {i + 1}{moved_by} at l_{i + 1}b = {l_b[i] * 1e3:.6g} mm"
 
 
-# Fields of a robot, and the class of each.
-MADE_OF = ("drive", "Drive"), ("measurement", "SensorNoise"), ("loads", "Loads"), ("intervals", "StatedIntervals")
+MADE_OF = {"drive": "Drive", "measurement": "SensorNoise", "loads": "Loads", "intervals": "StatedIntervals"}
 
 
 @shown
@@ -147,9 +146,7 @@ class Robot:
     def __post_init__(self) -> None:
         """Checks what was made in code. Raises InputError unless neighbouring tubes have a contact each."""
         read_plain_fields(self)
-        for name, made_of in MADE_OF:
-            if getattr(self, name) is not None:
-                require(name, getattr(self, name), Made(made_of))
+        require_made(self, MADE_OF)
         object.__setattr__(self, "tubes", rows_of("tubes", self.tubes, Tube))
         object.__setattr__(self, "contacts", rows_of("contacts", self.contacts, Contact))
         if len(self.contacts) != max(len(self.tubes) - 1, 0):
@@ -228,11 +225,9 @@ class Robot:
         """
         kept = {"effects": self.effects, "content": {}, "warnings": (), "guide": None} | changes
         made = changed(self.ideal or self, **kept)
-        if not overrides:
-            return made
         import ctrplan  # files are of a package above, and stand in the public names
 
-        return ctrplan.as_read(made, overrides)
+        return ctrplan.as_read(made, overrides) if overrides else made
 
     def to_toml(self) -> str:
         """The text of a robot file that is read as this robot. Raises InputError for what no file says."""
@@ -305,6 +300,7 @@ class Robot:
         are those of the corner that is worst; where another one becomes it, the bound has a kink. Raises InputError
         for collars that do not nest, SolverError where nothing is solved.
         """
+        refuse_idle(parameters, gradient=gradient)
         warn_of_degrees("theta_b", theta_b)
         bound = partial(self.mechanics.bound, accuracy=accuracy, corners=corners, progress=progress)
         return bound(theta_b, l_b, gradient=gradient, parameters=parameters)
@@ -347,6 +343,7 @@ class Robot:
         gradient, parameters: as of `bound`, NaN in rows without a bound. Raises InputError for arrays of another shape
         alone, and for parameters that there are not.
         """
+        refuse_idle(parameters, gradient=gradient)
         warn_of_degrees("theta_b", theta_b)
         return self.mechanics.bounds(
             theta_b,

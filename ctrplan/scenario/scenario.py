@@ -24,11 +24,11 @@ from ctrplan.base.arguments import (
     LONGEST_MM,
     PROGRESS,
     Limited,
-    Made,
     Text,
     checked,
     read_plain_fields,
     require,
+    require_made,
     rows_of,
 )
 from ctrplan.base.arrays import (
@@ -265,10 +265,13 @@ class Registration:
         return self.position_sigma_m == 0 and self.rotation_sigma_rad == 0
 
 
-MADE_OF = (  # fields of a scenario, and the class of each
-    ("robot", "Robot"), ("margins", "Margins"), ("cost", "Cost"), ("registration", "Registration"),
-    ("planner", "PlannerSettings"),
-)  # fmt: skip
+MADE_OF = {
+    "robot": "Robot",
+    "margins": "Margins",
+    "cost": "Cost",
+    "registration": "Registration",
+    "planner": "PlannerSettings",
+}
 
 
 @shown
@@ -306,8 +309,7 @@ class Scenario:
         """Reads what was made in code, and checks it as files are checked. Raises InputError."""
         if self.planner is None:
             object.__setattr__(self, "planner", CATALOGUE[DEFAULT]())
-        for name, made_of in MADE_OF:
-            require(name, getattr(self, name), Made(made_of))
+        require_made(self, MADE_OF)
         object.__setattr__(self, "terms", rows_of("terms", self.terms, CostTerm))
         names = [term.name for term in self.terms]
         for name in (name for k, name in enumerate(names) if name in names[:k]):

@@ -171,9 +171,11 @@ def test_what_has_no_gradient_is_refused() -> None:
     robot, (theta_b, l_b) = nested_robot(2), configurations(2)
     with pytest.raises(InputError, match=r"^accuracy = 'exact': has no gradient"):
         robot.bound(theta_b[0], l_b[0], accuracy="exact", gradient=True)
-    with pytest.raises(InputError, match="is not a parameter of this robot"):
+    with pytest.raises(InputError, match="parameters = .*: need gradient=True"):
+        robot.bound(theta_b[0], l_b[0], parameters=["tube.1.poisson_ratio"])
+    with pytest.raises(InputError, match="no such parameter of the robot"):
         robot.bounds(theta_b, l_b, gradient=True, parameters=["tube.7.poisson_ratio"])
-    with pytest.raises(InputError, match="is not a parameter of this robot"):
+    with pytest.raises(InputError, match="no such parameter of the robot"):
         checker("vessel").clearance(checker("vessel").scenario.start, gradient=True, parameters=["tube.1.colour"])
 
 

@@ -82,7 +82,7 @@ def test_slow_parameters_are_columns_of_the_table(tmp_path: Path) -> None:
         (["--offset-mm", "-1"], "--offset-mm"),
         (["--slow", "mu"], "--slow = 'mu': must be NAME=SIGMA"),
         (["--slow", "mu=0"], "sigma = 0.0: must be a number above 0"),
-        ([*(w for k in NOISE for w in ("--set", k)), "--slow", "mu=1"], "mu: is not a parameter of this robot"),
+        ([*(w for k in NOISE for w in ("--set", k)), "--slow", "mu=1"], "mu: no such parameter of the robot"),
         ([], "noise: must be given"),
     ],
 )
