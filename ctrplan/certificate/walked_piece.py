@@ -27,15 +27,14 @@ from ctrplan.certificate.friction_states import (
     CornerShapes,
     exact_gives_back_m,
     mesh_allowance_m,
+    signed_square,
+    tips_at,
 )
 from ctrplan.certificate.variants import (
     MOST_LARGE,
     VARIANT_SPACING_M,
     Variants,
     VariantWalks,
-    rows_of,
-    signed_square,
-    tips_at,
     walk_corners,
     walk_variants,
 )
@@ -274,7 +273,7 @@ def walked(
     """One piece, along the joints of a way (S, m)."""
     scenario, mechanics = variants.scenario, variants.scenario.robot.mechanics
     density = PathDensity(motion_m=spacing_m, near_m=spacing_m, point_spacing_m=POINT_SPACING_M)
-    rows = space.straight_steps(way)
+    rows = variants.straight_steps(way)
     samples = mechanics.check_path(*space.drive.collars(rows), density=density, accuracy=accuracy, bodies=True)
     joints, corners = _joints(rows, samples), list[PathSamples]()
     if variants.large and samples.status[-1] < Status.UNSTABLE:
@@ -282,7 +281,7 @@ def walked(
         if len(finer) > len(joints):  # the file's robot and all corners once more, at the samples of any
             wider = replace(density, motion_m=VARIANT_SPACING_M, near_m=VARIANT_SPACING_M)
             again = mechanics.check_path(*space.drive.collars(finer), density=wider, accuracy=accuracy, bodies=True)
-            if (at_rows := rows_of(again, len(finer))) is not None:
+            if (at_rows := again.at_given(len(finer))) is not None:
                 samples, joints = at_rows, finer
                 corners, _ = walk_corners(variants, joints, accuracy)
     theta_b, l_b = space.drive.collars(joints)

@@ -9,14 +9,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from ball_scenes import FRICTIONLESS, certified, joints, robot, scene
 from made_up_input import FUZZ
-from places import ROBOTS
 
 import ctrplan
 from ctrplan.anatomy.parts import AnatomyPart
 from ctrplan.anatomy.shapes.sphere import Sphere
 from ctrplan.base.arrays import CHI95, Array, alike, shares_of_length
-from ctrplan.certificate.certificate import Certificate
 from ctrplan.certificate.certify import certify
 from ctrplan.certificate.variants import Variants
 from ctrplan.drive.drive import STEP_M, STEP_RAD
@@ -25,14 +24,10 @@ from ctrplan.drive.trajectory import driven_ways, time_parameterise
 from ctrplan.effects.learned.parts import LARGEST
 from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.pipeline.chain import Chain
-from ctrplan.robot.robot import Robot
 from ctrplan.scenario.joint_space import bare_scenario
-from ctrplan.scenario.scenario import Goal, Registration, Scenario
-from ctrplan.storage.toml_document import read_document
+from ctrplan.scenario.scenario import Goal, Registration
 
-FAR_MM = [0.0, 0.0, -80.0]  # behind the plate
 PLAY = {"effects": {"backlash": {"theta_3_deg": 4.0}}}
-FRICTIONLESS = {"contact": [{"friction_coefficient": 0.0}, {"friction_coefficient": 0.0}]}
 # The inner tube turns by 8 deg while it is pushed through the middle of its travel.
 BUMP = {
     "stage": "drive",
@@ -42,26 +37,6 @@ BUMP = {
 }
 CURVED = {"uncertainty": {"ci95": {"tube.3.section.2.curvature_per_m": [16.3636, 20.0]}}}
 LATE = {"effects": {"drive_lag": {"theta_s": 0.4}}}
-
-
-def robot(**changes: Any) -> Robot:
-    content = dict(read_document(ROBOTS / "three_tube.toml").content)
-    return robot_from_dict({**content, **changes}, file=str(ROBOTS / "made_up.toml"))
-
-
-def joints(*deg_mm: float) -> Array:
-    return np.append(np.radians(deg_mm[:3]), deg_mm[3] * 1e-3)
-
-
-def scene(of: Robot, start: Array, goal: Array, *spheres: tuple[list[float], float], **given: Any) -> Scenario:
-    parts = [AnatomyPart(Sphere(np.array(at) * 1e-3, r * 1e-3), "avoid", 0.0) for at, r in spheres or [(FAR_MM, 1.0)]]
-    bare = bare_scenario(of)
-    return replace(bare, start=start, goal=Goal(goal, None, bare.goal.tolerance_m), anatomy=tuple(parts), **given)
-
-
-def certified(case: Scenario) -> Certificate:
-    assert case.goal.joints is not None
-    return certify(case, np.array([case.start, case.goal.joints]), restart=False)
 
 
 def test_a_curvature_s_interval_counts_where_the_tip_passes_and_not_only_where_the_base_is_narrow() -> None:
