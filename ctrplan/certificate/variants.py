@@ -177,13 +177,14 @@ class Variants:
     def _bends(self, point: Point, joints: Array) -> list[tuple[Array, Array]]:
         return self.robot(point).drive.bends(*self._driven(point, joints))
 
-    def is_finer(self, joints: Array) -> bool:
-        """Whether an effect of the drive changes within less than its input is known by at some of joints (K, m)."""
+    def unseen(self, joints: Array, aside: Array) -> str:
+        """Why ends of axes say too little of what lies between at joints (K, m), where they move collars `aside`."""
         for (given, where), *ends in zip(*(self._bends(point, joints) for point in self.single), strict=True):
             off = np.abs([end - given for end, _ in ends]).reshape(-1, 2, len(given)).max(axis=1).sum(axis=0)
             if ((np.abs(where - given[:, None]) < off[:, None]).sum(axis=1) > 1).any():
-                return True
-        return False
+                return FINER_THAN_KNOWN
+        turned = aside.reshape(len(joints), -1, self.scenario.robot.n)[:, ::2]  # from half a turn on it comes back
+        return HALF_TURN if turned.max() >= np.pi else ""
 
     def moved_collars(self, joints: Array) -> Array:
         """(K, C) [rad], [m] how far either end of each axis moves each collar at joints (K, m) driven."""
@@ -225,6 +226,7 @@ def _late_by(robot: Robot) -> Array:
 # A variant is walked along the samples of the file's robot; more are taken where it moves farther between them.
 VARIANT_SPACING_M = 1.5 * SPACING_M
 FINER_THAN_KNOWN = "an effect of the drive changes within less than play, delay and intervals before it"
+HALF_TURN = "play, delay or an interval may turn a tube by half a turn either way"
 NO_EQUILIBRIUM = "a robot that the stated intervals and play allow has no equilibrium, or snaps"
 
 
@@ -268,8 +270,6 @@ def walk_variants(
     at_rows = [walk.at_given(count) for walk in corners]
     if any(walk is None for walk in at_rows):
         return VariantWalks(fault=NO_EQUILIBRIUM)
-    if variants.is_finer(joints):
-        return VariantWalks(fault=FINER_THAN_KNOWN)
     base = variants.base
     reach = [np.full(len(body), base.shift_m) for body in nominal]
     result = VariantWalks(tuple(filter(None, at_rows)), tuple(reach))
@@ -290,6 +290,8 @@ def _with_axes(
     count = len(joints)
     rows = np.unique(np.append(np.arange(0, count, LOOK_EVERY), count - 1))
     aside = variants.moved_collars(joints)
+    if fault := variants.unseen(joints, aside):
+        return replace(walks, fault=fault)
     rows = np.union1d(rows, np.flatnonzero((aside > _larger(rows, aside[rows], count) + JOINT_ROUNDING).any(axis=1)))
     coarse_m = 2 * LOOK_EVERY * SPACING_M
     density = PathDensity(motion_m=coarse_m, near_m=coarse_m, point_spacing_m=POINT_SPACING_M)

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from ball_scenes import FRICTIONLESS, certified, joints, robot, scene
 from made_up_input import FUZZ
+from places import ROBOTS
 
 import ctrplan
 from ctrplan.anatomy.parts import AnatomyPart
@@ -26,6 +27,7 @@ from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.pipeline.chain import Chain
 from ctrplan.scenario.joint_space import bare_scenario
 from ctrplan.scenario.scenario import Goal, Registration
+from ctrplan.storage.toml_document import read_document
 
 PLAY = {"effects": {"backlash": {"theta_3_deg": 4.0}}}
 # The inner tube turns by 8 deg while it is pushed through the middle of its travel.
@@ -129,6 +131,19 @@ def test_a_delay_that_is_known_by_an_interval_is_play_by_speed() -> None:
     lag = {"drive_lag": {"theta_s": 0.1, "ci95": {"theta_s": [0.05, 0.2]}}}
     box = Variants.of(bare_scenario(robot(effects=lag)), joints(0, 30, 60, -40)[None])
     np.testing.assert_allclose(np.sum(box.late, axis=0), [*[np.radians(60) * 0.1] * 3, 0])  # at 60 deg/s
+
+
+@pytest.mark.parametrize("deg_s, is_known", [(1800, False), (600, True)])
+def test_a_delay_by_whole_turns_at_full_speed_is_refused(deg_s: float, is_known: bool) -> None:
+    """Its ends stand where the middle does, and nothing was taken off: a ball beside a helix that the tube is turned
+    along at 720 of 1800 deg/s was certified at 0.18 mm, and a drive late by 0.4 s hits it by 0.1.
+    """
+    table = copy.deepcopy(dict(read_document(ROBOTS / "three_tube.toml").content))["joint"]
+    table[2]["max_velocity_deg_s"] = deg_s
+    lag = {"drive_lag": {"theta_s": 0.2, "ci95": {"theta_s": [0.0, 0.4]}}}
+    fast = robot(**FRICTIONLESS, joint=table, effects=lag)
+    result = certified(scene(fast, joints(0, 20, 60, -30), joints(0, 20, 62, -30)))
+    assert ("half a turn" not in "".join(result.problems)) == is_known
 
 
 def test_a_late_joint_takes_along_what_the_drive_adds_where_it_is() -> None:
