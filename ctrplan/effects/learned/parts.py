@@ -192,14 +192,20 @@ _SHAPES: dict[str, Callable[[Factor, Situation, Ranges], Array]] = {
 
 
 def bends(factor: Factor, span: InputRange) -> Array:
-    """(B,) values of a factor's input between which a narrow range leaves it straight, or bends it to one side."""
-    if factor.periodic:  # a leap, opposite of the middle, begins and ends at once
-        return np.empty(0) if span.is_whole_turn else np.array([span.low, span.high, *[span.middle + 180.0] * 2])
-    inside = np.empty(0)
+    """(B,) values of a factor's input between which it rises or falls, and is straight or bends to one side."""
+    if factor.periodic:
+        quarters = np.arange(4 * factor.numbers[0]) * 90.0 / factor.numbers[0]
+        if span.is_whole_turn:
+            return quarters
+        quarters = span.nearest(quarters)  # what leaps, opposite of the middle, begins and ends there
+        ends = [span.low, span.high, span.middle + 180.0, span.middle + 180.0]
+        return np.append(ends, quarters[(span.low < quarters) & (quarters < span.high)])
+    inside = np.zeros(1 if factor.form == "square" else 0)
     if factor.form == "knot":
-        inside = _cardinal(factor.numbers[1]).derivative(2).roots(extrapolate=False)[factor.numbers[0] - 1]
+        slopes = (_cardinal(factor.numbers[1]).derivative(k).roots(extrapolate=False) for k in (1, 2))
+        inside = np.concatenate([roots[factor.numbers[0] - 1] for roots in slopes])
     elif factor.form == "bump":
-        inside = _knot_at(factor) + np.array([-1.0, 1.0]) * _width(factor)
+        inside = _knot_at(factor) + np.array([-1.0, 0.0, 1.0]) * _width(factor)
     return np.concatenate([[span.low, span.high], span.middle + span.half * inside[np.abs(inside) < 1]])
 
 
