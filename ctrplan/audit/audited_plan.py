@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ctrplan.audit.allowed_robots import STANDING, AllowedRobots, BaseMove, nearest_base
+from ctrplan.audit.allowed_robots import EVEN, STANDING, AllowedRobots, BaseMove, nearest_base
 from ctrplan.audit.body import BodyPoints, RawAnatomy, body_of
 from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.certificate.certificate import FIGURES
@@ -96,6 +96,17 @@ class DrivenWay:
     def places_of(self, legs: Array) -> Array:
         """(K,) places of legs and shares (K,)."""
         return np.interp(legs, self.leg, self.place)
+
+    def bent(self, places: Array) -> list[float]:
+        """Where effects of the drive take collars off the chord between two of the places (P,): the farthest rows."""
+        axes, n = np.zeros(self.robots.count), self.robots.robot.n
+        told = self.commanded(self.time_s, axes)
+        stands = self.robots.driven(axes, Collars(told[:, :n], told[:, n:]))
+        added = (np.hstack([stands.theta, stands.l]) - told) * np.repeat([MM_PER_RAD, MM_PER_M], n)
+        chords = np.array([np.interp(self.place, places, np.interp(places, self.place, c)) for c in added.T]).T
+        off, between = np.abs(added - chords).max(axis=1), np.searchsorted(places, self.place)
+        rows = [own[np.argmax(off[own])] for k in np.unique(between) if len(own := np.flatnonzero(between == k))]
+        return [float(self.place[row]) for row in rows if off[row] > EVEN]
 
     def until(self, place: float) -> Array:
         """(K, 2 n) where the collars are told to be on the way from its start to a place, both included."""

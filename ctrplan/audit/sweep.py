@@ -66,7 +66,8 @@ class MotionSweep:
         self.count = 2 + int(max(tube.length_m for tube in case.robot.tubes) / SPACING_M)
         self.rows: dict[float, Row] = {}
         self.intervals: list[tuple[float, float, float]] = []
-        self.first = [float(x) for x in np.unique(np.append(np.linspace(0, 1, FIRST_ROWS), case.sample_place[[0, -1]]))]
+        first = np.unique(np.append(np.linspace(0, 1, FIRST_ROWS), case.sample_place[[0, -1]]))
+        self.first = [*case.way.bent(first), *first.tolist()]
         self.descended: list[tuple[bool, float]] = []
         self.is_done = False
 

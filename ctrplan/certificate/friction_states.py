@@ -19,6 +19,7 @@ from ctrplan.base.arrays import Array
 from ctrplan.mechanics.shapes import Accuracy
 
 if TYPE_CHECKING:
+    from ctrplan.mechanics.walk import PathSamples
     from ctrplan.robot.robot import Robot
 
 SPACING_M = 0.5e-3  # largest motion of a body point of any shape between samples
@@ -44,6 +45,19 @@ NARROW_M, FIRST_ORDER = 0.05e-3, 0.4
 # Of bounds, which are differences of tips on one mesh: 0.23 mm short at most on the search mesh, 0.007 on the
 # certificate mesh, and 0.08 for each mm of clearance.
 BOUND_CERTIFICATE_MESH_M, BOUND_SEARCH_MESH_M, BOUND_FIRST_ORDER = 0.02e-3, 0.3e-3, 0.1
+
+
+def signed_square(stability: Array) -> Array:
+    """Squares of stabilities, any shape, with the stabilities' signs.
+
+    Near a fold they are linear in parameters, as the stability, their root, is not.
+    """
+    return np.asarray(np.sign(stability) * stability**2)
+
+
+def tips_at(walks: Sequence[PathSamples], row: int) -> Array:
+    """(T, 3) [m] tips of every shape of the walks at a row."""
+    return np.vstack([tips for walk in walks for tips in (walk.tip_m[row], walk.corner_tip_m[row])])
 
 
 def mesh_allowance_m(robot: Robot, accuracy: Accuracy) -> float:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,13 +20,20 @@ from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array, alike, lengths, shares_of_length
 from ctrplan.certificate.friction_cube import MOST_TUBES
-from ctrplan.certificate.friction_states import LOOK_EVERY, POINT_SPACING_M, SPACING_M, corner_states
+from ctrplan.certificate.friction_states import (
+    LOOK_EVERY,
+    POINT_SPACING_M,
+    SPACING_M,
+    corner_states,
+    signed_square,
+    tips_at,
+)
 from ctrplan.drive.drive import JOINT_ROUNDING
 from ctrplan.effects.learned.learned import effect_of
 from ctrplan.mechanics.shapes import Status
 from ctrplan.mechanics.walk import PathDensity, PathSamples
 from ctrplan.pipeline.tip_table import held
-from ctrplan.scenario.joint_space import JointSpace
+from ctrplan.scenario.joint_space import JointSpace, bent_steps
 from ctrplan.uncertainty.parameters import UncertainParameters, uncertain_parameters
 from ctrplan.uncertainty.tip_slopes import friction_states, widest_play
 from ctrplan.uncertainty.worst_case import BaseBall, IntervalSides, OffsetBox, farthest
@@ -39,8 +47,7 @@ if TYPE_CHECKING:
 # What moves the tip less than that is first order: of second order is a tenth of it at most, and the corners of all
 # small axes together are solved where the anatomy is nearest.
 LARGE_M = 0.2e-3
-# Axes in cells, a budget: each doubles what is solved of a sample. At first, and where lengths of small ones may refuse
-# a path.
+# Axes in cells, a budget: each doubles a sample's solves. At first, and where lengths of small ones may refuse a path.
 MOST_LARGE = (2, 3)
 PLACES = 5  # of the path where axes are ranked, its ends among them
 
@@ -49,9 +56,7 @@ Point = tuple[float, ...]  # of the box, one number an axis
 
 @dataclass(frozen=True, eq=False)
 class Variants:
-    """The box of a scenario's robot: axes of its parameters first, then of collars with play, then of joints whose
-    delay is an interval. Empty of most robots.
-    """
+    """The box of a scenario's robot, axes of its parameters first, of collars with play, of delays. Mostly empty."""
 
     scenario: Scenario
     parameters: UncertainParameters
@@ -75,7 +80,7 @@ class Variants:
         result = cls(scenario, parameters, box, play, late, large or ())
         if not result.count or large is not None:
             return result
-        ways = JointSpace.of_robot(robot).straight_steps(joints)
+        ways = result.straight_steps(joints)
         places = np.unique(np.linspace(0, len(ways) - 1, PLACES).round().astype(int))
         aside = result.moved_collars(ways)
         between = aside.max(axis=0) > aside[places].max(axis=0) + JOINT_ROUNDING  # where a term may act alone
@@ -120,10 +125,16 @@ class Variants:
         """The point at s of one axis, in the middle of the others."""
         return tuple(s if k == axis else 0.0 for k in range(self.count))
 
+    @property
+    def single(self) -> list[Point]:
+        """The middle, and both ends of every axis."""
+        return [self.end(-1), *(self.end(axis, side) for axis in range(self.count) for side in (1.0, -1.0))]
+
     def ends(self) -> list[Point]:
         """Both ends of every axis, and the corners of the large ones."""
-        single = [self.end(axis, side) for axis in range(self.count) for side in (1.0, -1.0)]
-        return list(dict.fromkeys([*single, *(self.at(s) for s in corner_states(len(self.large)) if self.large)]))
+        return list(
+            dict.fromkeys([*self.single[1:], *(self.at(s) for s in corner_states(len(self.large)) if self.large)])
+        )
 
     def at(self, s: Sequence[float]) -> Point:
         """The point at s (A,) of the large axes, in the middle of the small ones."""
@@ -144,20 +155,40 @@ class Variants:
 
     def collars(self, point: Point, joints: Array) -> tuple[Array, Array]:
         """(K, n) [rad], (K, n) [m] where the drive may hold collars there, joints (K, m) driven; nested."""
-        robot, drive = self.robot(point), self.scenario.robot.drive
-        if self.late:  # on its path, which keeps the limits; effects of the drive follow from where joints are
+        q, off = self._driven(point, joints)
+        return held(self.robot(point), *self.scenario.robot.drive.commanded(q), off)
+
+    def _driven(self, point: Point, joints: Array) -> tuple[Array, Array | None]:
+        """Where joints (K, m) are there, on their path, which keeps the limits, and how far off by play (2 G n,)."""
+        drive = self.scenario.robot.drive
+        if self.late:
             behind = np.array(self.late).T @ np.array(point[-len(self.late) :])
             joints = np.clip(joints + behind, drive.lower, drive.upper)
         sides = zip(point[self.of_parameters :], self.play, strict=False)
-        off = np.sum([s * row for s, row in sides], axis=0) if self.play else None
-        return held(robot, *drive.commanded(joints), off)
+        return joints, np.sum([s * row for s, row in sides], axis=0) if self.play else None
+
+    def straight_steps(self, way: Array) -> Array:
+        """(S', m) joint values of a way (S, m) between which collars go straight, at the ends of the box as well."""
+        rows = JointSpace.of_robot(self.scenario.robot).straight_steps(way)
+        for point in self.ends() if self.scenario.robot.drive.terms else ():
+            rows = bent_steps(rows, partial(self.collars, point), partial(self._bends, point))
+        return rows
+
+    def _bends(self, point: Point, joints: Array) -> list[tuple[Array, Array]]:
+        return self.robot(point).drive.bends(*self._driven(point, joints))
+
+    def unseen(self, joints: Array, aside: Array) -> str:
+        """Why ends of axes say too little of what lies between at joints (K, m), where they move collars `aside`."""
+        for (given, where), *ends in zip(*(self._bends(point, joints) for point in self.single), strict=True):
+            off = np.abs([end - given for end, _ in ends]).reshape(-1, 2, len(given)).max(axis=1).sum(axis=0)
+            if ((np.abs(where - given[:, None]) < off[:, None]).sum(axis=1) > 1).any():
+                return FINER_THAN_KNOWN
+        turned = aside.reshape(len(joints), -1, self.scenario.robot.n)[:, ::2]  # from half a turn on it comes back
+        return HALF_TURN if turned.max() >= np.pi else ""
 
     def moved_collars(self, joints: Array) -> Array:
         """(K, C) [rad], [m] how far either end of each axis moves each collar at joints (K, m) driven."""
-        middle, *ends = (
-            np.hstack(self.collars(self.end(k, side), joints))
-            for k, side in [(-1, 0.0), *((k, side) for k in range(self.count) for side in (1.0, -1.0))]
-        )
+        middle, *ends = (np.hstack(self.collars(point, joints)) for point in self.single)
         return np.abs(np.hstack([end - middle for end in ends]))
 
     def configuration(self, point: Point, joints: Array, accuracy: Accuracy) -> FrictionStates:
@@ -180,10 +211,7 @@ class Variants:
 
 
 def _late_by(robot: Robot) -> Array:
-    """(m,) [rad or m] how far joints may be behind or ahead where their delay is known by an interval only.
-
-    At their largest speed, everywhere: more than there is where they go slowly.
-    """
+    """(m,) [rad or m] how far joints may be off where delays are intervals: at their largest speed, everywhere."""
     drive, delay_s = robot.drive, np.zeros(len(robot.drive.joints))
     moves = np.vstack([drive.matrix_theta, drive.matrix_l]) != 0
     for name, table in robot.effects.items():
@@ -197,6 +225,8 @@ def _late_by(robot: Robot) -> Array:
 
 # A variant is walked along the samples of the file's robot; more are taken where it moves farther between them.
 VARIANT_SPACING_M = 1.5 * SPACING_M
+FINER_THAN_KNOWN = "an effect of the drive changes within less than play, delay and intervals before it"
+HALF_TURN = "play, delay or an interval may turn a tube by half a turn either way"
 NO_EQUILIBRIUM = "a robot that the stated intervals and play allow has no equilibrium, or snaps"
 
 
@@ -237,7 +267,7 @@ def walk_variants(
     count = len(joints)
     if not variants.count and variants.scenario.registration.is_exact:
         return VariantWalks()
-    at_rows = [rows_of(walk, count) for walk in corners]
+    at_rows = [walk.at_given(count) for walk in corners]
     if any(walk is None for walk in at_rows):
         return VariantWalks(fault=NO_EQUILIBRIUM)
     base = variants.base
@@ -260,6 +290,8 @@ def _with_axes(
     count = len(joints)
     rows = np.unique(np.append(np.arange(0, count, LOOK_EVERY), count - 1))
     aside = variants.moved_collars(joints)
+    if fault := variants.unseen(joints, aside):
+        return replace(walks, fault=fault)
     rows = np.union1d(rows, np.flatnonzero((aside > _larger(rows, aside[rows], count) + JOINT_ROUNDING).any(axis=1)))
     coarse_m = 2 * LOOK_EVERY * SPACING_M
     density = PathDensity(motion_m=coarse_m, near_m=coarse_m, point_spacing_m=POINT_SPACING_M)
@@ -385,19 +417,6 @@ def _wider_bounds(
     return np.asarray(wider + beyond)
 
 
-def signed_square(stability: Array) -> Array:
-    """Squares of stabilities, any shape, with the stabilities' signs.
-
-    Near a fold they are linear in parameters, as the stability, their root, is not.
-    """
-    return np.asarray(np.sign(stability) * stability**2)
-
-
-def tips_at(walks: Sequence[PathSamples], row: int) -> Array:
-    """(T, 3) [m] tips of every shape of the walks at a row."""
-    return np.vstack([tips for walk in walks for tips in (walk.tip_m[row], walk.corner_tip_m[row])])
-
-
 def _points(walk: PathSamples, row: int, shapes: int, pattern: Array) -> Array:
     """(1 + C, N, 3) bodies of a row of a walk, on as many points as the pattern (N, 3) has."""
     return alike(walk.bodies[row].reshape(shapes, -1, 4)[:, :, :3], pattern)
@@ -423,22 +442,9 @@ def _larger(rows: NDArray[np.intp], values: Array, count: int) -> Array:
 def _at_rows(
     variants: Variants, point: Point, joints: Array, density: PathDensity, accuracy: Accuracy
 ) -> PathSamples | None:
-    return rows_of(_walked(variants, point, joints, density, accuracy), len(joints))
+    return _walked(variants, point, joints, density, accuracy).at_given(len(joints))
 
 
 def _walked(variants: Variants, point: Point, joints: Array, density: PathDensity, accuracy: Accuracy) -> PathSamples:
     collars = variants.collars(point, joints)
     return variants.robot(point).mechanics.check_path(*collars, density=density, accuracy=accuracy, bodies=True)
-
-
-def rows_of(walk: PathSamples, count: int) -> PathSamples | None:
-    """The samples of a walk at the `count` configurations that it was given, motion in between summed up.
-
-    None where it ended before the last of them, or there.
-    """
-    place = walk.segment + walk.fraction
-    rows = np.flatnonzero(place == np.round(place))
-    if len(rows) < count or walk.status[-1] >= Status.UNSTABLE:
-        return None
-    motion = np.add.reduceat(walk.motion_m, np.append(0, rows[:-1] + 1))
-    return replace(walk.at_rows(rows), motion_m=motion)

@@ -27,15 +27,14 @@ from ctrplan.certificate.friction_states import (
     CornerShapes,
     exact_gives_back_m,
     mesh_allowance_m,
+    signed_square,
+    tips_at,
 )
 from ctrplan.certificate.variants import (
     MOST_LARGE,
     VARIANT_SPACING_M,
     Variants,
     VariantWalks,
-    rows_of,
-    signed_square,
-    tips_at,
     walk_corners,
     walk_variants,
 )
@@ -79,7 +78,7 @@ class Piece:
     taken_m: Array  # (K,) how much of it what the robot may be besides took from shapes solved, small axes included
     stability: Array  # (K,) likewise
     max_strain: Array  # (K,) likewise
-    height_m: Array  # (K,) least of a body point over the front plate, beyond FROM_PLATE_M; inf where there is none
+    height_m: Array  # (K,) least of the surface over the front plate, beyond FROM_PLATE_M; inf where there is none
     phi: Array  # (K, P + A) state in which less than in the solved shapes was found, else 0
     apart_m: float = 0.0  # how far bodies solved from scratch lay from those walked to, where that was looked at
     finer: Mapping[tuple[int, Accuracy], CornerShapes] = field(default_factory=dict)  # of samples solved closely
@@ -274,7 +273,7 @@ def walked(
     """One piece, along the joints of a way (S, m)."""
     scenario, mechanics = variants.scenario, variants.scenario.robot.mechanics
     density = PathDensity(motion_m=spacing_m, near_m=spacing_m, point_spacing_m=POINT_SPACING_M)
-    rows = space.straight_steps(way)
+    rows = variants.straight_steps(way)
     samples = mechanics.check_path(*space.drive.collars(rows), density=density, accuracy=accuracy, bodies=True)
     joints, corners = _joints(rows, samples), list[PathSamples]()
     if variants.large and samples.status[-1] < Status.UNSTABLE:
@@ -282,7 +281,7 @@ def walked(
         if len(finer) > len(joints):  # the file's robot and all corners once more, at the samples of any
             wider = replace(density, motion_m=VARIANT_SPACING_M, near_m=VARIANT_SPACING_M)
             again = mechanics.check_path(*space.drive.collars(finer), density=wider, accuracy=accuracy, bodies=True)
-            if (at_rows := rows_of(again, len(finer))) is not None:
+            if (at_rows := again.at_given(len(finer))) is not None:
                 samples, joints = at_rows, finer
                 corners, _ = walk_corners(variants, joints, accuracy)
     theta_b, l_b = space.drive.collars(joints)
@@ -361,13 +360,15 @@ def _groups(points: int, first: int, tubes: int) -> NDArray[np.intp]:
 
 
 def _height(scenario: Scenario, every: Sequence[PathSamples], walks: VariantWalks, sample: int) -> float:
-    """Least [m] over the plate of body points of a sample that have left it by more than FROM_PLATE_M."""
+    """Least [m] of the surface over the plate, where a sample's body has left it by more than FROM_PLATE_M."""
     least = np.inf
     for walk in every:
-        bodies, _ = shapes_of(scenario, walk.bodies[sample])
+        bodies, radius = shapes_of(scenario, walk.bodies[sample])
+        along = np.gradient(bodies, axis=1)
+        beside = radius * lengths(along[..., :2]) / np.maximum(lengths(along), np.finfo(float).tiny)
         reach = reach_on(bodies[0], walks, sample) if walks.reach_m else 0.0
         beyond = lengths(bodies) - reach > FROM_PLATE_M
-        least = min(least, float((bodies[..., 2] - reach)[beyond].min(initial=np.inf)))
+        least = min(least, float((bodies[..., 2] - beside - reach)[beyond].min(initial=np.inf)))
     return least
 
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,7 +17,19 @@ from ctrplan.base.package import shown
 from ctrplan.errors import InputError
 
 Kind = Literal["rotation", "translation"]
-DriveTerm = Callable[[Array, Array, Array | None], tuple[Array, Array]]
+
+
+class DriveTerm(Protocol):
+    """What effects of a drive make of collars (K, n) [rad], (K, n) [m] that are `off` (2 G n,) by play."""
+
+    def __call__(self, theta: Array, l: Array, off: Array | None) -> tuple[Array, Array]:  # noqa: E741
+        """Where they stand."""
+        ...
+
+    def bends(self, theta: Array, l: Array, off: Array | None) -> Iterator[tuple[Array, Array]]:  # noqa: E741
+        """Inputs (K,), each with values (B,) between which the effects are smooth in it."""
+        ...
+
 
 ANGLE_STEP, LENGTH_STEP = 1e-4, 1e-6  # rad, m: of differences, exact to about their square
 
@@ -166,6 +178,16 @@ class Drive:
         for term in self.terms:
             rows = term(*rows, off)
         return rows[0].reshape(theta_b.shape), rows[1].reshape(l_b.shape)
+
+    def bends(self, q: Array, off: Array | None = None) -> list[tuple[Array, Array]]:
+        """Inputs (K,) of the drive's effects at joint values (K, m), each with values (B,) between which the effects
+        are smooth in it.
+        """
+        (theta, l), results = self.commanded(q), list[tuple[Array, Array]]()  # noqa: E741 (as in the equations)
+        for term in self.terms:
+            results += term.bends(theta, l, off)
+            theta, l = term(theta, l, off)  # noqa: E741 (as in the equations)
+        return results
 
     def collars_by_joints(self, q: ArrayLike) -> Array:
         """(K, 2 n, m) derivatives of theta_b, then of l_b, by joint values `q` (K, m).

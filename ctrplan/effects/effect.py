@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, TypeVar, get_args
 
@@ -118,6 +118,12 @@ class Effect(ABC):
         directions (K, 2 n): sign of the last motion of each rotation, then of each translation; 0 before any.
         """
         return collars
+
+    def bends(self, values: Values, collars: Collars) -> Iterator[tuple[Array, Array]]:
+        """Inputs (K,) of an effect of the drive at `collars`, each with values (B,) between which `drive` is smooth,
+        however narrow what lies between; none where it is smooth everywhere.
+        """
+        yield from ()
 
     def zeros(self, values: Values, data: Measurements) -> Array | None:
         """(K, 2 n) what the zeros of rotations [rad], then of translations [m], are off at each pose; an effect of

@@ -66,6 +66,18 @@ class PathSamples:
         kept = {entry.name: getattr(self, entry.name)[rows] for entry in fields(self) if entry.name != "bodies"}
         return PathSamples(**kept, bodies=tuple(self.bodies[row] for row in rows) if self.bodies else ())
 
+    def at_given(self, count: int) -> PathSamples | None:
+        """The samples at the `count` configurations that were walked through, motion in between summed up.
+
+        None where the walk ended before the last of them, or there.
+        """
+        place = self.segment + self.fraction
+        rows = np.flatnonzero(place == np.round(place))
+        if len(rows) < count or self.status[-1] >= Status.UNSTABLE:
+            return None
+        motion = np.add.reduceat(self.motion_m, np.append(0, rows[:-1] + 1))
+        return replace(self.at_rows(rows), motion_m=motion)
+
 
 @checked(
     rotation_rad=Number(SHORTEST_STEP, LONGEST_STEP, "rad"),

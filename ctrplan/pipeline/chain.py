@@ -406,13 +406,26 @@ class DriveAtRest:
         None: in the middle of all play. An effect between two places of play acts on what the first of them leaves: a
         collar may stand on another side in each.
         """
-        n, moved, nowhere = theta.shape[1], Collars(theta, l), np.zeros((len(theta), 2 * theta.shape[1]))
+        *_, (_, moved) = self._passed(Collars(theta, l), off)
+        return moved.theta, moved.l
+
+    def bends(self, theta: Array, l: Array, off: Array | None) -> Iterator[tuple[Array, Array]]:  # noqa: E741
+        """Inputs (K,) of effects, each at the collars that reach it, and values (B,) between which these are smooth."""
+        for given, reaching in self._passed(Collars(theta, l), off):
+            if given:
+                yield from given.effect.bends(given.values, reaching)
+
+    def _passed(self, moved: Collars, off: Array | None) -> Iterator[tuple[Acting | None, Collars]]:
+        """Each effect with the collars that reach it; None with those that come out."""
+        n, nowhere = moved.theta.shape[1], np.zeros((len(moved.theta), 2 * moved.theta.shape[1]))
+        in_middle = np.zeros(2 * n)
         places = iter(() if off is None else off.reshape(-1, 2 * n))
         for plays, group in _grouped(self.chain.acting):
             if plays:
-                own = next(places, nowhere[0])
+                own = next(places, in_middle)
                 moved = Collars(moved.theta + own[:n], moved.l + own[n:])
                 continue
             for given in group:
+                yield given, moved
                 moved = given.effect.drive(given.values, moved, nowhere)
-        return moved.theta, moved.l
+        yield None, moved

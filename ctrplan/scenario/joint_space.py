@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Literal
@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ctrplan.base.arguments import Made, checked
 from ctrplan.base.arrays import MM_PER_M, ROUNDING_M, Array, numbers, read_only
-from ctrplan.drive.drive import STEP_M, STEP_RAD, Drive
+from ctrplan.drive.drive import JOINT_ROUNDING, STEP_M, STEP_RAD, Drive
 from ctrplan.errors import InputError
 from ctrplan.mechanics.tube import reach_inequalities
 from ctrplan.robot.robot import Robot, nesting_sentence
@@ -27,6 +27,7 @@ MotionStyle = Literal["rotations before translations", "simultaneous"]
 
 PROJECTIONS = 12  # rounds over limits and nesting, which are few and nearly orthogonal
 BENT_STEP_RAD, BENT_STEP_M = 2 * STEP_RAD, 2 * STEP_M  # of a joint, along which a drive with effects moves straight
+BOW = BENT_STEP_RAD / 8  # share of a step off its chord: what an arc of a radian leaves, turned by a step
 MM_PER_RAD = 20.0  # where no scenario says otherwise
 
 
@@ -97,7 +98,7 @@ class JointSpace:
         for a, b in itertools.pairwise(way):
             count = max(1, int(np.ceil(np.max(np.abs(b - a) / most))))
             parts.append(a + np.linspace(0, 1, count + 1)[1:, None] * (b - a))
-        return np.concatenate(parts)
+        return bent_steps(np.concatenate(parts), self.drive.collars, self.drive.bends)
 
     def allowed(self, q: ArrayLike) -> bool:
         """Whether limits and nesting hold at q (m,) or at every row of q (K, m)."""
@@ -186,6 +187,42 @@ class JointSpace:
         """Limits (m,), (m,), of unlimited rotations -pi and pi."""
         unlimited = self.drive.is_unlimited
         return np.where(unlimited, -math.pi, self.drive.lower), np.where(unlimited, math.pi, self.drive.upper)
+
+
+def bent_steps(
+    way: Array,
+    collars: Callable[[Array], tuple[Array, Array]],
+    bends: Callable[[Array], Sequence[tuple[Array, Array]]],
+) -> Array:
+    """(S', m) rows of a way (S, m) with more between them, so that collars go straight however narrow an effect is.
+
+    Where effects stop being smooth are rows; then steps are halved until collars between them stand on the chord.
+    """
+    places, steps = [np.arange(len(way), dtype=float)], np.diff(way, axis=0)
+    long = np.abs(steps).max(axis=1)
+    for number, (given, where) in enumerate(bends(way)):
+        is_over = given[:, None] > where
+        k, value = np.nonzero(is_over[:-1] != is_over[1:])
+        low, high, rises = np.zeros(len(k)), np.ones(len(k)), is_over[k + 1, value]
+        while len(k) and ((high - low) * long[k]).max() > JOINT_ROUNDING:
+            middle = (low + high) / 2
+            is_past = (bends(way[k] + middle[:, None] * steps[k])[number][0] > where[value]) == rises
+            low, high = np.where(is_past, low, middle), np.where(is_past, middle, high)
+        places.append((k + high)[np.minimum(low, 1 - high) * long[k] > JOINT_ROUNDING])
+    at = np.unique(np.concatenate(places))
+    rows = np.array([np.interp(at, places[0], column) for column in way.T]).T
+    while True:
+        begin, end = rows[:-1], rows[1:]
+        stand = np.hstack(collars(rows))
+        size = np.repeat([BENT_STEP_RAD, BENT_STEP_M], stand.shape[1] // 2)
+        off = [
+            np.abs(np.hstack(collars(begin + share * (end - begin))) - stand[:-1] - share * np.diff(stand, axis=0))
+            for share in (0.25, 0.5, 0.75)
+        ]
+        is_bowed = (np.max(off, axis=0) / size > BOW).any(axis=1) & (np.abs(end - begin).max(axis=1) > JOINT_ROUNDING)
+        if not is_bowed.any():
+            return rows
+        rows = np.insert(rows, np.flatnonzero(is_bowed) + 1, (begin + end)[is_bowed] / 2, axis=0)
 
 
 @checked(scenario=Made("Scenario"))

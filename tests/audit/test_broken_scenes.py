@@ -69,6 +69,14 @@ def turned_while_pushed() -> WrittenPlan:
     )
 
 
+def turned_within_a_moment() -> WrittenPlan:
+    """The same within 0.2 mm, which lies between the places that are looked at first."""
+    none = [f"contact.{k}.friction_coefficient=0.0" for k in (1, 2)]
+    term = 'effects.learned_theta_3={stage = "drive", bump_3_of_5_l_3_deg = 10.0, range = {l_3 = [-61.4, -61.2]}}'
+    ends, ball = ([0, 20, 60, -45], [0, 20, 60, -10]), sphere([72.08457, 39.58339, 172.37378], 0.5)
+    return stated(scene_of(table_ii(*none, term), *ends, ball), 0.65)
+
+
 def play() -> WrittenPlan:
     """Two degrees of play either way, which move the tip four times as far at one place as elsewhere."""
     none = [f"contact.{k}.friction_coefficient=0.0" for k in (1, 2)]
@@ -173,6 +181,7 @@ def wound() -> WrittenPlan:
     [
         (uncertain_curvature, -1.75, MORE),
         (turned_while_pushed, -1.2, WORK),
+        (turned_within_a_moment, -0.25, MORE),
         (play, -0.35, WORK),
         (play_before_eccentricity, -0.5, WORK),
         (play_after_eccentricity, -0.55, WORK),

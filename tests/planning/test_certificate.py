@@ -148,16 +148,31 @@ def test_another_equilibrium_of_a_corner_refuses_the_motion(seed: int, number: i
     assert ROBOT.mechanics.corners_apart(*ROBOT.drive.collars(AT)).max() < SAME_SHAPE_M
 
 
-@pytest.mark.parametrize(("length_mm", "error_mm", "is_clear"), [(100, 0, False), (68, 0, True), (68, 2, False)])
-def test_a_body_that_curls_back_to_the_plate_is_refused(length_mm: float, error_mm: float, is_clear: bool) -> None:
-    """Once certified: in free space nothing else was in its way, and the model's own error was not kept there."""
-    tight = {"length_mm": length_mm, "curvature_x_per_m": 0, "curvature_y_per_m": 45.0}
+ALONG_MM = (104.72, 25.0), (55.0, -27.0)  # curls back, and passes the plate at 1.55 mm
+
+
+@pytest.mark.parametrize(
+    ("sections", "outer_mm", "error_mm", "is_clear"),
+    [
+        (((100, 45.0),), 1.0, 0, False),
+        (((68, 45.0),), 1.0, 0, True),
+        (((68, 45.0),), 1.0, 2, False),
+        (ALONG_MM, 0.4, 0, True),
+        (ALONG_MM, 4.0, 0, False),
+    ],
+)
+def test_a_body_that_curls_back_to_the_plate_is_refused(
+    sections: tuple[tuple[float, float], ...], outer_mm: float, error_mm: float, is_clear: bool
+) -> None:
+    """Once certified: in free space nothing else was in its way, and neither the model's own error nor the radius of a
+    tube was kept there, which lay 0.44 mm in the plate.
+    """
     tube = {
-        "outer_diameter_mm": 1.0,
-        "inner_diameter_mm": 0.6,
+        "outer_diameter_mm": outer_mm,
+        "inner_diameter_mm": outer_mm * 0.6,
         "bending_stiffness_Nm2": 0.002,
         "poisson_ratio": 0.3,
-        "section": [tight],
+        "section": [{"length_mm": mm, "curvature_x_per_m": 0, "curvature_y_per_m": u} for mm, u in sections],
     }
     turn = {"name": "turn", "moves": {"theta": [1]}}
     curled = robot_from_dict({"name": "curl", "model_error_mm": error_mm, "tube": [tube], "joint": [turn]})

@@ -26,6 +26,7 @@ from ctrplan.effects.learned.inputs import (
     outside,
     target,
 )
+from ctrplan.effects.learned.inputs import values as input_values
 from ctrplan.effects.learned.parts import Part, formula, likeness
 from ctrplan.measurement.measurements import Measurements, Poses
 from ctrplan.robot.named_numbers import value_of
@@ -127,6 +128,16 @@ class LearnedDrive(Learned):
         if self.target.kind_name == "theta":
             return Collars(with_column(collars.theta, self.target.tube, amount), collars.l)
         return Collars(collars.theta, with_column(collars.l, self.target.tube, amount))
+
+    def bends(self, values: Values, collars: Collars) -> Iterator[tuple[Array, Array]]:
+        at = Situation(collars.theta, collars.l)
+        for factor in (factor for part in self._shapes for factor in part if factor.input):
+            given, where = input_values(factor.input, at), parts.bends(factor, self.ranges[factor.input])
+            assert given is not None  # collars alone say it
+            if factor.periodic:
+                turns = np.arange(np.floor(given.min() / 360) - 1, np.floor(given.max() / 360) + 1)
+                where = np.add.outer(360 * turns, where % 360).ravel()
+            yield given, where
 
     @property
     def counts_turns_of(self) -> frozenset[int]:

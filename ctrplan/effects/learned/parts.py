@@ -157,12 +157,18 @@ def _cardinal(count: int) -> CubicSpline:
 
 def _bump(factor: Factor, at: Situation, ranges: Ranges) -> Array:
     """A Gaussian at one of the knots, as wide as `BUMP_WIDTH` of their distance."""
-    number, count = factor.numbers
-    apart = 2 / (count - 1)
-    result: Array = np.exp(
-        -(((_scaled(factor, at, ranges) + 1 - (number - 1) * apart) / (BUMP_WIDTH * apart)) ** 2) / 2
-    )
+    result: Array = np.exp(-(((_scaled(factor, at, ranges) - _knot_at(factor)) / _width(factor)) ** 2) / 2)
     return result
+
+
+def _knot_at(factor: Factor) -> float:
+    """Its knot, of a range scaled to -1 to 1."""
+    number, count = factor.numbers
+    return -1 + 2 * (number - 1) / (count - 1)
+
+
+def _width(bump: Factor) -> float:
+    return BUMP_WIDTH * 2 / (bump.numbers[1] - 1)
 
 
 def _sign(factor: Factor, at: Situation, ranges: Ranges) -> Array:
@@ -183,6 +189,24 @@ _SHAPES: dict[str, Callable[[Factor, Situation, Ranges], Array]] = {
     "sign": _sign,
     "constant": lambda factor, at, ranges: np.ones(at.count),
 }
+
+
+def bends(factor: Factor, span: InputRange) -> Array:
+    """(B,) values of a factor's input between which it rises or falls, and is straight or bends to one side."""
+    if factor.periodic:
+        quarters = np.arange(4 * factor.numbers[0]) * 90.0 / factor.numbers[0]
+        if span.is_whole_turn:
+            return quarters
+        quarters = span.nearest(quarters)  # what leaps, opposite of the middle, begins and ends there
+        ends = [span.low, span.high, span.middle + 180.0, span.middle + 180.0]
+        return np.append(ends, quarters[(span.low < quarters) & (quarters < span.high)])
+    inside = np.zeros(1 if factor.form == "square" else 0)
+    if factor.form == "knot":
+        slopes = (_cardinal(factor.numbers[1]).derivative(k).roots(extrapolate=False) for k in (1, 2))
+        inside = np.concatenate([roots[factor.numbers[0] - 1] for roots in slopes])
+    elif factor.form == "bump":
+        inside = _knot_at(factor) + np.array([-1.0, 0.0, 1.0]) * _width(factor)
+    return np.concatenate([[span.low, span.high], span.middle + span.half * inside[np.abs(inside) < 1]])
 
 
 def period_deg(of: Part) -> float:
