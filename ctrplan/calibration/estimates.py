@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arrays import CI95, LEVEL, Array
+from ctrplan.base.package import shown
 from ctrplan.calibration.least_squares import Fit
 from ctrplan.effects.learned.learned import DIGITS
 from ctrplan.measurement.measurements import Measurements
@@ -17,6 +18,7 @@ from ctrplan.pipeline.term import SensorPrediction, Term
 SHOWN_DIGITS = 2  # of half an interval
 
 
+@shown
 @dataclass(frozen=True)
 class Estimate:
     """A parameter in the unit that its name ends with."""

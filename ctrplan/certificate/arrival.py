@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
 from ctrplan.base.long_work import cores
+from ctrplan.base.package import shown
 from ctrplan.drive.drive import JOINT_ROUNDING
 from ctrplan.errors import CtrplanError
 from ctrplan.mechanics.history import HistoryState
@@ -58,6 +59,7 @@ def _cause(words: str) -> float:
     return field(default=0.0, metadata={"words": words})
 
 
+@shown
 @dataclass(frozen=True)
 class ArrivalCauses:
     """The arrival error [m] by cause; the shares add up to it."""
@@ -101,6 +103,7 @@ class ErasedPair:
     kept: float  # share of all friction states that is possible at the end, 0 to 1
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class Arrival:
     """Where the tip ends after a motion, from any friction state before it on the branch that is certified."""
@@ -134,6 +137,7 @@ class Arrival:
         return replace(self, restart=restart, erased=tuple(erased))
 
 
+@shown
 @dataclass(frozen=True)
 class TargetReached:
     """A target of a plan, and how well it is reached there."""

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ctrplan.base.arguments import Made, checked
 from ctrplan.base.arrays import Array, warn_of_degrees
+from ctrplan.base.package import shown
 from ctrplan.effects.learned.learned import effect_of
 from ctrplan.mechanics.core_arrays import joint_rows
 from ctrplan.mechanics.shapes import Status, Tips
@@ -201,6 +202,7 @@ def _differenced(parameters: UncertainParameters, theta: Array, l: Array, by: Ar
     return by
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class UncertainBounds:
     """Largest distance of the tip from where the file's robot has it without friction, at K configurations."""

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arrays import CHI95, CI95, MM_PER_M, Array
+from ctrplan.base.package import shown
 from ctrplan.uncertainty.parameters import UncertainParameters
 
 if TYPE_CHECKING:
@@ -160,6 +161,7 @@ OFF_DIRECTION = "angle without friction and errors"
 SHOWN_M, SHOWN_RAD = 0.05e-3, math.radians(0.05)  # smaller shares are not in the sentence
 
 
+@shown
 @dataclass(frozen=True)
 class Contributor:
     """One cause of a worst case."""
@@ -251,6 +253,7 @@ DISTRIBUTION = (
 )
 
 
+@shown
 @dataclass(frozen=True)
 class Chance:
     """How likely something is: the share of draws of the linearised model, with a 95 % interval of that share."""
