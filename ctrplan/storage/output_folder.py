@@ -117,8 +117,6 @@ def written_together(folder: Path, outputs: Sequence[str]) -> Iterator[Path]:
     `sha256sum -c SHA256SUMS` tells a whole set from a mixed one. What a killed process left hidden is removed by the
     next one. Makes `folder` if need be. Raises CtrplanError where the system refuses.
     """
-    from ctrplan.storage.output_folder import write_atomically
-
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with temporary(folder, Path.mkdir) as made:
@@ -133,8 +131,6 @@ def written_together(folder: Path, outputs: Sequence[str]) -> Iterator[Path]:
 
 def write_results(folder: Path, results: Mapping[str, str | bytes]) -> None:
     """Writes contents by their file names as `written_together` does."""
-    from ctrplan.storage.output_folder import write_atomically
-
     with written_together(folder, tuple(results)) as made:
         for name, content in results.items():
             write_atomically(made / name, content)
