@@ -29,9 +29,9 @@ Indices = NDArray[np.int64]
 class Mesh(PartShape):
     """vertices_m (V, 3), faces (F, 3) of a closed surface, in the anatomy's frame; turned outward where they are not.
 
-    file: where it came from, for messages; without one, corners that coincide are merged. notes: what was repaired.
-    surface_error_m: what thinning moved it by. Raises InputError for malformed or non-finite arrays, and where the
-    surface is open or bounds nothing.
+    Corners that coincide are one. file: where it came from, for messages. notes: what was repaired. surface_error_m:
+    what thinning moved it by. Raises InputError for malformed or non-finite arrays, and where the surface is open or
+    bounds nothing.
     """
 
     kind = "mesh"
@@ -47,10 +47,8 @@ class Mesh(PartShape):
         object.__setattr__(self, "faces", _triangles("faces", self.faces))
         if self.faces.max() >= len(self.vertices_m):
             raise InputError(f"must hold vertex indices below {len(self.vertices_m)}", key="faces")
-        vertices, faces = self.vertices_m, self.faces
         try:
-            if self.file is None:
-                vertices, faces = merged(vertices, faces)
+            vertices, faces = merged(self.vertices_m, self.faces)
             if self.is_closed:
                 refuse_open(vertices, faces)
                 faces = turned_outward(vertices, faces)
