@@ -13,6 +13,7 @@ import hashlib
 import json
 import math
 import os
+import re
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -240,7 +241,9 @@ def _assign(content: dict[str, Any], assignment: str, file: str | None) -> None:
 
 
 def _toml_value(text: str) -> Any:
-    """`text` as a TOML value; text that is none stands for itself, so that quotes are not needed in a shell."""
+    """`text` as a TOML value, or .5 and 5. as numbers; other text stands for itself: a shell needs no quotes."""
+    if re.fullmatch(r"[-+]?(\d+\.|\.\d+)", text, re.ASCII):
+        return float(text)
     try:
         parsed = tomllib.loads(f"value = {text}")
     except (ValueError, RecursionError):

@@ -79,6 +79,8 @@ def test_the_hash_sees_content_and_not_layout(folder: Path) -> None:
 
 OVERRIDES = [
     ("tube.2.poisson_ratio=0.28", "poisson_ratio = -0.2", "poisson_ratio = 0.28"),
+    ("tube.2.poisson_ratio=.28", "poisson_ratio = -0.2", "poisson_ratio = 0.28"),
+    ("tube.1.section.1.length_mm=140.", "length_mm = 150", "length_mm = 140"),
     ("tube.1.section.1.length_mm = 140", "length_mm = 150", "length_mm = 140"),
     ("home.l_mm.2=-18", "l_mm = [0, -17]", "l_mm = [0, -18]"),
     ("contact.1.clearance_mm=0.06", "[[contact]]", "[[contact]]\nclearance_mm = 0.06"),
