@@ -423,7 +423,7 @@ class Mechanics:
 
     def _collars(self, theta_b: ArrayLike, l_b: ArrayLike) -> tuple[Array, Array]:
         """Base rotations and translations (n,) in the layout of the core. Raises InputError."""
-        rows = joint_row(theta_b, self.n), joint_row(l_b, self.n)
+        rows = joint_row(theta_b, self.n, "theta_b"), joint_row(l_b, self.n, "l_b")
         longest = max(tube.length_m for tube in self._given[0])
         if 20 * longest < np.abs(rows[1]).max() < 5000 * longest:  # where no tube can be, and in mm each of them
             raise InputError(

@@ -27,27 +27,27 @@ TipMemory = _model.TipMemory
 Near = tuple[TipMemory, list[int]]  # solutions of robots that hardly differ, and the places of rows among them
 
 
-def joint_row(values: ArrayLike, n: int) -> Array:
+def joint_row(values: ArrayLike, n: int, name: str = "joint array") -> Array:
     """The (n,) joint array in the layout of the core, of its own: the caller's may change. Raises InputError."""
-    row = np.array(numbers(values, "joint array"), order="C")
+    row = np.array(numbers(values, name), order="C")
     if row.shape != (n,):
-        raise InputError(f"must have shape ({n},), one value per tube, not {row.shape}", key="joint array")
+        raise InputError(f"must have shape ({n},), one value per tube, not {row.shape}", key=name)
     return row
 
 
 def joint_rows(theta_b: ArrayLike, l_b: ArrayLike, n: int) -> tuple[Array, Array]:
     """Base rotations and translations (K, n) in the layout of the core. Raises InputError."""
-    rows = joint_table(theta_b, n), joint_table(l_b, n)
+    rows = joint_table(theta_b, n, "theta_b"), joint_table(l_b, n, "l_b")
     if len(rows[0]) != len(rows[1]):
         raise InputError("theta_b and l_b need the same number of rows")
     return rows
 
 
-def joint_table(values: ArrayLike, n: int) -> Array:
+def joint_table(values: ArrayLike, n: int, name: str = "joint array") -> Array:
     """A (K, n) joint array in the layout of the core. Raises InputError."""
-    rows = np.ascontiguousarray(numbers(values, "joint array"))
+    rows = np.ascontiguousarray(numbers(values, name))
     if rows.ndim != 2 or rows.shape[1] != n:
-        raise InputError(f"must have shape (K, {n}), not {rows.shape}", key="joint array")
+        raise InputError(f"must have shape (K, {n}), not {rows.shape}", key=name)
     return rows
 
 

@@ -6,14 +6,14 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
+from places import ROBOTS
 
 import ctrplan
 
-ROBOT = Path(ctrplan.__file__).parent / "scenarios" / "robots" / "three_tube.toml"
+ROBOT = ROBOTS / "three_tube.toml"
 PATIENCE_S = 1.0
 
 CHILD = """
