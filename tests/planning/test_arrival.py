@@ -63,6 +63,14 @@ def test_shares_add_up_and_states_are_erased_by_slip() -> None:
     assert long.by_cause.past_m < 1e-6 < short.by_cause.past_m
 
 
+def test_an_arrival_keeps_a_goal_whose_tolerance_is_no_less_than_its_error() -> None:
+    """A valid certificate does not say that: its middle arrives."""
+    found, goal = plain_arrival(), pair().goal
+    assert found.keeps(replace(goal, tolerance_m=found.error_m))
+    assert not found.keeps(replace(goal, tolerance_m=0.99 * found.error_m))
+    assert not replace(found, error_rad=0.2).keeps(replace(goal, tolerance_m=1.0, direction_tolerance_rad=0.1))
+
+
 def test_the_set_along_the_motion_is_in_the_samples() -> None:
     samples = certified(PATH).samples
     assert samples.friction_spread.shape == (len(samples.leg), 1)
