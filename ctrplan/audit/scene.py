@@ -25,8 +25,8 @@ from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.effects.effect import ANYWHERE
 from ctrplan.effects.learned.learned import effect_of
 from ctrplan.errors import InputError
-from ctrplan.files.joint_path_file import joint_columns
 from ctrplan.files.robot_file import robot_from_dict
+from ctrplan.measurement.measurements import joint_columns
 from ctrplan.robot.robot import Robot, file_key
 from ctrplan.scenario.scenario import Scenario
 from ctrplan.storage.output_folder import write_results

@@ -9,13 +9,13 @@ squared apart, which is the likelihood of independent Gaussian errors. With weig
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrplan.base.arguments import SEED, Choice, Interval, Made, Number, Table, Texts, Whole, checked
+from ctrplan.base.arguments import SEED, Choice, Flag, Interval, Made, Number, Table, Texts, Whole, checked
 from ctrplan.base.arrays import Array
 from ctrplan.base.package import shown
 from ctrplan.calibration.estimates import Combination, Errors, Estimate, combinations, distances, estimates, summary
@@ -29,6 +29,7 @@ from ctrplan.calibration.fit_warnings import (
 )
 from ctrplan.calibration.least_squares import Fit, fit
 from ctrplan.calibration.parameters import chosen_terms, spelled_out
+from ctrplan.calibration.reading import told_again
 from ctrplan.calibration.residuals import Noise, Weighting, weighed_by
 from ctrplan.calibration.robot_content import calibrated_content, model_error_m, within_file
 from ctrplan.effects.effect import Parameter
@@ -37,6 +38,7 @@ from ctrplan.measurement.measurements import Measurements, groups
 from ctrplan.pipeline.followed_runs import friction_correction
 from ctrplan.pipeline.parametric_chain import ParametricChain
 from ctrplan.pipeline.term import Term
+from ctrplan.robot.data_rules import require_measured
 from ctrplan.robot.robot import Robot
 
 
@@ -155,6 +157,7 @@ SPREAD = 0.7  # of the priors that further starts are drawn with
     held_out=Number(0, 0.99),
     starts=Whole(1, 100),
     seed=SEED,
+    as_read=Flag(),
 )
 def calibrate(
     robot: Robot,
@@ -168,6 +171,7 @@ def calibrate(
     held_out: float = 0.25,
     starts: int = 1,
     seed: int = 0,
+    as_read: bool = False,
 ) -> Calibration:
     """Fits `parameters`, then with these held `second_pass`, to measured poses.
 
@@ -176,13 +180,17 @@ def calibrate(
     None: all of those (precurvature magnitudes, stiffness ratios, Poisson's ratios).
     `priors` are standard deviations and `bounds` limits, by name. `held_out` is the share of configurations kept aside.
     Poses that went wrong, `gross_outliers.py`, are left out of all fits and errors, and a note names their rows.
-    Raises InputError for unknown names, for names given twice and for too few poses.
+    Whether the measurements mean what they say is asked first: by default nothing is fitted to those that do not, and
+    MisreadError is raised; with `as_read` they are fitted as they stand, and a note says it. Raises
+    InputError for what no file of measurements may say, for unknown names, for names given twice and for too few poses.
     """
+    require_measured(robot, measurements)
     names = spelled_out(["calibration"] if parameters is None else parameters, robot, measurements)
     second_pass = spelled_out(second_pass, robot, measurements)
     for name in names:
         if [*names, *second_pass].count(name) > 1:
             raise InputError("is named twice", key=name)
+    reading = told_again(robot, measurements, as_read=as_read)
     noise = weighed_by(robot, measurements, weighting)
     group = groups(measurements)
     aside = _split_off(group, held_out, seed)
@@ -195,7 +203,8 @@ def calibrate(
         return [first, _second(first, more)] if more else [first]
 
     passes, wrong = _without_outliers(fitted, measurements, aside)
-    return calibrated(passes, measurements, group, aside, wrong)
+    result = calibrated(passes, measurements, group, aside, wrong)
+    return replace(result, notes=(*(each.sentence for each in reading), *result.notes))
 
 
 def _without_outliers(

@@ -23,7 +23,7 @@ from ctrplan.base.arrays import Array
 from ctrplan.calibration.parameters import calibrated_moves
 from ctrplan.errors import InputError, NoAnswerError
 from ctrplan.measurement.approach import clock
-from ctrplan.measurement.measurements import Measurements
+from ctrplan.measurement.measurements import POSITION, TANGENT, Measurements, joint_columns
 from ctrplan.pipeline.tip_table import nested
 from ctrplan.robot.robot import Robot
 
@@ -42,7 +42,6 @@ LENGTHS |= {1e3: POWERS[1e3], 25.4: "25.4 times too small", 1 / 25.4: "25.4 time
 ANGLES = {180 / np.pi: "57.3 times too small", np.pi / 180: "in degrees", 2 * np.pi: "in turns"}
 ANGLES |= {np.pi: "in half turns", 10.0: POWERS[10.0], 0.1: POWERS[0.1]}
 SHIFTS = {1: "one row late", -1: "one row early", 2: "two rows late", -2: "two rows early"}
-TIP, TANGENT = ("x_m", "y_m", "z_m"), ("tx", "ty", "tz")
 
 Joints = tuple[Array, Array]
 Pair = tuple[Array, Array]  # measured and predicted
@@ -124,7 +123,8 @@ def read_again(robot: Robot, data: Measurements) -> tuple[Reading, ...]:
     if file.are_tangents_alike:
         turned = [way.turn is not AS_IS for way in file.done]
         results = [replace(r, columns=(*r.columns, *TANGENT)) if t else r for r, t in zip(results, turned, strict=True)]
-    return (*results, *_misdirected(file))
+    results += _misdirected(file)
+    return tuple(replace(r, columns=tuple(data.columns.get(name, name) for name in r.columns)) for r in results)
 
 
 def _unrelated(file: _File) -> Reading | None:
@@ -204,10 +204,11 @@ def _displaced(off: Array, error: float, moves: Array) -> float:
         return _rms((r - J @ by).reshape(-1, 3)) * float(np.exp(by @ by / 2 / NUMBERS))
 
 
-def refuse_misread(robot: Robot, data: Measurements) -> None:
-    """Raises MisreadError, with what the columns seem to mean, where another reading explains the file."""
-    if readings := read_again(robot, data):
+def told_again(robot: Robot, data: Measurements, *, as_read: bool) -> tuple[Reading, ...]:
+    """What is misread. Raises MisreadError, which says it, unless such data are to be fitted as they stand."""
+    if (readings := read_again(robot, data)) and not as_read:
         raise MisreadError(data, readings)
+    return readings
 
 
 class MisreadError(NoAnswerError):
@@ -216,9 +217,9 @@ class MisreadError(NoAnswerError):
     def __init__(self, data: Measurements, readings: tuple[Reading, ...]) -> None:
         """readings: that explain the file together, the plainest first."""
         self.data, self.readings = data, readings
-        sentences = " ".join(reading.sentence for reading in readings)
-        rule = "Nothing was fitted; --as-read fits it as it stands."
-        super().__init__(f"{data.file or 'measurements'}: {sentences} {rule}")
+        said = [reading.sentence for reading in readings]
+        rule = "Nothing was fitted; --as-read fits it as it stands, as_read=True in Python."
+        super().__init__(" ".join([f"{data.file or 'measurements'}:", *said, rule]))
 
 
 def _best(file: _File, before: float) -> tuple[_Again, float] | None:
@@ -239,15 +240,14 @@ def _best(file: _File, before: float) -> tuple[_Again, float] | None:
             own = next(e for e in framed if e <= ALIKE * least)
         turn, shift = _motion(*file.pairs(AS_READ))
         what = f"positions are in another frame than the robot's, {where}"
-        return _Again(what, TIP, turn=turn.T, shift=shift), own
+        return _Again(what, POSITION, turn=turn.T, shift=shift), own
     return None
 
 
 def _readings(robot: Robot) -> Iterator[_Again]:
     """Plain ones first."""
     n = robot.n
-    theta = tuple(f"theta_{i}_rad" for i in range(1, n + 1))
-    slide = tuple(f"l_{i}_m" for i in range(1, n + 1))
+    theta, slide = map(tuple, joint_columns(n))
     several = range(n if n > 1 else 0)
 
     def only(i: int, factor: float) -> Array:
@@ -287,12 +287,12 @@ def _readings(robot: Robot) -> Iterator[_Again]:
         yield _Again(both, (slide[i], slide[j]), _swapped(i, j, False, True))
     yield _Again("tubes are in the opposite order", (*theta, *slide), lambda t, x: (t[:, ::-1], x[:, ::-1]))
     for rows, words in SHIFTS.items():
-        yield _Again(f"poses are {words}", TIP, rows=rows)
+        yield _Again(f"poses are {words}", POSITION, rows=rows)
     for factor, words in LENGTHS.items():
-        yield _Again(f"positions are {words}", TIP, scale=factor)
+        yield _Again(f"positions are {words}", POSITION, scale=factor)
     for shown, turn in _axes():
         what = f"the columns of positions are not x, y, z but hold them as {shown.replace('t', '')}"
-        yield _Again(what, TIP, turn=turn)
+        yield _Again(what, POSITION, turn=turn)
     for i, (factor, words) in product(range(n), POWERS.items()):
         yield _Again(f"the bending stiffness of tube {i + 1} is {words}", (f"tube.{i + 1}",), robot=_stiffer(i, factor))
 

@@ -53,7 +53,6 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Runs the command; returns its exit code. Raises CtrplanError when there is nothing to write."""
     from ctrplan.calibration.calibrate import calibrate
-    from ctrplan.calibration.reading import refuse_misread
     from ctrplan.files.measurement_file import load_measurements
     from ctrplan.files.robot_file import load_robot, write_robot
     from ctrplan.reports.calibration_page import calibration_report_html
@@ -61,8 +60,6 @@ def run(arguments: argparse.Namespace) -> int:
 
     robot = load_robot(arguments.robot, arguments.overrides)
     data = load_measurements(arguments.measurements, robot)
-    if not arguments.as_read:
-        refuse_misread(robot, data)
     folder = output_folder(arguments.output, OUTPUTS)
     result = calibrate(
         robot,
@@ -73,13 +70,14 @@ def run(arguments: argparse.Namespace) -> int:
         held_out=arguments.held_out,
         starts=arguments.starts,
         seed=arguments.seed,
+        as_read=arguments.as_read,
     )
     with written_together(folder, OUTPUTS) as made:
         write_robot(made / "robot.toml", result.robot_content())
         write_atomically(made / "calibration.json", json.dumps(calibration_json(result), indent=1) + "\n")
         write_atomically(made / "report.html", calibration_report_html(result))
     warn([*robot.warnings, *result.notes])
-    print(_summary(folder, result))
+    print(_summary(folder, result, arguments.measurements))
     return 0
 
 
@@ -97,27 +95,27 @@ def calibration_json(calibration: Calibration) -> dict[str, Any]:
     }
 
 
-def _summary(folder: Path, calibration: Calibration) -> str:
+def _summary(folder: Path, calibration: Calibration, measurements: str) -> str:
     lines = [f"tips were {_errors(calibration.nominal)} off before, {_errors(calibration.training)} after calibration"]
     if calibration.held_out is not None:
         lines.append(f"  {_errors(calibration.held_out)} on {calibration.held_out.poses} poses kept aside")
     for name, e in calibration.estimates.items():
         lines.append(f"  {name:40} {e.shown}  ({e.shown_ci95})")
     lines.append(f"  written to {folder}/{', '.join(OUTPUTS)}")
-    lines.append(_next(folder, calibration))
+    lines.append(_next(folder, calibration, measurements))
     return "\n".join(lines)
 
 
-def _next(folder: Path, calibration: Calibration) -> str:
+def _next(folder: Path, calibration: Calibration, measurements: str) -> str:
     """What to do with it: go on, or look for what the model lacks where more is left than the tracker's noise."""
     noise = calibration.fit.chain.robot.measurement
-    robot, data = folder / "robot.toml", calibration.data.file or "MEASUREMENTS.csv"
+    robot, parent = folder / "robot.toml", calibration.fit.chain.robot.path or "ROBOT.toml"
     if noise is None:
         return f"next: ctrplan check {robot}; with [measurement] in it ctrplan diagnose tells noise from faults"
     from ctrplan.reports.calibration_page import what_is_missing
 
     if missing := what_is_missing(calibration):
-        return f"next: {missing}; ctrplan diagnose {calibration.fit.chain.robot.path or 'ROBOT.toml'} {data} -o found"
+        return f"next: {missing}; ctrplan diagnose {parent} {measurements} -o found"
     return f"next: what is left is the noise of the tracker; plan with it: ctrplan check {robot}"
 
 

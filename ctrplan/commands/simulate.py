@@ -170,7 +170,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.measured:
         return run_simulate_measured(arguments)
     with interrupt_event() as interrupted:
-        from ctrplan.files.joint_path_file import load_joint_path
+        from ctrplan.files.measurement_file import load_joint_path
         from ctrplan.files.robot_file import load_robot
         from ctrplan.studies.simulate import simulate
 

@@ -31,6 +31,7 @@ from ctrplan.measurement.measurements import Measurements, groups
 from ctrplan.pipeline.followed_runs import simulated
 from ctrplan.pipeline.parametric_chain import ParametricChain
 from ctrplan.pipeline.term import Term
+from ctrplan.robot.data_rules import require_measured
 
 
 @dataclass(frozen=True)
@@ -105,6 +106,7 @@ def confirm(diagnosis: Diagnosis, data: Measurements) -> Confirmation:
     """
     if data.sha256 and data.sha256 == diagnosis.data.sha256:
         raise InputError("must be runs that the diagnosis has not read", file=data.file, key="confirm")
+    require_measured(diagnosis.robot, data)
     usable = usable_poses(diagnosis.robot, data)
     new = _new(diagnosis, data, usable)
     past = [t for t in diagnosis.built_terms if isinstance(t.effect, Learned) and "time" in t.effect.inputs]

@@ -20,7 +20,7 @@ from ctrplan.base.arrays import Array
 from ctrplan.base.long_work import StageProgress
 from ctrplan.calibration.fit_warnings import excused, gross_outliers, outlier_sentences, too_many, unsolved_sentence
 from ctrplan.calibration.observed_noise import noise_floor
-from ctrplan.calibration.reading import MisreadError, read_again
+from ctrplan.calibration.reading import told_again
 from ctrplan.calibration.residuals import Noise
 from ctrplan.diagnosis.adequacy import ignored, remains, rescaled_noise
 from ctrplan.diagnosis.conclusion import Conclusion
@@ -46,6 +46,7 @@ from ctrplan.diagnosis.workbench import (
 from ctrplan.effects.effect import CATALOGUE, Effect
 from ctrplan.errors import InputError
 from ctrplan.measurement.measurements import Measurements, Split, groups
+from ctrplan.robot.data_rules import require_measured
 from ctrplan.robot.robot import Robot
 
 INTERRUPTED = "Interrupted: this is what was found until then, not a verdict."
@@ -83,21 +84,20 @@ def diagnose(
     catalogue: Mapping[str, Effect] = CATALOGUE,
     without: Sequence[str] = (),
     interrupted: threading.Event | None = None,
-    as_read: bool = True,
+    as_read: bool = False,
 ) -> Diagnosis:
     """Compares the whole chain with measurements and says which stage lacks what, if anything.
 
     `progress` is told the step and the share done. When `interrupted` is set, what was found so far is returned.
-    `without` names effects to be left out of the catalogue. Whether the file means what it says is asked first, and
-    said in `reading`; unless `as_read` nothing is fitted to one that does not, and MisreadError is raised. Raises
-    InputError where `without` names another effect, where the data are too few, or neither the robot file states the
-    noise nor the data have repeats.
+    `without` names effects to be left out of the catalogue. Whether the measurements mean what they say is asked first:
+    by default nothing is fitted to those that do not, and MisreadError is raised; with `as_read` they are compared as
+    they stand, and `reading` says it. Raises InputError for what no file of measurements may say, where `without` names
+    another effect, where the data are too few, or neither the robot file states the noise nor the data have repeats.
     """
     began = time.monotonic()
     allowed = reduced(catalogue, without)
-    reading = read_again(robot, data)
-    if reading and not as_read:
-        raise MisreadError(data, reading)
+    require_measured(robot, data)
+    reading = told_again(robot, data, as_read=as_read)
     teller = Teller(progress, interrupted)
     noise, about_noise = noise_floor(robot, data)
     usable = usable_poses(robot, data)
@@ -188,6 +188,7 @@ def decide(
     Where they decide, the others are taken out of the catalogue and the diagnosis is made again. Poses that were not
     proposed decide as well as they can. Raises InputError where nothing is ambiguous.
     """
+    require_measured(diagnosis.robot, data)
     finding = next((f for f in diagnosis.judgement.findings if f.alternatives), None)
     if finding is None:
         raise InputError("has nothing to decide: the verdict is not ambiguous", file=data.file, key="decide")
@@ -203,6 +204,7 @@ def decide(
         catalogue=catalogue,
         without=(*diagnosis.without, *others),
         interrupted=interrupted,
+        as_read=True,  # what was misread has been said
     )
     sentences = _left_out(again.without)
     notes = [*_left_out(diagnosis.without), f"Left out, as new poses decided against it: {', '.join(others)}."]

@@ -2,7 +2,7 @@
 
 Faults name the laboratory's file, row and column.
 
-Everything that reads joints or poses, `joint_path_file.py` and `measurement_file.py`, asks here.
+What reads joints or poses, `measurement_file.py`, asks here.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from msgspec import Meta, Struct
 from ctrplan.base.arrays import NORM_TOLERANCE, Array
 from ctrplan.errors import InputError
 from ctrplan.files.ros_bag import TIP, BagTable, is_bag
+from ctrplan.measurement.measurements import POSITION, TANGENT
 from ctrplan.robot.robot import Robot
 from ctrplan.storage.csv_table import CsvTable, file_name
 from ctrplan.storage.toml_document import (
@@ -118,7 +119,6 @@ class MappingEntry(Struct, forbid_unknown_fields=True, frozen=True):
     header: bool = True
 
 
-POSITION, TANGENT = ("x_m", "y_m", "z_m"), ("tx", "ty", "tz")
 SEPARATORS = {",": ",", ";": ";", "tab": "\t", "space": " "}
 SI = {"rad": 1.0, "deg": math.pi / 180, "turns": 2 * math.pi, "m": 1.0, "mm": 1e-3}
 SI |= {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
@@ -150,6 +150,7 @@ class MappedTable(CsvTable):
             self._columns = msgspec.structs.replace(given, time=time, position=position)
         self._cells: dict[str, Cells] = {}
         self._numbers: dict[str, Array] = {}
+        self.names = {}
         self._add_joints(robot)
         self._add_poses(robot, entry.run[k].frame)
         units = entry.units
@@ -162,6 +163,7 @@ class MappedTable(CsvTable):
         for name, column in entry.columns.more.items():
             self._cells[name] = self._cell(column, 1.0, "more", name)
         self.header = [*self._cells, *self._numbers]
+        self.names |= {name: cells.name for name, cells in self._cells.items()}
 
     def numbers(self, name: str, *, blanks: bool = False) -> Array:
         """(K,) numbers of a column in SI, as `CsvTable.numbers`."""
@@ -238,7 +240,7 @@ class MappedTable(CsvTable):
         self._cells[name] = cells
         if zeros is not None:
             self._numbers[name] = self.numbers(name) + SI[unit] * zeros[k]
-            del self._cells[name]
+            self.names[name] = self._cells.pop(name).name
 
     def _add_actuators(self, columns: Mapping[str, Column], robot: Robot) -> None:
         """The drive's own values, by the names of its joints."""
@@ -254,7 +256,10 @@ class MappedTable(CsvTable):
             values.append(cells.factor * cells.table.numbers(cells.name))
         theta, l = drive.commanded(np.column_stack(values))  # noqa: E741 (as in the equations)
         for i in range(robot.n):
-            self._numbers[f"theta_{i + 1}_rad"], self._numbers[f"l_{i + 1}_m"] = theta[:, i], l[:, i]
+            of_tube = ((f"theta_{i + 1}_rad", theta, drive.matrix_theta), (f"l_{i + 1}_m", l, drive.matrix_l))
+            for name, commanded, matrix in of_tube:
+                movers = [str(columns[joint.name]) for joint, by in zip(drive.joints, matrix[i], strict=True) if by]
+                self._numbers[name], self.names[name] = commanded[:, i], " and ".join(movers) or name
 
     def _add_poses(self, robot: Robot, frame: FrameEntry | str | None) -> None:
         columns, unit = self._columns, SI[self._entry.units.position]
@@ -305,8 +310,7 @@ class MappedTable(CsvTable):
         given = np.isfinite(vectors).all(axis=1)
         vectors[given] = turn.inv().apply(vectors[given])
         self._numbers |= {name: vectors[:, k] for k, name in enumerate(names)}
-        for name in names:
-            del self._cells[name]
+        self.names |= {name: self._cells.pop(name).name for name in names}
 
 
 @dataclass(frozen=True)

@@ -1,23 +1,37 @@
-"""measurements.csv, or a mapping file -> Measurements. Every fault is one sentence: file, row, column, value, rule."""
+"""Tables of joints and poses -> JointPath, Measurements. Every fault is one sentence: file, row, column, value, rule.
+
+Columns, in any order: theta_1_rad ... theta_n_rad and l_1_m ... l_n_m, outermost tube first; optionally sequence (a run
+that is approached afresh) and time_s; poses where these were measured. Others serve the effects that need them. A
+mapping file says where they are. The trajectory.csv of a plan, with the columns of the drive's joints, is a path too.
+"""
 
 from __future__ import annotations
 
+import difflib
 import os
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrplan.base.arrays import Array
+from ctrplan.base.arrays import Array, are_degrees
+from ctrplan.drive.drive import Drive
 from ctrplan.drive.legs import STILL_M, STILL_RAD
-from ctrplan.files.joint_path_file import joint_path
-from ctrplan.files.mapping_file import POSITION, TANGENT, Source, sources
-from ctrplan.measurement.joint_path import joined_measurements
-from ctrplan.measurement.measurements import Measurements, is_streamed
+from ctrplan.files.mapping_file import Source, sources
+from ctrplan.measurement.joint_path import (
+    JointPath,
+    joined_measurements,
+    joined_paths,
+    jumps,
+    looks_wrapped,
+    unwrapped,
+)
+from ctrplan.measurement.measurements import POSITION, TANGENT, Measurements, is_streamed, joint_columns
 from ctrplan.pipeline.chain import Chain
 from ctrplan.pipeline.tip_table import registered
-from ctrplan.robot.magnitudes import in_words, likely_units
+from ctrplan.robot.data_rules import check_joints, check_order, check_positions, passed, unit_tangents
 from ctrplan.robot.robot import Robot
 from ctrplan.storage.csv_table import CsvTable
 
@@ -83,8 +97,90 @@ def noise_ratio(robot: Robot, marker: NDArray[np.int_]) -> Array | None:
     return result
 
 
-TANGENT_TOLERANCE = 0.01  # of its length: files are rounded
-FURTHEST = 2.0  # tip from the base, in lengths of the longest tube
+def played_columns(drive: Drive) -> list[str]:
+    """Names of the columns of a plan's trajectory.csv with the positions of the drive's joints."""
+    kinds = zip(drive.names, drive.is_rotation.tolist(), strict=True)
+    return [f"{'_'.join(name.split())}_position_{'rad' if rotates else 'm'}" for name, rotates in kinds]
+
+
+def load_joint_path(path: str | os.PathLike[str], robot: Robot) -> JointPath:
+    """The waypoints of a CSV or mapping file that goes with `robot`; InputError for what is malformed."""
+    return joined_paths([joint_path(source, robot) for source in sources(path, robot, "joint path")])
+
+
+def joint_path(source: Source, robot: Robot, needed: Sequence[str] = (), known: Sequence[str] = ()) -> JointPath:
+    """The waypoints of `robot` in a table, checked; `needed` are columns that must be there besides, `known` may be."""
+    table = source.table
+    rotations, translations = joint_columns(robot.n)
+    played = played_columns(robot.drive)
+    if rotations[0] not in table.header and all(name in table.header for name in played):  # trajectory.csv of a plan
+        theta, l = robot.drive.commanded(table.columns(played))  # noqa: E741
+        _check_columns(table, robot.n, needed)
+        known = (*known, *table.header)
+    else:
+        _check_columns(table, robot.n, (*rotations, *translations, *needed))
+        theta, l = table.columns(rotations), table.columns(translations)  # noqa: E741 (as in the equations)
+    sequence = table.numbers("sequence") if "sequence" in table.header else np.zeros(len(theta))
+    time_s = table.numbers("time_s") if "time_s" in table.header else None
+    check_order(table, sequence, time_s)
+    theta, notes = _whole_turns(source, theta, sequence.astype(int))
+    if not source.is_mapped and are_degrees(theta):
+        largest = float(np.abs(theta).max())
+        whole = ", in whole numbers" if (theta == np.round(theta)).all() else ""
+        notes += (f"{table.file}: rotations go to {largest:g} rad{whole}: are these degrees?",)
+    check_joints(table, theta, l, robot, of_collars=source.of_collars)
+    read = {"sequence", "time_s", *rotations, *translations, *needed, *known}
+    others = table.others(read)
+    return JointPath(theta, l, sequence.astype(int), time_s, table.file, others, notes, source.of_collars)
+
+
+def _whole_turns(source: Source, theta: Array, sequence: NDArray[np.int_]) -> tuple[Array, tuple[str, ...]]:
+    """Rotations (R, n) without the jumps of wrapped angles, and a note for each tube that had some."""
+    notes, whole = [], theta.copy()
+    for i in range(theta.shape[1]):
+        wrapped = looks_wrapped(theta[:, i], sequence) if source.wrapped is None else source.wrapped
+        name, rows = f"theta_{i + 1}_rad", jumps(theta[:, i], sequence)
+        if wrapped is None:
+            turn = np.degrees(abs(theta[rows[0], i] - theta[rows[0] - 1, i]))
+            rule = f"turns by {turn:.0f} deg at once: is it wrapped? Unwrap it, or give a row halfway if it is not"
+            raise source.table.fault(rule, int(rows[0]), name, float(theta[rows[0], i]))
+        if wrapped and len(rows):
+            whole[:, i] = unwrapped(theta[:, i], sequence)
+            shown = source.table.names.get(name, name)
+            notes.append(f"{source.table.file}: {shown} is wrapped: {len(rows)} steps of nearly a turn were taken out.")
+    return whole, tuple(notes)
+
+
+def _check_columns(table: CsvTable, n: int, needed: Sequence[str]) -> None:
+    numbers = {int(m[1]) for name in table.header if (m := re.fullmatch(r"(?:theta|l)_([0-9]{1,9})_\w+", name))}
+    tubes = max(numbers, default=0)
+    if tubes > n or 0 < tubes < n:
+        raise table.fault(f"has joints of {tubes} tubes, the robot file has {n}", column="header")
+    for name in needed:
+        if name not in table.header:
+            stem = re.sub(r"_(?:rad|m)$", "", name)
+            other = [given for given in table.header if re.fullmatch(rf"{stem}(_[a-z]+)?", given)]
+            result = f", found {other[0]}: columns are in rad and m" if other else _nearest(name, table.header)
+            raise table.fault(f"is missing{result}", column=name)
+
+
+KNOWN = re.compile(r"(?:theta_\d+_rad|l_\d+_m|[xyz]_m|t[xyz]|sequence|time_s)")  # columns that are called so
+
+
+LONGEST_NAME = 40  # letters of a column's name in a sentence
+
+
+def _nearest(name: str, header: Sequence[str]) -> str:
+    """The columns that there are, and the one most like the missing one."""
+    short = [given if len(given) <= LONGEST_NAME else f"{given[:LONGEST_NAME]}..." for given in header[:20]]
+    shown = ", ".join(short) + (" ..." if len(header) > 20 else "")
+    others = [given for given in header if not KNOWN.fullmatch(given)]
+    axis = re.fullmatch(r"t?([xyz])(?:_m)?", name)
+    same = [given for given in others if axis and re.fullmatch(rf".*[_. ]{axis[1]}|{axis[1]}[_. ].*", given, re.I)]
+    lower = {given.lower(): given for given in reversed(others)}
+    close = same or [lower[key] for key in difflib.get_close_matches(name, lower, n=1, cutoff=0.5)]
+    meant = f" (is {close[0][:LONGEST_NAME]} meant?)" if close else ""
+    return f"{meant}: the columns are {shown}; a mapping file says what each of them is (ctrplan init mapping)"
 
 
 def load_measurements(path: str | os.PathLike[str], robot: Robot) -> Measurements:
@@ -104,7 +200,7 @@ def load_measurements(path: str | os.PathLike[str], robot: Robot) -> Measurement
     data = registered(robot, data, {trackers.index(name) + 1: name for name in unknown})
     theta, l = data.theta_commanded[data.rows], data.l_commanded[data.rows]  # noqa: E741 (as in the equations)
     more = *_still_joints(theta, l, str(data.file)), *_left_out(robot, data), *_time_doubt(robot, data)
-    return replace(data, warnings=(*data.warnings, *more))
+    return passed(robot, replace(data, warnings=(*data.warnings, *more)))
 
 
 def _measurements(source: Source, robot: Robot) -> Measurements:
@@ -115,9 +211,9 @@ def _measurements(source: Source, robot: Robot) -> Measurements:
     known = (*TANGENT, *(name for point in seen for name in point.columns))
     joints = joint_path(source, robot, needed=("sequence", *(() if bare else POSITION)), known=known)
     position, tangent, rows = (np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, int)) if bare else _poses(table, seen)
-    _check_positions(table, position, rows, POSITION, robot, anywhere=not source.is_registered)
+    check_positions(table, position, rows, POSITION, robot, anywhere=not source.is_registered)
     for point in seen:
-        _check_positions(table, point.position_m, point.rows, point.columns, robot, anywhere=not source.is_registered)
+        check_positions(table, point.position_m, point.rows, point.columns, robot, anywhere=not source.is_registered)
     position, tangent, rows, marker = with_markers(position, tangent, rows, seen)
     return Measurements(
         sequence=joints.sequence,
@@ -140,6 +236,7 @@ def _measurements(source: Source, robot: Robot) -> Measurements:
         of_collars=joints.of_collars,
         marker=marker if seen else None,
         noise_ratio=noise_ratio(robot, marker),
+        columns=table.names,
     )
 
 
@@ -160,57 +257,8 @@ def _poses(table: CsvTable, markers: Sequence[MarkerColumns]) -> tuple[Array, Ar
         raise table.fault(f"holds no pose: {', '.join(names)} are empty in every row")
     tangent = np.full((len(rows), 3), np.nan)
     if seen:
-        tangent[:, [TANGENT.index(name) for name in seen]] = _unit(table, pose[rows, 3:], rows, seen)
+        tangent[:, [TANGENT.index(name) for name in seen]] = unit_tangents(table, pose[rows, 3:], rows, seen)
     return pose[rows, :3], tangent, rows
-
-
-def _unit(table: CsvTable, tangent: Array, rows: NDArray[np.int_], names: Sequence[str]) -> Array:
-    """The vectors at unit length; two components are a direction in their plane, whatever their length."""
-    with np.errstate(over="ignore"):
-        length = np.linalg.norm(tangent, axis=1, keepdims=True)
-    whole, given = len(names) == len(TANGENT), np.isfinite(tangent).all(axis=1)
-    wrong = np.abs(length - 1) > TANGENT_TOLERANCE if whole else ~((length > 1e-6) & (length < 1 + TANGENT_TOLERANCE))
-    for k in np.flatnonzero(wrong[:, 0] & given).tolist():
-        rule = "must be a unit vector" if whole else "seen in a plane it must be above 0 and at most 1"
-        shown = f"tangent has length {length[k, 0]:.4g}, {rule}"
-        raise table.fault(shown, int(rows[k]), names[0], tangent[k, 0])
-    unit: Array = tangent / length
-    return unit
-
-
-def _check_positions(
-    table: CsvTable,
-    position: Array,
-    rows: NDArray[np.int_],
-    columns: Sequence[str],
-    robot: Robot,
-    *,
-    anywhere: bool,
-) -> None:
-    """Within reach of the base; `anywhere`: of their own middle, where nobody knows the base."""
-    if not len(position):
-        return
-    what = "tip" if columns[0] == POSITION[0] else "marker"
-    for k in np.flatnonzero((position == 0).all(axis=1)).tolist():
-        rule = f"{what} is 0 in all coordinates, as trackers write what they do not see: leave it empty there"
-        raise table.fault(rule, int(rows[k]), columns[0], position[k, 0])
-    seen = np.isfinite(position).all(axis=0)
-    position = position[:, seen]
-    with np.errstate(over="ignore"):  # what is beyond all numbers is too far
-        middle = np.median(position, axis=0) if anywhere else np.zeros(position.shape[1])
-        far = np.linalg.norm(position - middle, axis=1)
-    limit = FURTHEST * max(tube.length_m for tube in robot.tubes)
-    for k in np.flatnonzero(far > limit).tolist():
-        wide = np.abs(position[k] - middle) > limit  # of some axes alone, whose place the others say
-        is_some = bool(wide.any() and not wide.all())
-        size = np.linalg.norm((position - middle)[:, wide], axis=1) if is_some else far
-        likely = likely_units(float(np.median(size)), "m", (0.01 if is_some else 0.1) * limit, limit)
-        first = int(np.argmax(wide))
-        unit = f", are these {in_words(likely)}?" if likely else ""
-        rule = f"{what} is {far[k]:g} m from the base, beyond the reach of {limit:.3g} m{unit}"
-        raise table.fault(rule, int(rows[k]), np.array(columns)[seen].tolist()[first], position[k, first])
-    if np.median(far) < limit / 2000 and not anywhere:
-        raise table.fault(f"{what}s are {np.median(far):.2g} m from the base, are these metres?", column=columns[0])
 
 
 def _still_joints(theta_b: Array, l_b: Array, file: str) -> list[str]:
@@ -247,7 +295,7 @@ def _time_doubt(robot: Robot, data: Measurements) -> Iterator[str]:
     likely = [words for words, unit in CLOCKS_S.items() if WAITS[0] <= share * unit <= WAITS[1]]
     if likely and not WAITS[0] <= share <= WAITS[1]:
         rule = f"rows are {share:.2g} times as far apart as the drive needs at full speed: is it in {likely[0]}?"
-        yield f"{data.file}: time_s: {rule}"
+        yield f"{data.file}: {data.columns.get('time_s', 'time_s')}: {rule}"
 
 
 def _marker_poses(table: CsvTable) -> list[str]:

@@ -19,7 +19,7 @@ from ctrplan.certificate.certificate import FIGURES, Closest
 from ctrplan.drive.drive import JOINT_ROUNDING, Drive
 from ctrplan.drive.legs import SHORTEST, places_on_legs
 from ctrplan.errors import InputError
-from ctrplan.files.joint_path_file import played_columns
+from ctrplan.files.measurement_file import played_columns
 from ctrplan.files.plan_inputs import changed_files, plan_json_of, scenario_within
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.plans.plan import SCHEMA_VERSION, SI_UNITS, Plan, plan_to_json

@@ -9,15 +9,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
-from typing import Literal
+from functools import cached_property, partial
+from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from ctrplan.base.arguments import Choice, Number, Whole, checked
-from ctrplan.base.arrays import Array
+from ctrplan.base.arrays import Array, numbers
 from ctrplan.base.package import shown
+from ctrplan.errors import InputError
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,11 +99,45 @@ DENSE = 0.5  # of the spread of all tips, by which tips of a log follow one anot
 MOST_ROWS = 20  # that a sentence lists
 LONGEST_LAG_S = 0.4  # two clocks that are further apart are no matter of a fit
 
+POSITION, TANGENT = ("x_m", "y_m", "z_m"), ("tx", "ty", "tz")  # columns of tables
+LARGEST_RUN = 10**15  # numbers of runs beyond it are not exact
+WHOLE_NUMBER = "must be a whole number of at most 15 digits"
+
+
+def joint_columns(n: int) -> tuple[list[str], list[str]]:
+    """Names of the columns of base rotations and base translations, outermost tube first."""
+    tubes = range(1, n + 1)
+    return [f"theta_{i}_rad" for i in tubes], [f"l_{i}_m" for i in tubes]
+
+
+WHOLE = ("rows", "sequence", "frame", "homing", "marker")
+FINITE = ("theta_commanded", "l_commanded", "time_s", "noise_ratio")
+OPTIONAL = ("time_s", "frame", "homing", "marker", "noise_ratio")
+
+
+def _read(key: str, values: ArrayLike, shape: tuple[int, ...] | None = None) -> NDArray[Any]:
+    """The numbers of a field, of this shape if any is given. Raises InputError that names it for others."""
+    is_whole = isinstance(values, np.ndarray) and values.dtype.kind == "i"
+    array: NDArray[Any] = np.asarray(values) if is_whole else numbers(values, key)
+    if shape not in (None, array.shape):
+        raise InputError(f"must have shape {shape}, not {array.shape}", key=key)
+    if key in FINITE and not np.isfinite(array).all():
+        raise InputError("must be finite numbers", key=key)
+    if key in WHOLE and not is_whole:
+        for k in np.argwhere((array != np.round(array)) | (np.abs(array) > LARGEST_RUN)).tolist():
+            raise InputError(WHOLE_NUMBER, key=f"{key}{k}", value=float(array[tuple(k)]))
+        return array.astype(int)
+    return array
+
 
 @shown
 @dataclass(frozen=True, eq=False)
 class Measurements:
-    """R waypoints of n tubes, K of them measured; the arrays of poses have K rows, in the order of the waypoints."""
+    """R waypoints of n tubes, K of them measured; the arrays of poses have K rows, in the order of the waypoints.
+
+    Arrays may be whatever holds numbers, `tangent` None where none was measured. What fits them, or plays them again,
+    refuses what no file may say of its robot.
+    """
 
     sequence: NDArray[np.int_]  # (R,) runs, each approached afresh
     theta_commanded: Array  # (R, n) commanded base rotations, rad, not wrapped
@@ -123,6 +158,30 @@ class Measurements:
         None  # (K,) number, from 1, of the robot's marker seen, 0: the tip; None: all tips
     )
     noise_ratio: Array | None = None  # (K,) noise of each position over that of a tip's, where they differ
+    columns: Mapping[str, str] = field(default_factory=dict)  # names that a laboratory's file has for those of tables
+
+    def __post_init__(self) -> None:
+        """Reads its numbers. Raises InputError for arrays that do not go together."""
+        read = partial(object.__setattr__, self)
+        read("rows", _read("rows", self.rows))
+        read("theta_commanded", numbers(self.theta_commanded, "theta_commanded"))
+        if self.theta_commanded.ndim != 2:
+            rule = "must have a row for every waypoint and a column for every tube"
+            raise InputError(f"{rule}, not shape {self.theta_commanded.shape}", key="theta_commanded")
+        commanded, waypoints, poses = self.theta_commanded.shape, len(self.theta_commanded), self.rows.size
+        if self.tangent is None:  # nobody who calls this has to say it in numbers
+            read("tangent", np.full((poses, 3), np.nan))
+        shapes = dict.fromkeys(("theta_commanded", "l_commanded"), commanded)
+        shapes |= dict.fromkeys(("sequence", "time_s", "frame", "homing"), (waypoints,))
+        shapes |= dict.fromkeys(("rows", "marker", "noise_ratio"), (poses,))
+        shapes |= dict.fromkeys(("position_m", "tangent"), (poses, 3))
+        for name, shape in shapes.items():
+            if getattr(self, name) is not None or name not in OPTIONAL:
+                read(name, _read(name, getattr(self, name), shape))
+        read("more", {name: _read(name, values, (waypoints,)) for name, values in self.more.items()})
+        for k in np.flatnonzero((self.rows < 0) | (self.rows >= waypoints)).tolist():
+            rule = f"must be a waypoint, from 0 to {waypoints - 1}"
+            raise InputError(rule, key=f"rows[{k}]", value=int(self.rows[k]))
 
     @property
     def n(self) -> int:

@@ -112,6 +112,7 @@ class CsvTable:
         InputError unless it is a table: readable, one header, all rows as long.
         """
         data = file_bytes(file, LARGEST_FILE_BYTES, "CSV", what)
+        self.names: dict[str, str] = {}  # that a laboratory's file has for columns, by those that are read
         self.file, self.sha256 = file, hashlib.sha256(data).hexdigest()
         try:
             lines = _split(_uncommented(data.decode("utf-8-sig").splitlines(), separator, header=header), separator)

@@ -23,6 +23,7 @@ from ctrplan.measurement.measurements import Measurements, Poses, SensorNoise, f
 from ctrplan.mechanics.history import HistoryPath
 from ctrplan.mechanics.shapes import Status
 from ctrplan.pipeline.chain import Chain
+from ctrplan.robot.data_rules import require_measured
 from ctrplan.robot.observer import Observed
 from ctrplan.robot.robot import Robot
 from ctrplan.robot.slow_states import SlowOffset, SlowParameter
@@ -88,6 +89,7 @@ def follow(
     A row where no friction state has an equilibrium is left out. Raises InputError, and NoAnswerError where no pose
     can be followed.
     """
+    require_measured(robot, data)
     data = data.of_tips()
     chain = Chain.of(robot).on(data.time_s, data.more, of_collars=data.of_collars)
     built = replace(robot, drive=replace(robot.drive, terms=(), play=None))  # what it is given are collars

@@ -18,14 +18,14 @@ from ctrplan.base.arguments import EVENT, PROGRESS, Choice, Made, checked
 from ctrplan.base.arrays import Array
 from ctrplan.drive.legs import Collars
 from ctrplan.errors import InputError
-from ctrplan.files.joint_path_file import joint_columns
 from ctrplan.measurement.approach import last_directions
 from ctrplan.measurement.joint_path import JointPath
-from ctrplan.measurement.measurements import Measurements, Poses, frames_along
+from ctrplan.measurement.measurements import Measurements, Poses, frames_along, joint_columns
 from ctrplan.mechanics.history import History, Start
 from ctrplan.mechanics.shapes import Accuracy, Bounds, Status
 from ctrplan.pipeline.chain import Chain, at_instants, range_notes
 from ctrplan.pipeline.followed_runs import walked
+from ctrplan.robot.data_rules import require_path
 from ctrplan.robot.robot import Robot, nesting_violation
 from ctrplan.storage.csv_table import csv_text
 
@@ -98,8 +98,10 @@ def simulate(
 ) -> Simulation:
     """The history of `robot` along `path`; every run of the path starts anew in the state `start`.
 
-    `progress` is told what is being done and its finished share. Raises SolverError where a run has no start.
+    `progress` is told what is being done and its finished share. Raises InputError for what no file may command, and
+    SolverError where a run has no start.
     """
+    require_path(robot, path)
     report, stop = progress or (lambda *_: None), interrupted or threading.Event()
     rows: list[Array] = []
     count, chain = len(path.theta_commanded), Chain.of(robot).on(path.time_s, path.more, of_collars=path.of_collars)

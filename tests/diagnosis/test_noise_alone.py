@@ -59,7 +59,7 @@ def test_a_jump_is_something_unknown_that_goes_along_with_time_and_no_drift(step
 
 
 def test_a_drift_of_any_size_is_named() -> None:
-    for hour in (5.0, 3000.0):  # the latter far larger than its prior, which draws a part of it in
+    for hour in (5.0, 1500.0):  # the latter far larger than its prior, which draws a part of it in
         true = {"drift": {"shift_x_mm_per_h": hour, "shift_y_mm_per_h": -hour}}
         assert diagnose(ROBOT, measured(ROBOT, PLAN, true), catalogue=FEW).verdict == "named"
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import inspect
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,7 +18,9 @@ from scipy.spatial.transform import Rotation
 
 from ctrplan.__main__ import main
 from ctrplan.base.arrays import Array
-from ctrplan.calibration.reading import read_again
+from ctrplan.calibration.calibrate import Calibration, calibrate
+from ctrplan.calibration.reading import MisreadError, read_again
+from ctrplan.diagnosis import Diagnosis, diagnose
 from ctrplan.measurement.approach import how_taken
 from ctrplan.measurement.measurements import Measurements, is_streamed
 
@@ -176,6 +180,22 @@ def test_commands_fit_nothing_to_a_misread_file(
     assert main([command, str(robot), "log.csv", "-o", str(tmp_path / "out"), *parameters]) == 1
     assert "--as-read fits it as it stands" in capsys.readouterr().err
     assert not (tmp_path / "out" / "robot.toml").exists()
+
+
+@pytest.mark.parametrize("fitted", [calibrate, diagnose])
+def test_python_fits_nothing_to_misread_measurements_unless_told_to(
+    fitted: Callable[..., Calibration | Diagnosis],
+) -> None:
+    swapped = places(P[:, [1, 0, 2]])
+    with pytest.raises(MisreadError, match=r"\(y, x, z\).*as_read=True"):
+        fitted(ROBOT, swapped)
+    assert inspect.signature(fitted).parameters["as_read"].default is False
+
+
+def test_what_is_fitted_as_it_stands_says_so() -> None:
+    swapped = places(P[:, [1, 0, 2]])
+    result = calibrate(ROBOT, swapped, ["poisson_ratio_1"], as_read=True)
+    assert read_again(ROBOT, swapped)[0].sentence == result.notes[0] and "(y, x, z)" in result.notes[0]
 
 
 def misread_files(folder: Path) -> list[str]:

@@ -26,7 +26,7 @@ PRECISION = np.array([1.0, 0.2])
 
 def logged(tangent: Array = TANGENT, position_m: Array | None = None) -> Measurements:
     plan = waypoints(ROBOT, COUNT, seed=2)
-    joints = replace(
+    return replace(
         plan,
         theta_commanded=plan.theta_commanded[:COUNT],
         l_commanded=plan.l_commanded[:COUNT],
@@ -34,8 +34,9 @@ def logged(tangent: Array = TANGENT, position_m: Array | None = None) -> Measure
         rows=np.arange(COUNT),
         time_s=0.5 * np.arange(COUNT),
         is_stream=True,
+        position_m=np.zeros((COUNT, 3)) if position_m is None else position_m,
+        tangent=tangent,
     )
-    return replace(joints, position_m=np.zeros((COUNT, 3)) if position_m is None else position_m, tangent=tangent)
 
 
 def axes_of(data: Measurements) -> Array:

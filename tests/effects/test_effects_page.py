@@ -14,7 +14,7 @@ from places import ROOT
 
 from ctrplan.diagnosis import CATALOGUE
 from ctrplan.diagnosis.next_experiment import _pool
-from ctrplan.files.joint_path_file import load_joint_path
+from ctrplan.files.measurement_file import load_joint_path
 from ctrplan.studies.simulate import simulate
 
 

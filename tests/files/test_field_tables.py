@@ -12,8 +12,7 @@ from measured_data import measured, pair_robot, waypoints, write_csv
 
 import ctrplan
 from ctrplan.errors import InputError
-from ctrplan.files.joint_path_file import load_joint_path
-from ctrplan.files.measurement_file import load_measurements
+from ctrplan.files.measurement_file import load_joint_path, load_measurements
 
 ROBOT = pair_robot()
 DATA = measured(ROBOT, waypoints(ROBOT, 6))
@@ -74,7 +73,7 @@ def test_a_point_at_nought_is_one_that_was_not_seen(value: str, text: str, tmp_p
     for name in ("x_m", "y_m", "z_m"):
         cells[names.index(name)] = value
     told = refusal(tmp_path / "a.csv", "\n".join([head, rows[0], ",".join(cells), *rows[2:]]))
-    assert "row 2, x_m" in told and "as trackers write what they do not see: leave it empty there" in told
+    assert "row 2, x_m" in told and "as trackers write what they do not see: leave such poses out" in told
 
 
 def test_sentences_name_titles_units_cases_and_missing_values(text: str, tmp_path: Path) -> None:

@@ -16,8 +16,7 @@ from made_up_input import FUZZ, HANG_S, NUMBERS, assert_names_the_fault, cases
 from measured_data import pair_robot, waypoints, write_csv
 
 from ctrplan.errors import InputError
-from ctrplan.files.joint_path_file import load_joint_path
-from ctrplan.files.measurement_file import load_measurements
+from ctrplan.files.measurement_file import load_joint_path, load_measurements
 
 ROBOT = pair_robot()
 READERS: dict[str, Callable[..., Any]] = {"measurements": load_measurements, "path": load_joint_path}

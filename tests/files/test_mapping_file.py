@@ -16,9 +16,9 @@ from scipy.spatial.transform import Rotation
 
 from ctrplan.base.arrays import Array
 from ctrplan.calibration.calibrate import calibrate
+from ctrplan.calibration.reading import read_again
 from ctrplan.errors import InputError
-from ctrplan.files.joint_path_file import load_joint_path
-from ctrplan.files.measurement_file import load_measurements
+from ctrplan.files.measurement_file import load_joint_path, load_measurements
 from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.studies.simulate import simulate
@@ -62,6 +62,35 @@ def assert_same(read: Measurements, data: Measurements) -> None:
         np.testing.assert_allclose(getattr(read, name), getattr(data, name), atol=1e-12)
     np.testing.assert_array_equal(read.sequence, data.sequence)
     np.testing.assert_array_equal(read.rows, data.rows)
+
+
+NAMES = ("clock", "run", "d2", "d1", "q2", "q1", "px", "py", "pz", "ux", "uy", "uz")  # of the columns of `table`
+JOINTS = {"rotate 1": "q1", "rotate 2": "q2", "translate 1": "d1", "translate 2": "d2"}
+
+
+@pytest.mark.parametrize(
+    "said", [{}, {"zero": {"theta_deg": [0, 1e-9], "l_mm": [1e-9, 0]}}, {"of": "drive"}, {"frame": {}}], ids=str
+)
+def test_columns_are_named_as_the_laboratory_does(said: dict[str, Any], data: Measurements, tmp_path: Path) -> None:
+    """Also where numbers are computed from a column, and in what a misread file seems to mean."""
+    rows = table(data)[:, [0, 1, 2, 3, 4, 5, 7, 6, 8, 9, 10, 11]]  # x and y exchanged
+    written(tmp_path / "log.csv", rows, ",")
+    (tmp_path / "log.csv").write_text(",".join(NAMES) + "\n" + (tmp_path / "log.csv").read_text())
+    columns: Content = {"time": "clock", "sequence": "run", "l": ["d2", "d1"], "theta": ["q2", "q1"]}
+    if "of" in said:
+        columns = {"time": "clock", "sequence": "run", "joints": JOINTS}
+    columns |= {"position": ["px", "py", "pz"]}
+    run = {"file": "log.csv"} | {key: value for key, value in said.items() if key == "frame"}
+    zero = {key: value for key, value in said.items() if key == "zero"}
+    content = mapping(header=True, separator=",", columns=columns, run=[run], **zero)
+    read = load(tmp_path, content)
+    assert [read.columns[name] for name in ("theta_1_rad", "l_2_m", "x_m")] == ["q1", "d2", "px"]
+    (told,) = read_again(ROBOT, read)
+    assert told.columns == ("px", "py", "pz") and "(px, py, pz): read so" in told.sentence
+    radians = load(tmp_path, content | {"units": mapping()["units"] | {"theta": "rad"}})
+    turned = replace(radians, position_m=data.position_m)
+    sentence = read_again(ROBOT, turned)[0].sentence
+    assert sentence.startswith("Rotations are in degrees") and "(q1, q2)" in sentence
 
 
 def test_a_robot_in_the_place_of_measurements_is_called_one() -> None:

@@ -13,8 +13,7 @@ from measured_data import pair_robot
 from scipy.spatial.transform import Rotation
 
 from ctrplan.errors import InputError
-from ctrplan.files.joint_path_file import load_joint_path
-from ctrplan.files.measurement_file import load_measurements
+from ctrplan.files.measurement_file import load_joint_path, load_measurements
 from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.robot.robot import Robot

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,11 +13,11 @@ from measured_data import measured, pair_robot, waypoints, write_csv
 
 import ctrplan
 from ctrplan.errors import InputError
-from ctrplan.files.joint_path_file import load_joint_path
-from ctrplan.files.measurement_file import load_measurements
+from ctrplan.files.measurement_file import load_joint_path, load_measurements
 from ctrplan.files.robot_file import robot_from_dict
 
 ROBOT = pair_robot()
+WITH_COLLAR = replace(ROBOT, tubes=(ROBOT.tubes[0], replace(ROBOT.tubes[1], collar_length_m=3e-3)))
 Table = list[list[str]]
 
 
@@ -127,6 +128,10 @@ def _repeat_header(table: Table) -> None:
     table.insert(5, list(table[0]))
 
 
+def _exchange(table: Table, one: str, other: str) -> None:
+    table[0] = [{one: other, other: one}.get(name, name) for name in table[0]]
+
+
 def _double_column(table: Table) -> None:
     for row in table:
         row.append(row[3])
@@ -204,8 +209,22 @@ REFUSED = {
     "no header": (lambda table: table.pop(0), "header: is missing: the first row holds numbers"),
     "x alone in mm": (_scale(("x_m",), 1000.0), "beyond the reach of 0.2 m, are these millimetres or centimetres?"),
     "decimal commas": (lambda table: _commas(table), "decimal commas"),
+    "innermost first": (
+        lambda table: _exchange(table, "l_1_m", "l_2_m"),
+        "must be at least 3 mm apart, the collar of tube 2: are the tubes innermost first? List the outermost first.",
+    ),
     "run comes back": (_set(30, "sequence", "0"), "this run was over"),
 }
+
+
+def test_tubes_that_nest_in_no_order_are_not_said_to_be_in_another(table: Table, tmp_path: Path) -> None:
+    changed = [list(row) for row in table]
+    for name in ("l_1_m", "l_2_m"):
+        for row in range(1, len(changed)):
+            _set(row, name, "0")(changed)
+    (tmp_path / "a.csv").write_text(_text(changed))
+    with pytest.raises(InputError, match="must be at least 3 mm apart, the collar of tube 2[.]$"):
+        load_measurements(tmp_path / "a.csv", WITH_COLLAR)
 
 
 @pytest.mark.parametrize("name", REFUSED)
@@ -216,7 +235,7 @@ def test_faults_are_one_sentence(name: str, table: Table, tmp_path: Path) -> Non
     path = tmp_path / "bad.csv"
     path.write_text("\n".join(",".join(row) for row in changed) + "\n")
     with pytest.raises(InputError) as error:
-        load_measurements(path, ROBOT)
+        load_measurements(path, WITH_COLLAR)
     assert sentence in str(error.value) and str(error.value).startswith(str(path)) and "\n" not in str(error.value)
 
 

@@ -16,8 +16,7 @@ from written_scenario import SCENARIO, place
 
 from ctrplan.anatomy.mesh_file import load_mesh
 from ctrplan.errors import InputError
-from ctrplan.files.joint_path_file import load_joint_path
-from ctrplan.files.measurement_file import load_measurements
+from ctrplan.files.measurement_file import load_joint_path, load_measurements
 from ctrplan.files.robot_file import load_robot, robot_from_dict
 from ctrplan.files.scenario_file import load_scenario, scenario_from_dict
 from ctrplan.scenario.scenario import Scenario

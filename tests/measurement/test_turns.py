@@ -9,8 +9,7 @@ import pytest
 from measured_data import measured, pair_robot, waypoints, write_csv
 
 from ctrplan.errors import InputError
-from ctrplan.files.joint_path_file import load_joint_path
-from ctrplan.files.measurement_file import load_measurements
+from ctrplan.files.measurement_file import load_joint_path, load_measurements
 from ctrplan.measurement.joint_path import TURN, looks_wrapped, unwrapped
 
 ROBOT = pair_robot()

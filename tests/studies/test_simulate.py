@@ -13,7 +13,7 @@ from places import ROBOTS
 from ctrplan.__main__ import main
 from ctrplan.commands.simulate import start_state
 from ctrplan.errors import InputError
-from ctrplan.files.joint_path_file import load_joint_path
+from ctrplan.files.measurement_file import load_joint_path
 from ctrplan.files.robot_file import load_robot, robot_from_dict
 from ctrplan.measurement.joint_path import JointPath
 from ctrplan.reports.path_pictures import simulation_figure

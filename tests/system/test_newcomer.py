@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import tomli_w
 from measured_data import measured, pair_robot, waypoints, write_csv
 from places import ROBOTS, SCENARIOS
 
@@ -181,3 +182,9 @@ def test_calibrate_says_what_comes_next(folder: Path, tmp_path: Path, capsys: py
     assert main(said) == 0
     told = capsys.readouterr().out
     assert "something is missing in the model; ctrplan diagnose" in told and "off.csv -o found" in told
+    names = {"theta": ["theta_1_rad", "theta_2_rad"], "l": ["l_1_m", "l_2_m"], "position": ["x_m", "y_m", "z_m"]}
+    content = {"run": [{"file": "off.csv"}], "columns": names | {"sequence": "sequence"}}
+    (folder / "lab.toml").write_text(tomli_w.dumps(content))
+    said[2] = str(folder / "lab.toml")
+    assert main(said) == 0
+    assert f" {folder / 'lab.toml'} -o found" in capsys.readouterr().out  # what reads the table, not the table

@@ -201,7 +201,7 @@ def ask(row: str, k: int, folder: Path, seed: int) -> dict[str, Any]:
     began = time.process_time()
     if row == "decide":
         return result | proposed(k, folder, made, robot, data)
-    found = diagnose(robot, data)
+    found = diagnose(robot, data, as_read=True)
     result |= {"told": told(row, found, truth), "seconds": round(time.process_time() - began, 1)}
     result |= {"verdict": found.headline(), "tubes": found.other_tubes, "where": found.place.sentence}
     if found.verdict == "named" or row == "wrong tube":

@@ -38,7 +38,7 @@ class SimulateTask(TaskKind, frozen=True, kw_only=True):
         return (self.path,)
 
     def numbers(self, task: Task, loaded: Loaded) -> Mapping[str, Any]:
-        from ctrplan.files.joint_path_file import load_joint_path  # slow to import
+        from ctrplan.files.measurement_file import load_joint_path  # slow to import
         from ctrplan.studies.simulate import simulate
 
         robot = loaded.robot
