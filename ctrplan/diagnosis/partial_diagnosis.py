@@ -143,7 +143,7 @@ def remainder_beside(bench: CorrelatedBench, chosen: Scored, noise: Noise) -> Re
         memory = result.memory if result else 0.0
         parts = shares(error, data, floor, memory)
         return Remainder(size, memory, *parts, place.sentence, memory_in_rows=data.time_s is None)
-    return Remainder(size, None, *shares(error, data, floor, 0.0), place.sentence)
+    return Remainder(size, None, *shares(error, data, floor, 0.0), place.sentence, memory_in_rows=data.time_s is None)
 
 
 def build(partial: Conclusion, tell: Teller) -> Conclusion | None:
@@ -151,7 +151,7 @@ def build(partial: Conclusion, tell: Teller) -> Conclusion | None:
     bench = partial.bench
     if not isinstance(bench, CorrelatedBench) or bench.is_noise_alone or partial.compared is None:
         return None
-    in_time = partial.compared.posterior.along.get("time", 0.0) > 1 / 2
+    in_time = any(partial.compared.posterior.along.get(name, 0.0) > 1 / 2 for name in ("time", "order"))
     bench, here, rounds = _grown(bench, partial.chosen, partial.known.terms, in_time, tell)
     if not any(is_built(t) for t in here.terms):
         return None

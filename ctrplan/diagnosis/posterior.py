@@ -194,6 +194,8 @@ class _Comparison:
                 self.compare_neighbours(here)
         ranked = sorted(self.known_sets, key=self.weight, reverse=True)
         along = self.errors.along(self.as_fitted(ranked[0]))
+        if self.bench.data.time_s is None:  # rows are all that is known of it
+            along = {"order" if name == "time" else name: share for name, share in along.items()}
         return Compared(normalised(self.by_names(), along, self._inputs()), tuple(ranked), self.as_known(self.base))
 
     def as_known(self, scored: Scored) -> Scored:

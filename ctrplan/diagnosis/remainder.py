@@ -48,7 +48,7 @@ class Remainder:
     of_history: float  # share that depends on how it was reached besides
     of_time: float  # share that changes with the time of the experiment besides
     place: str  # where it is, as a sentence
-    memory_in_rows: bool = False  # of a log without times
+    memory_in_rows: bool = False  # of data without times
 
     def to_json(self) -> dict[str, Any]:
         """For diagnosis.json."""
@@ -71,7 +71,7 @@ class Remainder:
             for share, what in (
                 (self.of_configuration, "belong to the configuration"),
                 (self.of_history, "to how it was reached"),
-                (self.of_time, "to the time"),
+                (self.of_time, "to the order of the rows" if self.memory_in_rows else "to the time"),
             )
             if share > 0.005
         ]

@@ -21,6 +21,7 @@ IN_WORDS = {
     "configuration": "belongs to the configuration",
     "joints": "goes along with the joints",
     "time": "goes along with the time",
+    "order": "goes along with the order of the rows",
     "history": "goes along with the way poses were reached",
 }
 
@@ -37,7 +38,7 @@ def _how_probable(diagnosis: Diagnosis) -> str:
     if diagnosis.posterior is None or diagnosis.verdict_probability is None:
         return ""
     probability, unknown = shown(diagnosis.verdict_probability), diagnosis.posterior.of_unknown
-    sentence = f" {probability[0].upper()}{probability[1:]}"
+    sentence = f" This verdict has {probability}"
     if diagnosis.verdict in ("partial", "unexplained"):
         return f"{sentence}.{_along(diagnosis.posterior)}"
     if diagnosis.verdict_probability < unknown:
@@ -126,7 +127,7 @@ def effect_lines(diagnosis: Diagnosis) -> list[str]:
     lines = []
     for k, t in enumerate(diagnosis.listed):
         values = [f"{name} = {e.shown} ({e.shown_ci95})" for name, e in estimates(diagnosis.chosen.fit, t).items()]
-        probable = f", {likely}" if (likely := probabilities(diagnosis, k)) else ""
+        probable = f" acts with {likely}" if (likely := probabilities(diagnosis, k)) else ""
         lines.append(f"{t.name}{probable} ({t.effect.stage}): {', '.join(values)}")
     if diagnosis.together and lines:
         lines.append(f"{_together(diagnosis)}: it is in the robot file, and no name")

@@ -17,6 +17,7 @@ from ctrplan.diagnosis.verdict import Posterior
 from ctrplan.diagnosis.workbench import Scored, Workbench, candidates
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.pipeline.term import Term, term
+from ctrplan.reports.diagnosis_words import effect_lines, verdict_sentence
 
 ROBOT = pair_robot()
 PLAN = waypoints(ROBOT, 18)
@@ -56,6 +57,15 @@ def test_a_jump_is_something_unknown_that_goes_along_with_time_and_no_drift(step
     found = diagnose(ROBOT, jumped(step_mm, seed=2), catalogue=FEW)
     assert found.verdict == "unexplained" and not found.listed and found.posterior is not None
     assert found.posterior.of_unknown > 0.9 and found.posterior.along["time"] > 0.9
+
+
+@pytest.mark.usefixtures("without_building")
+def test_without_a_clock_nothing_goes_along_with_the_time_but_with_the_order_of_the_rows() -> None:
+    found = diagnose(ROBOT, replace(jumped(8.0, seed=2), time_s=None), catalogue={"tip_load": CATALOGUE["tip_load"]})
+    assert found.posterior is not None and found.verdict == "unexplained"
+    assert "time" not in found.posterior.along and found.posterior.along["order"] > 0.9
+    told = verdict_sentence(found) + " ".join(effect_lines(found))
+    assert "What is unknown goes along with the order of the rows, probability" in told and "the time" not in told
 
 
 def test_a_drift_of_any_size_is_named() -> None:

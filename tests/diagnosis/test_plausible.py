@@ -18,7 +18,7 @@ from ctrplan.diagnosis.posterior import settled
 from ctrplan.diagnosis.verdict import judge
 from ctrplan.diagnosis.workbench import Teller, Workbench, candidates
 from ctrplan.pipeline.term import Term, term
-from ctrplan.reports.diagnosis_words import verdict_sentence
+from ctrplan.reports.diagnosis_words import effect_lines, verdict_sentence
 
 ROBOT = pair_robot()
 PLAN = waypoints(ROBOT, 18)
@@ -93,7 +93,8 @@ def test_beside_enlarged_noise_no_effect_is_larger_than_is_plausible(play_deg: f
 def test_what_parameters_leave_open_is_no_contradiction_and_is_told() -> None:
     found = diagnose(ROBOT, measured(ROBOT, PLAN, BASE | {"backlash": {"theta_2_deg": 8.0}}), catalogue=FEW)
     assert 0 < found.gap.spread_m < found.gap.floor_m  # one number, from 54 poses
-    assert "uncertain by" not in verdict_sentence(found)
+    assert "uncertain by" not in verdict_sentence(found) and " This verdict has probability " in verdict_sentence(found)
+    assert effect_lines(found)[0].startswith("backlash acts with probability above 0.99 (drive): theta_2_deg = ")
     off = 2.0 * found.gap.floor_m
     far = replace(found.gap, after=replace(found.gap.after, rms_m=off))
     open_ = replace(far, spread_m=1.5 * found.gap.floor_m)
