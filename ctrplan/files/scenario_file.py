@@ -247,10 +247,8 @@ def checked_in_code(content: Mapping[str, Any], made: Scenario, overrides: Seque
 
     Overrides are of other keys than theirs. Raises InputError, as `load_scenario`.
     """
-    own, _ = _by_file(overrides)
-    return _build(
-        Document.of(content, "scenario", made.path if overrides else None).with_overrides(own), (), True, made
-    )
+    document = Document.of(content, "scenario", made.path if overrides else None)
+    return _build(document.with_overrides(_by_file(overrides)[0]), (), True, made)
 
 
 def _build(document: Document, for_robot: Sequence[str], allow_outside: bool, made: Scenario | None = None) -> Scenario:
@@ -264,14 +262,9 @@ def _build(document: Document, for_robot: Sequence[str], allow_outside: bool, ma
     else:
         robot = robot_from_dict(entry.robot, file=f"{document.file or 'scenario'}, [robot]", overrides=for_robot)
     goals = _goals(entry, robot, document)
+    tables = [TomlTable(document, ("anatomy", k), allow_outside) for k in range(len(entry.anatomy))]
     with images_kept():
-        anatomy = (
-            made.anatomy
-            if made is not None
-            else tuple(
-                anatomy_part(TomlTable(document, ("anatomy", k), allow_outside)) for k in range(len(entry.anatomy))
-            )
-        )
+        anatomy = made.anatomy if made is not None else tuple(map(anatomy_part, tables))
     refuse_targets_outside_images(anatomy, goals, document)
     base_m = read_only(np.multiply(entry.base.position_mm, 1e-3))
     doubts = _refuse_wrong_units((robot, goals, base_m, anatomy), document, in_code=made is not None)

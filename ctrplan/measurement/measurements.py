@@ -56,6 +56,7 @@ def frames_along(tangent: Array, across: Array) -> Array:
     end=Choice("tip", "base"),
     position_sigma_m=Number(1e-9, 1, "m"),
 )
+@shown
 @dataclass(frozen=True)
 class Marker:
     """A marker around a tube, its middle on the tube's centreline, at an arc length from one of the tube's ends."""
@@ -81,6 +82,7 @@ class Marker:
 
 
 @checked(position_sigma_m=Number(1e-9, 1, "m"), tangent_sigma_rad=Number(1e-8, 3.2, "rad"))
+@shown
 @dataclass(frozen=True)
 class SensorNoise:
     """Standard deviations of each coordinate of the tip and of a small rotation of its tangent about each axis.

@@ -46,12 +46,10 @@ KEYS = {
 }
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class StatedIntervals:
-    """What [uncertainty] says. Those of effects stand beside their values, in [effects.NAME] ci95.
-
-    Names are those of `named_numbers.py`, as tube.2.section.1.curvature_per_m, or effects.friction.mu_1.
-    """
+    """What [uncertainty] says, by names of `named_numbers.py`; of effects it stands in [effects.NAME] ci95."""
 
     ci95: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # SI, of the file's own numbers
     correlated: tuple[str, ...] = ()  # Q names, the file's own numbers or parameters of effects
