@@ -33,7 +33,7 @@ from ctrplan.storage.toml_document import Document, toml_text
 if TYPE_CHECKING:
     from ctrplan.planning.base_pose import BaseFrame, BasePose
 
-OF_BODIES = ("robot", "anatomy", "fixture")  # keys of what a scenario is made with
+OF_BODIES = ("robot", "anatomy", "fixture", "frame")  # keys of what a scenario is made with, and where it lies
 DIGITS_TRIED = (6, 9, 12, 15, 16, 17)
 ULPS_TRIED = 8  # to either side, where no number of digits is read as the same value
 

@@ -138,6 +138,8 @@ def test_overrides_leave_bodies_of_arrays_and_terms_as_they_are() -> None:
     changed = made.with_("goal.tolerance_mm=0.5", "planner.time_s=2")
     assert changed.goal.tolerance_m == 0.5e-3 and changed.planner.time_s == 2
     assert changed.anatomy == made.anatomy and changed.terms == made.terms
+    with pytest.raises(InputError, match="a mesh made of arrays stands in no scenario file"):
+        made.with_("frame=LPS")  # which would place bodies anew
 
 
 def test_plans_beside_a_mesh_of_arrays_are_saved_and_opened(tmp_path: Path) -> None:
