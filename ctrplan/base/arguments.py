@@ -309,7 +309,10 @@ def read_plain_fields(made: object) -> None:
         value = getattr(made, name)
         if type(value) is not plain and not (may_be_none and value is None):
             require(name, value, kind)
-            object.__setattr__(made, name, plain(value))
+            try:
+                object.__setattr__(made, name, plain(value))
+            except OverflowError:
+                raise InputError("must be a number that a float can hold", key=name) from None
 
 
 @functools.cache

@@ -110,7 +110,7 @@ def _tip(mechanics: Mechanics, theta: Array, l_b: Array) -> Array:
 @pytest.mark.parametrize(
     ("slow", "sentence"),
     [
-        ([SlowParameter("contact.2.friction_coefficient", 0.1)], "contact.2.friction_coefficient: is not a parameter"),
+        ([SlowParameter("contact.2.friction_coefficient", 0.1)], "contact.2.friction_coefficient: no such parameter"),
         ([SlowParameter(FRICTION, 0.1)] * 2, "is named twice"),
     ],
 )
