@@ -317,7 +317,7 @@ def read_plain_fields(made: object) -> None:
 
 @functools.cache
 def _plain_fields(made: type[Any]) -> tuple[tuple[str, type, Kind, bool], ...]:
-    """Of each field that holds one plain value: name, class and kind, and whether it may be None."""
+    """Fields that hold one plain value: name, class and kind, and whether it may be None."""
     rows = [(each.name, *str(each.type).partition(" | None")[:2]) for each in fields(made)]
     return tuple((name, *PLAIN[plain][::-1], bool(none)) for name, plain, none in rows if plain in PLAIN)
 

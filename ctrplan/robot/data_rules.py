@@ -33,7 +33,7 @@ TANGENT_TOLERANCE = 0.01  # of its length: files are rounded
 FURTHEST = 2.0  # tip from the base, in lengths of the longest tube
 
 
-class Cells(Protocol):
+class DataPlaces(Protocol):
     """Where numbers stand."""
 
     def fault(self, rule: str, row: int | None = None, column: str | None = None, value: object = ...) -> InputError:
@@ -98,7 +98,7 @@ def require_path(robot: Robot, path: JointPath | Measurements) -> InCode:
     return cells
 
 
-def check_order(table: Cells, sequence: Array | NDArray[np.int_], time_s: Array | None) -> None:
+def check_order(table: DataPlaces, sequence: Array | NDArray[np.int_], time_s: Array | None) -> None:
     """Rows of a run stand together, and time does not run backwards."""
     for row in np.flatnonzero((sequence != np.round(sequence)) | (np.abs(sequence) > LARGEST_RUN)).tolist():
         raise table.fault(WHOLE_NUMBER, row, "sequence", float(sequence[row]))
@@ -114,7 +114,7 @@ def check_order(table: Cells, sequence: Array | NDArray[np.int_], time_s: Array 
             raise table.fault(rule, row, "time_s", float(time_s[row]))
 
 
-def check_joints(table: Cells, theta: Array, l: Array, robot: Robot, *, of_collars: bool) -> None:  # noqa: E741
+def check_joints(table: DataPlaces, theta: Array, l: Array, robot: Robot, *, of_collars: bool) -> None:  # noqa: E741
     """Commanded values; tubes nest as commanded or where the drive puts them."""
     rotations, translations = joint_columns(robot.n)
     longest_m = max(tube.length_m for tube in robot.tubes)
@@ -144,7 +144,7 @@ def _resumed_run(sequence: Array | NDArray[np.int_]) -> int | None:
     return int(starts[again[0]]) if again.size else None
 
 
-def unit_tangents(table: Cells, tangent: Array, rows: NDArray[np.int_], names: Sequence[str]) -> Array:
+def unit_tangents(table: DataPlaces, tangent: Array, rows: NDArray[np.int_], names: Sequence[str]) -> Array:
     """The vectors at unit length; two components are a direction in their plane, whatever their length."""
     with np.errstate(over="ignore"):
         length = np.linalg.norm(tangent, axis=1, keepdims=True)
@@ -159,7 +159,7 @@ def unit_tangents(table: Cells, tangent: Array, rows: NDArray[np.int_], names: S
 
 
 def check_positions(
-    table: Cells,
+    table: DataPlaces,
     position: Array,
     rows: NDArray[np.int_],
     columns: Sequence[str],

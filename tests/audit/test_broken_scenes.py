@@ -70,7 +70,7 @@ def turned_while_pushed() -> WrittenPlan:
 
 
 def turned_within_a_moment() -> WrittenPlan:
-    """The same within 0.2 mm, which lies between the places that are looked at first."""
+    """An effect within 0.2 mm, which lies between the places that are looked at first."""
     none = [f"contact.{k}.friction_coefficient=0.0" for k in (1, 2)]
     term = 'effects.learned_theta_3={stage = "drive", bump_3_of_5_l_3_deg = 10.0, range = {l_3 = [-61.4, -61.2]}}'
     ends, ball = ([0, 20, 60, -45], [0, 20, 60, -10]), sphere([72.08457, 39.58339, 172.37378], 0.5)
