@@ -252,7 +252,12 @@ def _scenario_file(entry: PlanEntry, file: str) -> str:
     for place in [] if named is None else [Path(named), Path(file).parent / named]:
         if place.is_file():
             return str(place)
-    rule = "is not here, nor inputs.zip, which would hold it: name the scenario's file after the plan"
+    which = (
+        "name the scenario's file after the plan"
+        if named
+        else "give the scenario that was planned, load_plan(path, it)"
+    )
+    rule = f"is not here, nor inputs.zip, which would hold it: {which}"
     raise InputError(rule, file=file, key="scenario.path", value=named)
 
 

@@ -15,7 +15,7 @@ import tempfile
 import zipfile
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -28,6 +28,7 @@ from ctrplan.anatomy.parts import AnatomyPart
 from ctrplan.anatomy.shape import PartShape
 from ctrplan.anatomy.shapes.mesh import Mesh
 from ctrplan.anatomy.shapes.surface import Sheet
+from ctrplan.anatomy.surface_file import HUGE
 from ctrplan.errors import InputError
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.scenario.scenario import Scenario
@@ -41,9 +42,9 @@ _OPENED: dict[tempfile.TemporaryDirectory[str], Path] = {}  # what was unpacked 
 
 
 def inputs_of(scenario: Scenario) -> bytes | None:
-    """The content of inputs.zip; None of one that would be too large, which opens where its files are.
+    """The content of inputs.zip, in which meshes made of arrays become files; None where that can't hold the scenario.
 
-    Meshes made of arrays become files. Raises InputError for other bodies that no file says.
+    One that would be too large opens where its files are; one with other bodies of arrays, by the scenario itself.
     """
     content: dict[str, Any] = copy.deepcopy(dict(scenario.content))
     if not content:
@@ -58,7 +59,9 @@ def inputs_of(scenario: Scenario) -> bytes | None:
     bodies: list[AnatomyPart | Fixture] = [*scenario.anatomy, *scenario.fixtures]
     for k, table in enumerate(tables):
         if len(bodies) == len(tables) and bodies[k].source_table is None:  # made in code
-            packed |= _written(bodies[k].shape, f"bodies/{k + 1}.ply", table)
+            if (written := _written(bodies[k].shape, f"bodies/{k + 1}.ply", table)) is None:
+                return None
+            packed |= written
             continue
         for key in ("file", "files"):
             if key not in table:
@@ -76,14 +79,16 @@ def inputs_of(scenario: Scenario) -> bytes | None:
     return _zipped(packed)
 
 
-def _written(shape: PartShape, place: str, table: dict[str, Any]) -> dict[str, bytes]:
-    """The file of a body whose arrays no table says; the table names it then. Nothing for what keys say."""
-    try:
+def _written(shape: PartShape, place: str, table: dict[str, Any]) -> dict[str, bytes] | None:
+    """The file of a body whose arrays no table says; the table names it then. Nothing for what keys say.
+
+    None of what is no mesh, or would be thinned when it is read.
+    """
+    with suppress(InputError):
         shape.keys()
         return {}
-    except InputError:
-        if type(shape) not in (Mesh, Sheet):
-            raise InputError(f"a {shape.kind} made of arrays can't be saved: a ctrplan.Mesh of them can") from None
+    if type(shape) not in (Mesh, Sheet) or shape.surface_error_m or len(shape.surface().faces) > HUGE:
+        return None
     table |= {"file": place, "unit": "m"} | ({"repair": "off"} if shape.kind == Mesh.kind else {})
     vertices, faces = shape.surface().vertices_m, shape.surface().faces
     corners = "".join(f"property double {axis}\n" for axis in "xyz")

@@ -10,6 +10,7 @@ import re
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -148,9 +149,15 @@ def test_plans_beside_a_mesh_of_arrays_are_saved_and_opened(tmp_path: Path) -> N
     ctrplan.plan(made, time_s=1).save(tmp_path / "plan", report=False)
     opened = ctrplan.open_plan(tmp_path / "plan")
     assert opened.scenario.sha256 == made.sha256
-    volume = ctrplan.Volume(block().vertices_m, block().faces)
-    with pytest.raises(InputError, match="a volume made of arrays can't be saved: a ctrplan.Mesh of them can"):
-        inputs_of(scenario(anatomy=[ctrplan.Anatomy(volume)]))
+
+
+@pytest.mark.parametrize("kind", [ctrplan.Volume, partial(ctrplan.Mesh, surface_error_m=1e-4)])
+def test_plans_beside_what_no_file_says_are_opened_by_their_scenario(kind: Callable[..., Any], tmp_path: Path) -> None:
+    made = scenario(anatomy=[ctrplan.Anatomy(kind(block().vertices_m, block().faces))])
+    ctrplan.plan(made, time_s=1).save(tmp_path / "plan", report=False)
+    with pytest.raises(InputError, match="give the scenario that was planned"):
+        ctrplan.open_plan(tmp_path / "plan")
+    assert ctrplan.load_plan(tmp_path / "plan", made).scenario is made
 
 
 def test_numbers_of_numpy_are_those_of_python() -> None:
