@@ -104,20 +104,18 @@ def read_again(robot: Robot, data: Measurements) -> tuple[Reading, ...]:
     A second fault is sought beside the first one.
     """
     tips = data.of_tips()
-    whole = np.isfinite(tips.position_m).all(axis=1)
-    tips = tips.subset(np.flatnonzero(whole))
+    tips = tips.subset(np.flatnonzero(np.isfinite(tips.position_m).all(axis=1)))
     if tips.count < 3:
         return ()
     kept = np.unique(np.linspace(0, tips.count - 1, min(tips.count, MOST_POSES)).round().astype(int))
     file, results = _File(robot, tips, kept, ()), list[Reading]()
     for _ in range(2):
         before = file.rms_m(AS_READ)
-        fault = _best(file, before)
-        if fault is None:
+        if (fault := _best(file, before)) is None:
             break
         way, after = fault
         file = replace(file, done=(*file.done, way))
-        results.append(Reading(way.what, way.columns, 1e3 * before, 1e3 * after))
+        results.append(Reading(way.what + _as_lag(way, tips), way.columns, 1e3 * before, 1e3 * after))
     if not results and (unrelated := _unrelated(file)):
         return (unrelated,)
     if file.are_tangents_alike:
@@ -125,6 +123,13 @@ def read_again(robot: Robot, data: Measurements) -> tuple[Reading, ...]:
         results = [replace(r, columns=(*r.columns, *TANGENT)) if t else r for r, t in zip(results, turned, strict=True)]
     results += _misdirected(file)
     return tuple(replace(r, columns=tuple(data.columns.get(name, name) for name in r.columns)) for r in results)
+
+
+def _as_lag(way: _Again, data: Measurements) -> str:
+    """Poses of a stream with a clock may belong to other rows because they are stamped late."""
+    late_s = way.rows * float(np.median(np.diff(clock(data))))
+    words = f", or stamped {late_s:.2g} s late, which --as-read leaves to the effect lag"
+    return words if way.rows and data.is_stream and data.time_s is not None else ""
 
 
 def _unrelated(file: _File) -> Reading | None:
@@ -164,8 +169,7 @@ def _misdirected(file: _File) -> tuple[Reading, ...]:
         if after * BETTER < min(_spread(measured), _displaced(measured - model, after, _turns(model))):
             told = np.degrees(2 * np.arcsin(np.array([before, after]) / 2)).tolist()  # of chords
             return (Reading(what, TANGENT, told[0], told[1], "deg"),)
-    along = float(np.mean(np.sum(measured * model, axis=1)))
-    if along * BETTER > 1.0:
+    if (along := float(np.mean(np.sum(measured * model, axis=1)))) * BETTER > 1.0:
         return ()
     away = f"tangents are {np.degrees(np.arccos(along)):.0f} deg from the tube's direction at its tip"
     return (Reading(f"{away}: leave them out where the sensor does not follow the tube", (), np.nan, np.nan),)
@@ -189,8 +193,7 @@ def _registered_m(measured: Array, model: Array) -> float:
 
 def _turns(model: Array) -> Array:
     """(M, axis, 3) by which a turn of the base about each axis, as large as an effect's prior, moves what is there."""
-    moves: Array = BASE_RAD * np.cross(np.eye(3)[None], model[:, None])
-    return moves
+    return np.asarray(BASE_RAD * np.cross(np.eye(3)[None], model[:, None]))
 
 
 def _displaced(off: Array, error: float, moves: Array) -> float:
@@ -230,8 +233,6 @@ def _best(file: _File, before: float) -> tuple[_Again, float] | None:
     if alike and file.displaced_m(least, alike[0][0]) * BETTER < file.displaced_m(least):
         same = [way.what for way, e in alike[1:] if abs(e - alike[0][1]) < SAME * least][:2]
         return replace(alike[0][0], what=", or ".join([alike[0][0].what, *same])), alike[0][1]
-    if len(file.kept) < LEAST_POSES:
-        return None
     own, where = file.registered(AS_READ)
     if own < np.inf and own * BETTER < min(before, _spread(file.pairs(AS_READ)[0]), file.displaced_m(own)):
         framed = [own, *(file.registered(way)[0] for way in _readings(file.robot))]
@@ -397,12 +398,10 @@ class _File:
 
     def _solved(self, read: Robot, theta_b: Array, l_b: Array) -> Array:
         """(K, 6); those of the robot as the file has it once for all readings that leave its joints alone."""
-        key = theta_b.tobytes(), l_b.tobytes()
-        if read is not self.robot:
-            return np.hstack(read.mechanics.tips(theta_b, l_b)[:2])
-        if key not in self.solved:
-            self.solved[key] = np.hstack(read.mechanics.tips(theta_b, l_b)[:2])
-        return self.solved[key]
+        solved, key = self.solved if read is self.robot else {}, (theta_b.tobytes(), l_b.tobytes())
+        if key not in solved:
+            solved[key] = np.hstack(read.mechanics.tips(theta_b, l_b)[:2])
+        return solved[key]
 
     def suffices(self, model: Array) -> bool:
         """Whether so many predictions tell something of the file."""

@@ -88,6 +88,15 @@ def test_gross_faults_are_told(fault: str) -> None:
     assert told[0].to_json()["columns"] and "read so" in told[0].sentence
 
 
+def test_rows_that_are_late_by_the_clock_may_be_a_lag() -> None:
+    """Both say the same of a stream: the answer names both, with the time between so many rows."""
+    late = places(np.roll(P, 2, axis=0))
+    stream = replace(late, is_stream=True, time_s=0.1 * np.arange(len(THETA)))
+    told, at_rest = (read_again(ROBOT, data)[0] for data in (stream, late))
+    apart_s = 2 * float(np.median(np.diff(stream.time_s[stream.rows])))  # type: ignore[index]
+    assert told.what == f"{at_rest.what}, or stamped {apart_s:.2g} s late, which --as-read leaves to the effect lag"
+
+
 def test_tangents_are_read_as_positions_where_that_suits_them() -> None:
     turned = places(P[:, [2, 1, 0]])
     assert "tx" not in read_again(ROBOT, turned)[0].columns
