@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cache
 from typing import Any, Literal, NamedTuple, Protocol, TypeVar
@@ -97,10 +97,9 @@ def value_of(robot: HasNumbers, name: str) -> float:
             return float(getattr(robot.tubes[at.index].sections[at.section], at.key))
         if at.kind == "cell":
             section = robot.tubes[at.index].sections[at.section]
-            angles = [(0.0, 0.0)] * section.cells
-            for cell, *about in section.bent:
-                angles[cell - 1] = (about[0], about[1])
-            return angles[at.cell][BENT.index(at.key)]
+            if at.cell >= section.cells:
+                raise _unknown(name)
+            return next((about[BENT.index(at.key)] for cell, *about in section.bent if cell == at.cell + 1), 0.0)
         if at.kind == "contact":
             of_all = robot.clearance_m if at.key == "clearance_m" else robot.friction[:, 1]
             return float(of_all[at.index])
@@ -113,27 +112,26 @@ def with_values(robot: R, values: Mapping[str, float]) -> R:
     """A copy of the robot with named numbers changed, SI. Raises InputError for a name the robot does not have."""
     tubes, contacts = list(robot.tubes), list(robot.contacts)
     of_tubes: dict[int, dict[str, Any]] = {}
-    sections: dict[int, list[TubeSection]] = {}
+    of_sections: dict[tuple[int, int], list[tuple[NumberName, float]]] = {}
     loads: dict[str, list[float]] = {}
     for name, value in values.items():
         value_of(robot, name)
         at = parsed_name(name)
         if at.kind == "tube":
             of_tubes.setdefault(at.index, {})[at.key] = value
-        elif at.kind == "section":
-            its = sections.setdefault(at.index, list(tubes[at.index].sections))
-            its[at.section] = _changed_section(its[at.section], at.key, value)
-        elif at.kind == "cell":
-            its = sections.setdefault(at.index, list(tubes[at.index].sections))
-            its[at.section] = _bent_section(its[at.section], at.cell + 1, at.key, value)
         elif at.kind == "contact":
             contacts[at.index] = _changed_contact(contacts[at.index], at.key, value)
-        else:
+        elif at.kind == "loads":
             loads.setdefault(at.key, list(getattr(robot.loads, at.key)))[at.index] = value
-    for index, its in sections.items():
-        of_tubes.setdefault(index, {})["sections"] = tuple(its)
-    for index, changes in of_tubes.items():
-        tubes[index] = replace(tubes[index], **changes)
+        else:
+            of_sections.setdefault((at.index, at.section), []).append((at, value))
+    for (index, number), changes in of_sections.items():
+        sections = of_tubes.setdefault(index, {}).setdefault("sections", list(tubes[index].sections))
+        sections[number] = _changed_section(sections[number], changes)
+    for index, change in of_tubes.items():
+        if "sections" in change:
+            change["sections"] = tuple(change["sections"])
+        tubes[index] = replace(tubes[index], **change)
     changed: dict[str, Any] = {"tubes": tuple(tubes), "contacts": tuple(contacts)}
     if loads:
         vectors: dict[str, Any] = {key: tuple(vector) for key, vector in loads.items()}
@@ -142,19 +140,24 @@ def with_values(robot: R, values: Mapping[str, float]) -> R:
     return made
 
 
-def _changed_section(section: TubeSection, key: str, value: float) -> TubeSection:
-    changes: dict[str, Any] = {key: value}
-    if key == MAGNITUDE:
-        scale = value / section.curvature_per_m if section.curvature_per_m else 0.0
-        changes = {key: scale * getattr(section, key) for key in ("curvature_x_per_m", "curvature_y_per_m")}
-    return replace(section, **changes)
+def _changed_section(section: TubeSection, changes: Sequence[tuple[NumberName, float]]) -> TubeSection:
+    """The section with its own numbers and those of its cells changed, one after the other.
 
-
-def _bent_section(section: TubeSection, cell: int, key: str, angle_rad: float) -> TubeSection:
-    """The section with a cell bent by another angle; it is a piece of its own from then on, however small that is."""
-    angles = {number: [x, y] for number, x, y in section.bent}
-    angles.setdefault(cell, [0.0, 0.0])[BENT.index(key)] = angle_rad
-    return replace(section, bent=tuple((number, x, y) for number, (x, y) in sorted(angles.items())))
+    A cell that is bent by another angle is a piece of its own from then on, however small that is.
+    """
+    own, bent = dict[str, Any](), {number: [x, y] for number, x, y in section.bent}
+    for at, value in changes:
+        if at.kind == "cell":
+            bent.setdefault(at.cell + 1, [0.0, 0.0])[BENT.index(at.key)] = value
+        elif at.key == MAGNITUDE:
+            x, y = (own.get(key, getattr(section, key)) for key in CURVATURES)
+            scale = value / math.hypot(x, y) if x or y else 0.0
+            own |= dict(zip(CURVATURES, (scale * x, scale * y), strict=True))
+        else:
+            own[at.key] = value
+    if any(at.kind == "cell" for at, _ in changes):
+        own["bent"] = tuple((number, x, y) for number, (x, y) in sorted(bent.items()))
+    return replace(section, **own)
 
 
 def _changed_contact(contact: Contact, key: str, value: float) -> Contact:
