@@ -7,7 +7,8 @@
     python benchmarks/run.py scenarios cage [--time 2] [--seeds 5]
 
 costs: what plans of a search of so many counted seconds cost, how many seeds have one, how far from their targets they
-may arrive, and what all of it takes of a processor; with --against, in alternation with another checkout.
+may arrive, and what all of it takes of a processor; with --against, in alternation with another checkout. Plans are
+kept in build/scenario_plans.jsonl, where another run goes on; without it they are made anew.
 success: how many seeds have a plan after a search of so many counted seconds, which ends with its first certified path.
 cage: the same of a robot whose inner tube stands in a cage of bars with three gaps, to three tips outside.
 choice: how much choice the scenarios' goals leave: goal configurations, their bounds, and the ratio between them.
@@ -36,6 +37,7 @@ from ctrplan.scenario.scenario import path_cost_mm
 BLIND = ["cost.error_along=0", "cost.error_goal=0"]
 COLUMNS = "scenario | bound in the cost | first certified path | cost | joint length | worst bound | bound at the goal"
 COLUMNS += " | less what is released | predicted | arrival | driven after random pasts | stops"
+PLANS = ROOT / "build" / "scenario_plans.jsonl"
 PASTS = 20  # from which each plan is simulated
 
 
@@ -112,27 +114,27 @@ def plan_once(path: Path, seed: int, time_s: float) -> tuple[float, float, float
 def costs(paths: list[Path], given: Any) -> None:
     """A row for each scenario, medians over the seeds; each plan in a process of its own, checkouts in alternation."""
     trees = [ROOT] + ([given.against.resolve()] if given.against else [])
+    planned = {tuple(row["of"]): row["plan"] for row in common.kept(PLANS)}
+    for seed, path, k in itertools.product(range(given.seeds), paths, range(len(trees))):
+        tree = trees[(k + seed) % len(trees)]
+        arguments = ("once", path.stem, "--seed", str(seed), "--time", str(given.time))
+        if (of := (str(tree), path.stem, seed, given.time)) not in planned:
+            planned[of] = elsewhere(tree, "scenarios", *arguments)
+            common.keep(PLANS, {"of": of, "plan": planned[of]})
 
-    def rows() -> Iterator[list[str]]:
-        for path in paths:
-            values = np.full((len(trees), given.seeds, 4), np.nan)
-            for seed in range(given.seeds):
-                for k in range(len(trees)) if seed % 2 else reversed(range(len(trees))):
-                    arguments = ("once", path.stem, "--seed", str(seed), "--time", str(given.time))
-                    values[k, seed] = elsewhere(trees[k], "scenarios", *arguments)
-            cells = [path.stem]
-            for solved in values:
-                there = np.isfinite(solved[:, 0])
-                cost, bound = (np.median(solved[there, c]) if there.any() else np.nan for c in (0, 1))
-                least, most = (f(solved[there, 0]) if there.any() else np.nan for f in (np.min, np.max))
-                arrival = np.nanmax(solved[:, 2], initial=0.0)
-                cells += [f"{there.sum()} of {given.seeds}", f"{cost:.1f} mm", f"{least:.1f} to {most:.1f}"]
-                cells += [f"{bound:.2f} mm", f"{arrival:.2f} mm", f"{np.median(solved[:, 3]):.1f} s"]
-            yield cells
+    def cells(tree: Path, path: Path) -> Iterator[str]:
+        solved = np.array([planned[str(tree), path.stem, seed, given.time] for seed in range(given.seeds)])
+        there = np.isfinite(solved[:, 0])
+        cost, bound = (np.median(solved[there, c]) if there.any() else np.nan for c in (0, 1))
+        least, most = (f(solved[there, 0]) if there.any() else np.nan for f in (np.min, np.max))
+        arrival = np.nanmax(solved[:, 2], initial=0.0)
+        yield from (f"{there.sum()} of {given.seeds}", f"{cost:.1f} mm", f"{least:.1f} to {most:.1f}")
+        yield from (f"{bound:.2f} mm", f"{arrival:.2f} mm", f"{np.median(solved[:, 3]):.1f} s")
 
     names = ("planned", "cost, median", "all", "bound at the goal", "largest arrival error", "processor")
     heads = [f"{name}{where}" for where in ("", ", there")[: len(trees)] for name in names]
-    table(f"costs after {given.time:g} s", ("scenario", *heads), rows())
+    rows = ([path.stem, *itertools.chain(*(cells(tree, path) for tree in trees))] for path in paths)
+    table(f"costs after {given.time:g} s", ("scenario", *heads), rows)
 
 
 def ended_by_a_path(progress: Progress) -> None:
