@@ -31,7 +31,7 @@ from ctrplan.robot.robot import Robot, file_key
 from ctrplan.scenario.scenario import Scenario
 from ctrplan.storage.output_folder import write_results
 
-FILES = ("scenario.toml", "robot.toml", "joints.csv", "counterexample.json")
+FILES = ("counterexample.json", "scenario.toml", "robot.toml", "joints.csv")
 
 
 def write_scene(folder: Path, verification: Verification, figure: WorstFigure) -> list[str]:
@@ -48,10 +48,10 @@ def write_scene(folder: Path, verification: Verification, figure: WorstFigure) -
         meshes |= mesh
     commands = _commands(folder, figure)
     results: dict[str, str | bytes] = {
+        "counterexample.json": json.dumps(_content(figure, commands), indent=2) + "\n",
         "scenario.toml": tomli_w.dumps(_scenario(verification, figure, entries)),
         "robot.toml": tomli_w.dumps(_robot(scenario.robot, figure)),
         "joints.csv": _joints(verification, figure),
-        "counterexample.json": json.dumps(_content(figure, commands), indent=2) + "\n",
         **meshes,
     }
     write_results(folder, results)

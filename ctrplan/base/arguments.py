@@ -322,6 +322,20 @@ def _plain_fields(made: type[Any]) -> tuple[tuple[str, type, Kind, bool], ...]:
     return tuple((name, *PLAIN[plain][::-1], bool(none)) for name, plain, none in rows if plain in PLAIN)
 
 
+def refuse_other_text(text: str, key: str | None = None) -> None:
+    """Raises InputError for text that came from the system in another encoding than UTF-8: no file could hold it."""
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        raise InputError("is not UTF-8 text: rename it, or choose a UTF-8 locale", key=key, value=text) from None
+
+
+def or_meant(name: object, known: Iterable[str]) -> str:
+    """The end of a rule that lists names: the known one that is nearest to another, if one is near."""
+    close = difflib.get_close_matches(str(name), [*known], n=1)
+    return f"; did you mean {close[0]}?" if close else ""
+
+
 def no_such_number(name: str, keys: Iterable[str]) -> InputError:
     """The refusal of a name that is no number of a robot, with the nearest of the `keys` that such names end with."""
     *place, last = name.split(".")

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from ctrplan.calibration.calibrate import Calibration
     from ctrplan.calibration.estimates import Errors
 
-OUTPUTS = ("robot.toml", "calibration.json", "report.html")
+OUTPUTS = ("calibration.json", "robot.toml", "report.html")
 DESCRIPTION = (
     "Least squares over named parameters, with intervals, what the data can't tell, and the error on "
     "configurations kept aside; write robot.toml, calibration.json, report.html. The robot file itself "

@@ -148,9 +148,8 @@ def _write_misread(folder: Path, error: MisreadError, robot: Robot) -> None:
     from ctrplan.diagnosis.result import misread_json
     from ctrplan.storage.output_folder import write_results
 
-    write_results(folder, {OUTPUTS[0]: json.dumps(misread_json(error, robot), indent=1, allow_nan=False) + "\n"})
-    for name in OUTPUTS[1:]:
-        (folder / name).unlink(missing_ok=True)
+    content = json.dumps(misread_json(error, robot), indent=1, allow_nan=False) + "\n"
+    write_results(folder, {OUTPUTS[0]: content}, OUTPUTS[1:])
 
 
 def summary(folder: Path, diagnosis: Diagnosis) -> str:

@@ -49,7 +49,9 @@ def run(arguments: argparse.Namespace) -> int:
 
     plan = read_plan(arguments)
     frame = patient_frame(plan.scenario, arguments.frame)
-    folder = output_folder(arguments.output, [SCENE])
+    folder = output_folder(
+        arguments.output, [SCENE], [f"anatomy_{k + 1}.ply" for k in range(len(plan.scenario.anatomy))]
+    )
     with ProgressBar(quiet=arguments.quiet, patience_s=PATIENCE_S) as bar:
         motion = solved_motion(plan, arguments.steps, bar)
         bar.show("writing", 0.0)

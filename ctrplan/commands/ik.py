@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from ctrplan.scenario.scenario import Scenario
 
 MOST_SHOWN = 10  # configurations in the table
-OUTPUTS = ("report.html",)
+OUTPUTS = ("ik.html",)
 DESCRIPTION = (
     "Inverse kinematics: distinct configurations whose frictionless tip reaches a point, sorted by the "
     "worst-case friction error; with a scenario, also their clearance to its anatomy."

@@ -87,14 +87,14 @@ def run(arguments: argparse.Namespace) -> int:
         from ctrplan.files.trajectory_file import left_over, trajectory_formats
         from ctrplan.pipeline.chain import plan_range_notes
         from ctrplan.planning import plan
-        from ctrplan.reports.plan_page import plan_outputs
+        from ctrplan.reports.plan_page import PICTURES, plan_outputs
         from ctrplan.reports.plan_words import standing
 
         scenario = load_scenario(arguments.scenario, arguments.overrides, allow_outside=arguments.allow_outside)
         formats = trajectory_formats(arguments.formats)
         is_file = str(arguments.output).lower().endswith(SUFFIX)
         outputs, report = plan_outputs(formats, report=not arguments.no_report), not arguments.no_report
-        folder = Path(arguments.output) if is_file else output_folder(arguments.output, outputs)
+        folder = Path(arguments.output) if is_file else output_folder(arguments.output, outputs, PICTURES)
         warn(scenario.warnings)
         if interrupted.is_set():
             raise KeyboardInterrupt

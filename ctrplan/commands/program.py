@@ -99,7 +99,13 @@ def run(arguments: Sequence[str] | None = None) -> int:
             stream.reconfigure(errors="backslashreplace")  # a name the terminal can't show must not end the program
     is_shown = _standard_streams_are_open()
     try:
-        _refuse_gone(sys.argv[1:] if arguments is None else arguments)
+        given = sys.argv[1:] if arguments is None else arguments
+        _refuse_gone(given)
+        if not all(argument.isascii() for argument in given):
+            from ctrplan.base.arguments import refuse_other_text
+
+            for argument in given:
+                refuse_other_text(argument)
         parsed = parser().parse_args(arguments)
         code = int(parsed.run(parsed))
         if not is_shown:

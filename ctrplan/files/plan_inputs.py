@@ -32,7 +32,7 @@ from ctrplan.anatomy.surface_file import HUGE
 from ctrplan.errors import InputError
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.scenario.scenario import Scenario
-from ctrplan.storage.output_folder import CHECKSUMS, write_atomically
+from ctrplan.storage.output_folder import CHECKSUMS, stated_sums, write_atomically
 from ctrplan.storage.toml_document import toml_text
 
 INPUTS, MANIFEST, SCENARIO = "inputs.zip", "manifest.json", "scenario.toml"
@@ -202,14 +202,10 @@ def changed_files(folder: Path) -> dict[str, InputError]:
     Any of them may be edited: nothing that plan.json says is believed by `ctrplan verify`. Only where the figures are
     taken as they stand, by `open_plan`, is this a reason to refuse. Without sums, as of plans of others, none is known.
     """
-    try:
-        rows = (folder / CHECKSUMS).read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError):
-        return {}
     changed = {}
-    for stated, _, name in (row.partition("  ") for row in rows):
+    for name, stated in stated_sums(folder).items():
         path = folder / name
-        if name != Path(name).name or not path.is_file() or hashlib.sha256(path.read_bytes()).hexdigest() == stated:
+        if not path.is_file() or hashlib.sha256(path.read_bytes()).hexdigest() == stated:
             continue
         rule = f"was changed after it was written, by {CHECKSUMS}: {CHANGED.get(name, SHOWN)}"
         changed[name] = InputError(rule, file=_as_given(path))

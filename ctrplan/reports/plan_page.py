@@ -188,7 +188,7 @@ def save_plan(
 
     Scenario, robot and meshes are in inputs.zip, so that the folder opens from anywhere. A name that ends in .ctrplan
     is that of the folder as one file. Without its `report` a plan is for programs: no page, no picture, and no
-    comparison with other ways to the goal, which the page shows; a page of an earlier plan is removed.
+    comparison with other ways to the goal, which the page shows. A page of an earlier plan is removed.
     """
     if os.fspath(folder).lower().endswith(SUFFIX):
         with tempfile.TemporaryDirectory() as within:
@@ -196,15 +196,15 @@ def save_plan(
         return Path(folder)
     chosen = trajectory_formats(formats)
     outputs = plan_outputs(chosen, report=report)
-    place = output_folder(os.fspath(folder), outputs)
+    place = output_folder(os.fspath(folder), outputs, PICTURES)
     scene, inputs = plan_scene(plan) if report else None, inputs_of(plan.scenario)  # writers solve nothing
     if scene is not None:
         from ctrplan.reports.plan_picture import write_plan_png  # matplotlib takes as long as a short search
 
         _ = plan.reorder.alternatives  # simulated now: plan.json has them, too
-    if inputs is None:
-        (place / INPUTS).unlink(missing_ok=True)  # of an earlier plan
-    with written_together(place, [*outputs, *([] if inputs is None else [INPUTS])]) as made:
+    names = [*outputs, *([] if inputs is None else [INPUTS])]
+    earlier = [name for name in (*PICTURES, INPUTS) if name not in names]
+    with written_together(place, names, earlier) as made:
         if inputs is not None:
             write_atomically(made / INPUTS, inputs)
         write_plan_json(made / "plan.json", plan)
@@ -212,6 +212,4 @@ def save_plan(
         if scene is not None:
             write_plan_png(made / "plan.png", scene)
             write_plan_report(made / "report.html", scene)
-    for name in PICTURES if scene is None else ():
-        (place / name).unlink(missing_ok=True)  # of an earlier plan, which is whole until this one is written
     return place

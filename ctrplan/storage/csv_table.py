@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from ctrplan.base.arguments import in_plain_digits
+from ctrplan.base.arguments import in_plain_digits, refuse_other_text
 from ctrplan.base.arrays import Array
 from ctrplan.errors import InputError
 
@@ -28,6 +28,7 @@ def file_name(path: str | os.PathLike[str], what: str) -> str:
         name = None
     if not isinstance(name, str):
         raise InputError(f"must be the path of {what}", value=path)
+    refuse_other_text(name)
     return name
 
 

@@ -18,6 +18,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
+from ctrplan.base.arguments import refuse_other_text
 from ctrplan.errors import CtrplanError, InputError
 
 NAME = re.compile(r"\.ctrplan-[0-9a-f]{16}\.tmp")
@@ -110,28 +111,43 @@ LONGEST_NAME = 255  # bytes, on all usual file systems
 
 
 @contextmanager
-def written_together(folder: Path, outputs: Sequence[str]) -> Iterator[Path]:
+def written_together(folder: Path, outputs: Sequence[str], outdated: Sequence[str] = ()) -> Iterator[Path]:
     """A hidden folder to write `outputs` into; they are renamed to their places together, or none is.
 
     The file SHA256SUMS follows last: a process killed between two renames leaves files that do not match it, so
-    `sha256sum -c SHA256SUMS` tells a whole set from a mixed one. What a killed process left hidden is removed by the
+    `sha256sum -c SHA256SUMS` tells a whole set from a mixed one. It keeps the sums of other results in the folder.
+    Files called `outdated`, of earlier results, are removed then. What a killed process left hidden is removed by the
     next one. Makes `folder` if need be. Raises CtrplanError where the system refuses.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with temporary(folder, Path.mkdir) as made:
             yield made
-            sums = "".join(f"{_sha256(made / output)}  {output}\n" for output in outputs)
-            write_atomically(made / CHECKSUMS, sums)
+            left = {name: stated for name, stated in stated_sums(folder).items() if (folder / name).is_file()}
+            sums = {name: stated for name, stated in left.items() if name not in {*outputs, *outdated}}
+            sums |= {output: _sha256(made / output) for output in outputs}
+            write_atomically(made / CHECKSUMS, "".join(f"{stated}  {name}\n" for name, stated in sums.items()))
             for output in (*outputs, CHECKSUMS):
                 os.replace(made / output, folder / output)
+        for name in outdated:
+            (folder / name).unlink(missing_ok=True)
     except OSError as error:
         raise CtrplanError(f"{folder}: could not be written: {error.strerror or error}.") from error
 
 
-def write_results(folder: Path, results: Mapping[str, str | bytes]) -> None:
+def stated_sums(folder: Path) -> dict[str, str]:
+    """The sums that SHA256SUMS of a folder states of files in it, by their names; none where it can't be read."""
+    try:
+        rows = (folder / CHECKSUMS).read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError):
+        return {}
+    stated = {name: digest for digest, _, name in (row.partition("  ") for row in rows)}
+    return {name: digest for name, digest in stated.items() if name and name == Path(name).name}
+
+
+def write_results(folder: Path, results: Mapping[str, str | bytes], outdated: Sequence[str] = ()) -> None:
     """Writes contents by their file names as `written_together` does."""
-    with written_together(folder, tuple(results)) as made:
+    with written_together(folder, tuple(results), outdated) as made:
         for name, content in results.items():
             write_atomically(made / name, content)
 
@@ -140,12 +156,15 @@ def _sha256(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-def output_folder(name: str, outputs: Sequence[str]) -> Path:
+def output_folder(name: str, outputs: Sequence[str], later: Sequence[str] = ()) -> Path:
     """The folder that `outputs` will be written into, checked before any time is spent on them.
 
-    It is made when there is something to write. Raises InputError if it can't be used.
+    The first of them tells such results from others: where it is missing, files called like the rest, or like those of
+    `later`, are of others and are kept. The folder is made when there is something to write. Raises InputError if it
+    can't be used.
     """
     folder = Path(name)
+    refuse_other_text(name, "--output")
     try:
         os.stat(name)
     except FileNotFoundError:
@@ -166,6 +185,10 @@ def output_folder(name: str, outputs: Sequence[str]) -> Path:
         if (folder / output).is_dir():
             rule = f"holds a folder of the name {output}, where a file is to be written"
             raise InputError(rule, key="--output", value=name)
+    foreign = [] if (folder / outputs[0]).exists() else [x for x in (*outputs[1:], *later) if (folder / x).exists()]
+    if foreign:
+        rule = f"holds {foreign[0]} without {outputs[0]}: other results, which would be lost; name another folder"
+        raise InputError(rule, key="--output", value=name)
     return folder
 
 

@@ -217,7 +217,8 @@ def misread_files(folder: Path) -> list[str]:
 def test_the_reading_is_written_where_nothing_is_fitted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     files, out = misread_files(tmp_path), tmp_path / "out"
     out.mkdir()
-    (out / "robot.toml").write_text("# of an earlier run")
+    for name in ("diagnosis.json", "robot.toml"):
+        (out / name).write_text("# of an earlier run")
     assert main(["diagnose", *files, "-o", str(out), "--quiet"]) == 1
     said = json.loads((out / "diagnosis.json").read_text())
     told = said["reading"][0]

@@ -32,12 +32,15 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("command", ["calibrate", "ik"])
+PAGES = {"calibrate": "report.html", "ik": "ik.html"}
+
+
+@pytest.mark.parametrize("command", PAGES)
 def test_page_stands_alone(folder: Path, command: str) -> None:
-    content = (folder / command / "report.html").read_text()
+    content = (folder / command / PAGES[command]).read_text()
     assert "* plotly.js v" in library(content) and "default-src 'none'" in content
     assert "What the words mean" in content and "<abbr title=" in content and "SHA-256 of the robot" in content
-    assert "report.html" in (folder / command / "SHA256SUMS").read_text()
+    assert PAGES[command] in (folder / command / "SHA256SUMS").read_text()
 
 
 def test_calibration_page_says_what_the_file_says(folder: Path) -> None:
@@ -48,15 +51,15 @@ def test_calibration_page_says_what_the_file_says(folder: Path) -> None:
 
 def test_nothing_is_written_where_the_point_is_out_of_reach(tmp_path: Path) -> None:
     assert main(["ik", PAIR, "--tip-mm", "0", "0", "5000", "--starts", "20", "-o", str(tmp_path / "out")]) == 1
-    assert not (tmp_path / "out" / "report.html").exists()
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.skipif(chromium() is None, reason="no Chromium on this machine")
-@pytest.mark.parametrize("command", ["calibrate", "ik"])
+@pytest.mark.parametrize("command", PAGES)
 def test_page_fits_a_phone(folder: Path, command: str, tmp_path: Path) -> None:
     with Browser(tmp_path / "profile") as browser:
         browser.send("Emulation.setDeviceMetricsOverride", width=390, height=844, deviceScaleFactor=1, mobile=True)
-        browser.open((folder / command / "report.html").as_uri())
+        browser.open((folder / command / PAGES[command]).as_uri())
         browser.wait_for("document.readyState === 'complete' && document.querySelector('.plotly .main-svg')")
         assert browser.run("document.documentElement.scrollWidth") == 390
         assert browser.complaints() == []

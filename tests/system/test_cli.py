@@ -28,6 +28,7 @@ from ctrplan.commands.terminal import ProgressBar
 from ctrplan.errors import InputError
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.planning.search.stage_search import Progress
+from ctrplan.storage.output_folder import output_folder
 
 SCHEMA = SCENARIOS.parent / "docs" / "plan.schema.json"
 ROBOT = str(SCENARIOS / "robots" / "three_tube.toml")
@@ -348,3 +349,25 @@ def test_the_package_runs_as_a_module() -> None:
     assert ran.stdout.strip().endswith(ctrplan.__version__)
     wrong = subprocess.run([*arguments[:3], "check", "nowhere.toml"], capture_output=True, text=True)
     assert wrong.returncode == 2 and "nowhere.toml" in wrong.stderr and "Traceback" not in wrong.stderr
+
+
+def test_names_in_another_encoding_are_refused_before_anything_is_done(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As of files unpacked from another system: no file that we write could hold such a name."""
+    latin = os.fsdecode("sz\u00fc.toml".encode("latin-1"))
+    (tmp_path / latin).write_text((SCENARIOS / "pair_free.toml").read_text())
+    own = str(tmp_path / "r.toml")
+    for command in (
+        ["plan", str(tmp_path / latin), "-o", str(tmp_path / "out")],
+        ["plan", str(SCENARIOS / "pair_free.toml"), "-o", str(tmp_path / latin[:3])],
+        ["init", "robot", own, "--name", latin],
+        ["init", "robot", str(tmp_path / f"new_{latin}")],
+    ):
+        assert main(command) == 2
+        assert "is not UTF-8 text" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == [latin]
+    with pytest.raises(InputError, match="is not UTF-8 text"):
+        load_scenario(tmp_path / latin)
+    with pytest.raises(InputError, match="is not UTF-8 text"):
+        output_folder(str(tmp_path / latin[:3]), ["plan.json"])

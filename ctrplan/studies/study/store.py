@@ -57,6 +57,7 @@ def key_of(line: bytes) -> bytes | None:
 
 
 STUDY, KEYS, ROWS, LOCK, PLANS = "study.json", "tasks.keys", "rows.jsonl", ".lock", "plans"
+PARQUET, CSV, REPORT = "results.parquet", "results.csv", "report.html"
 
 
 class Store:
@@ -74,7 +75,7 @@ class Store:
 
     def open_for_work(self) -> None:
         """Makes the folder, locks it and finds the rows that it has. Raises InputError, CtrplanError."""
-        output_folder(os.fspath(self.folder), [STUDY, KEYS, ROWS])
+        output_folder(os.fspath(self.folder), [ROWS, STUDY, KEYS], [REPORT, PARQUET, CSV])  # ROWS is made first
         with self.writing(""):
             self.folder.mkdir(parents=True, exist_ok=True)
             self._take_lock()

@@ -19,14 +19,13 @@ from ctrplan.base.arrays import LEVEL, Array
 from ctrplan.base.package import shown
 from ctrplan.errors import InputError
 from ctrplan.studies.study.axes import EXTRA, LEVELS, DrawAxis, check_salib, distributed, problem
-from ctrplan.studies.study.store import ROWS, Store
+from ctrplan.studies.study.store import CSV, PARQUET, ROWS, Store
 from ctrplan.studies.study.study_definition import StudyDefinition
 
 if TYPE_CHECKING:
     from ctrplan.studies.study.store import Store
     from ctrplan.studies.study.task import Task
 
-PARQUET, CSV = "results.parquet", "results.csv"
 BATCH = 10_000  # rows at a time
 FIRST, LAST = ("index", "status", "reason"), ("set", "version", "key")
 TIMING = ("seconds", "elapsed_s", "worker")  # where and how fast: no results, they differ from run to run
