@@ -13,7 +13,7 @@ CATALOGUE = (
     *("2.90x2.60", "2.64x2.39", "2.50x2.20", "2.305x2.05", "2.305x1.95", "2.10x1.85", "1.95x1.65", "1.825x1.60"),
     *("1.75x1.50", "1.60x1.35", "1.50x1.20", "1.40x1.15"),
 )
-KINDS = ("robot", "scenario", "mapping")
+OPTIONS = {"robot": ("tube", "name"), "scenario": ("robot", "mesh", "unit"), "mapping": ("robot", "table")}  # of kinds
 DESCRIPTION = (
     "Write a file to begin with, commented and ready to run: a robot from tubes, a scenario for a robot, or a mapping "
     "file for a table of measurements, whose columns are guessed by their names."
@@ -32,10 +32,10 @@ A tube is OUTERxINNER,STRAIGHT,BENT,RADIUS in mm, outermost first. Drawn nitinol
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Adds the command's arguments."""
     parser.epilog = EXAMPLES.format(catalogue=", ".join(CATALOGUE))
-    parser.add_argument("kind", choices=KINDS, help="what to write")
+    parser.add_argument("kind", choices=tuple(OPTIONS), help="what to write")
     parser.add_argument("file", metavar="FILE.toml", help="where to; must not be there yet")
     parser.add_argument("--tube", action="append", metavar="OxI,S,B,R", help="of a robot, outermost first; repeatable")
-    parser.add_argument("--name", default="my robot", help="of a robot (default: %(default)s)")
+    parser.add_argument("--name", help="of a robot (default: my robot)")
     parser.add_argument("--robot", metavar="ROBOT.toml", help="that a scenario or measurements are of")
     parser.add_argument("--mesh", metavar="FILE", help="of a scenario: what to avoid, or the lumen around it")
     parser.add_argument("--unit", choices=("mm", "cm", "m", "in"), help="of the mesh (default: mm, of glTF m)")
@@ -49,6 +49,10 @@ def run(arguments: argparse.Namespace) -> int:
     path = Path(arguments.file)
     if path.exists():
         raise InputError("is there already: name another file, nothing is written over", file=arguments.file)
+    for name in sorted({name for names in OPTIONS.values() for name in names} - {*OPTIONS[arguments.kind]}):
+        if getattr(arguments, name) is not None:
+            kinds = " or ".join(kind for kind, names in OPTIONS.items() if name in names)
+            raise InputError(f"goes with init {kinds}, not with {arguments.kind}", key=f"--{name}")
     text, following = _text(arguments, path)
     write_atomically(path, text)
     print(f"written to {path}; next: {following}")
@@ -63,7 +67,7 @@ def _text(arguments: argparse.Namespace, path: Path) -> tuple[str, str]:
 
     if arguments.kind == "robot":
         tubes = [tube_choice(text) for text in arguments.tube] if arguments.tube else USUAL
-        text = robot_text(tubes, arguments.name)
+        text = robot_text(tubes, "my robot" if arguments.name is None else arguments.name)
         robot_from_dict(parsed_toml(text, str(path)), file=str(path))  # refuses tubes that don't fit
         return text, f"ctrplan check {path}"
     if arguments.robot is None:

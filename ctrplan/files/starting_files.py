@@ -28,7 +28,7 @@ from ctrplan.mechanics.walk import PathDensity
 from ctrplan.robot.robot import Robot
 from ctrplan.scenario.joint_space import JointSpace, retracted
 from ctrplan.storage.csv_table import CsvTable, file_name
-from ctrplan.storage.toml_document import Document, TomlTable
+from ctrplan.storage.toml_document import Document, TomlTable, toml_value
 
 # What a first file says where nobody measured: austenitic nitinol, and the friction and collars of the paper's robot.
 NITINOL_GPA, NITINOL_RATIO, FRICTION = 65.0, 0.3, 0.2
@@ -81,7 +81,7 @@ def robot_text(tubes: Sequence[TubeChoice] = USUAL, name: str = "my robot") -> s
     """A robot file of tubes, outermost first, each turned and pushed by a joint of its own."""
     lines = [
         "# Written by `ctrplan init robot`. Every number is yours to change; `ctrplan check` draws what it means.",
-        f'name = "{name}"',
+        f"name = {toml_value(name)}",
     ]
     for i, tube in enumerate(tubes):
         lines += ["", f"[[tube]]{' ' * 24}# {'outermost' if i == 0 else 'the next one inwards'}"]
@@ -127,7 +127,7 @@ def robot_text(tubes: Sequence[TubeChoice] = USUAL, name: str = "my robot") -> s
 
 
 def _home_mm(tubes: Sequence[TubeChoice]) -> list[float]:
-    return [round(-COLLAR_MM * i, 3) for i in range(len(tubes))]
+    return [round(-COLLAR_MM * i, 3) + 0.0 for i in range(len(tubes))]
 
 
 def _travel_mm(tubes: Sequence[TubeChoice], i: int) -> float:
@@ -145,7 +145,7 @@ def _joint(name: str, kind: str, i: int, n: int, unit: str, limits: str) -> list
     return [
         "",
         "[[joint]]",
-        f'name = "{name}"',
+        f"name = {toml_value(name)}",
         f"moves = {{ {kind} = {moves} }}",
         *(limits.splitlines() if limits else ["# without min_deg and max_deg it turns without end"]),
         f"max_velocity_{unit}_s = {velocity}",
@@ -178,10 +178,10 @@ def scenario_text(robot: Robot, file: str, mesh: str | None = None, unit: str | 
     lines = [
         "# Written by `ctrplan init scenario`: plan it with `ctrplan plan`, then change it to your task.",
         'name = "my task"',
-        f'robot = "{file}"{" " * 4}# relative to this file',
+        f"robot = {toml_value(file)}    # relative to this file",
         "",
         "[start]                         # joint values, in deg and mm: here all tubes drawn back",
-        *(f'"{joint.name}" = {value / joint.si_per_unit + 0.0:.6g}' for joint, value in joints),
+        *(f"{toml_value(joint.name)} = {value / joint.si_per_unit + 0.0:.6g}" for joint, value in joints),
         "",
         "[goal]                          # the tip in the frame of the anatomy, millimetres",
         f"tip_mm = {tip}",
@@ -206,7 +206,7 @@ def scenario_text(robot: Robot, file: str, mesh: str | None = None, unit: str | 
     }
     if not task.fits:
         lines.append(f"# {NO_ROOM}")
-    lines += ["[[anatomy]]", *(f'{key} = "{value}"' for key, value in shape.items()), why[task.role]]
+    lines += ["[[anatomy]]", *(f"{key} = {toml_value(value)}" for key, value in shape.items()), why[task.role]]
     return "\n".join([*lines, f"margin_mm = {MARGIN_MM[task.role]:g}", ""])
 
 
@@ -286,10 +286,10 @@ def mapping_text(table: str | os.PathLike[str], robot: Robot) -> str:
     position = [guessed["position"].get(axis) for axis in "xyz"]
     lines = [
         f"# Written by `ctrplan init mapping` for {Path(name).name}: columns were guessed, look at each.",
-        f"# The columns there are: {', '.join(columns)}",
+        f"# The columns there are: {' '.join(', '.join(columns).split())}",
         "",
         "[[run]]",
-        f'file = "{Path(name).name}"',
+        f"file = {toml_value(Path(name).name)}",
         "# frame = \"unknown\"             # where nobody knows the robot's place in the tracker's frame",
         "",
         "[columns]                       # one for each tube, outermost first",
@@ -302,7 +302,7 @@ def mapping_text(table: str | os.PathLike[str], robot: Robot) -> str:
         lines.append(f"tangent = {_toml_list(tangent)}")
     for key, pattern in (("time", TIME), ("sequence", SEQUENCE)):
         if column := next((c for c in columns if re.fullmatch(pattern + UNIT, c, re.IGNORECASE)), None):
-            lines.append(f'{key} = "{column}"')
+            lines.append(f"{key} = {toml_value(column)}")
     lines += [
         "",
         "[units]",
@@ -339,8 +339,9 @@ def _tubes(guessed: dict[str, str], n: int) -> list[str | None]:
 
 
 def _toml_list(columns: Sequence[str | None]) -> str:
-    names = ", ".join(f'"{column or "COLUMN"}"' for column in columns)
-    return f"[{names}]" + ("   # say those called COLUMN" if None in columns else "")
+    return toml_value([column or "COLUMN" for column in columns]) + (
+        "   # say those called COLUMN" if None in columns else ""
+    )
 
 
 def _unit(columns: Sequence[str | None], units: dict[str, str], usual: str) -> str:

@@ -112,7 +112,9 @@ class TipSolver:
             row[:, j] = self.beside(q, j)
         tips, tangents = self.tips(moved.reshape(-1, q.shape[1]))
         known, jacobian = np.hstack([tip, tangent]), np.zeros((len(q), 6, q.shape[1]))
-        for row, j, near in zip(moved, columns, np.hstack([tips, tangents]).reshape(len(columns), -1, 6), strict=True):
+        for row, j, near in zip(
+            moved, columns, np.hstack([tips, tangents]).reshape(len(columns), len(q), 6), strict=True
+        ):
             change = row[:, j] - q[:, j]
             change[change == 0] = np.inf  # a joint that can move to neither side contributes nothing
             jacobian[:, :, j] = (near - known) / change[:, None]

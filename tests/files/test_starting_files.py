@@ -20,7 +20,7 @@ from ctrplan.errors import InputError
 from ctrplan.files.robot_file import load_robot, write_robot
 from ctrplan.files.starting_files import mapping_text, robot_text, tube_choice
 from ctrplan.mechanics.shapes import Status
-from ctrplan.storage.toml_document import read_document
+from ctrplan.storage.toml_document import parsed_toml, read_document
 
 MESHES = SCENARIOS / "meshes"
 
@@ -263,3 +263,29 @@ def test_what_code_gets_wrong_is_said(tmp_path: Path) -> None:
     ):
         with pytest.raises(InputError, match=phrase):
             ctrplan.Scenario(**given | changed)
+
+
+def test_names_are_written_as_they_are(tmp_path: Path) -> None:
+    """Quotes, backslashes and umlauts, in names of robots, joints, columns and files."""
+    name, folder = 'a "b" \\n c: ü', tmp_path / 'q"u'
+    folder.mkdir()
+    file = folder / 'ro"bot\\.toml'
+    assert main(["init", "robot", str(file), "--name", name]) == 0
+    assert load_robot(file).name == name and "-0.0" not in file.read_text()
+    own = file.read_text().replace('name = "rotate 1"', "name = 'turn \"1\" \\ ü'")
+    file.write_text(own)
+    assert main(["init", "scenario", str(folder / "task.toml"), "--robot", str(file)]) == 0
+    assert ctrplan.load_scenario(folder / "task.toml").robot.drive.names[0] == 'turn "1" \\ ü'
+    table = folder / 'log "1".csv'
+    table.write_text('"theta_1 ""a"" (deg)","l_1 \\ (mm)",x,y,z\n0,0,0,0,100\n')
+    one = folder / "one.toml"
+    assert main(["init", "robot", str(one), "--tube", "2.64x2.39,0,150,265"]) == 0
+    content = parsed_toml(mapping_text(table, load_robot(one)), "map.toml")
+    assert content["run"][0]["file"] == table.name
+    assert content["columns"]["theta"] == ['theta_1 "a" (deg)'] and content["columns"]["l"] == ["l_1 \\ (mm)"]
+
+
+def test_options_of_another_kind_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for kind, *option in (("robot", "--mesh", "a.stl"), ("robot", "--robot", "r.toml"), ("scenario", "--name", "x")):
+        assert main(["init", kind, str(tmp_path / "x.toml"), *option]) == 2
+        assert f"{option[0]}: goes with init " in capsys.readouterr().err

@@ -6,6 +6,7 @@ import json
 import math
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -42,6 +43,18 @@ def test_reachable_targets_are_reached_from_random_starts(name: str, share: floa
     again, tangents = solve.tips(found.joints)
     np.testing.assert_allclose(found.error_m, np.linalg.norm(again - tips, axis=1), atol=1e-12)
     np.testing.assert_allclose(found.tangent, tangents, atol=1e-12)
+
+
+def test_a_robot_that_only_turns_as_a_whole_reaches_a_circle(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Its only joint turns all tubes: no tip beside another is solved for derivatives."""
+    assert main(["init", "robot", str(tmp_path / "r.toml"), "--tube", "2.64x2.39,0,150,265"]) == 0
+    robot = load_robot(tmp_path / "r.toml")
+    tip = robot.zero_clearance([0.7], [0]).tip_m * 1e3
+    assert main(["ik", str(tmp_path / "r.toml"), "--tip-mm", *map(str, tip.tolist())]) == 0
+    assert main(["ik", str(tmp_path / "r.toml"), "--tip-mm", "0", "0", "140"]) == 1
+    assert "out of reach" in capsys.readouterr().err
 
 
 def test_tips_are_those_of_the_shape() -> None:
