@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from ctrplan.base.arguments import or_meant
 from ctrplan.base.arrays import Array
 from ctrplan.effects.effect import CATALOGUE, Effect, Parameter, Values
 from ctrplan.errors import InputError
@@ -177,9 +178,11 @@ def chosen_terms(
         kind, *rest = name.split(".")
         if kind == "effects":
             if len(rest) != 2 or rest[0] not in CATALOGUE:
-                raise InputError(f"unknown effect, known ones are {', '.join(CATALOGUE)}", key=name)
-            if rest[1] not in {parameter.name for parameter in CATALOGUE[rest[0]].parameters(robot)}:
-                raise InputError(f"is not a parameter of {rest[0]}", key=name)
+                meant = or_meant(rest[0] if rest else "", CATALOGUE)
+                raise InputError(f"unknown effect, known ones are {', '.join(CATALOGUE)}{meant}", key=name)
+            own = [parameter.name for parameter in CATALOGUE[rest[0]].parameters(robot)]
+            if rest[1] not in own:
+                raise InputError(f"is not a parameter of {rest[0]}{or_meant(rest[1], own)}", key=name)
             sorted_names.setdefault(rest[0], []).append(rest[1])
         else:
             if name not in base:

@@ -56,8 +56,10 @@ from ctrplan.storage.toml_document import (
     Document,
     Length,
     Name,
+    checked_overrides,
     read_document,
 )
+from ctrplan.storage.toml_faults import WORD
 
 MOST_TUBES = 12  # the bound visits 2**(n - 1) corners
 MOST_MARKERS = 200
@@ -117,7 +119,7 @@ class MeasurementEntry(Struct, forbid_unknown_fields=True):
 class MarkerEntry(Struct, forbid_unknown_fields=True):
     """[[marker]]: a point of the body whose position is measured, by its distance along a tube from one of its ends."""
 
-    name: Annotated[str, Meta(pattern=r"^[A-Za-z][A-Za-z0-9]{0,39}$")]
+    name: Annotated[str, Meta(pattern=WORD)]
     tube: Annotated[int, Meta(ge=1, le=MOST_TUBES)]
     from_tip_mm: Distance | None = None
     from_base_mm: Distance | None = None
@@ -294,12 +296,20 @@ SMALLEST_CLEARANCE_M = 5e-6  # the meshes do not resolve the contact forces of s
 DRAWN_M = 0.05e-3  # of diameters in drawings and tables
 
 
+ROBOT_PREFIX = "robot."  # of overrides of a scenario that are for its robot's file
+
+
+def of_robot(overrides: Sequence[str]) -> list[str]:
+    """Overrides of a robot file, whose keys may be written as those of a scenario's robot are."""
+    return [override.lstrip().removeprefix(ROBOT_PREFIX) for override in checked_overrides(overrides)]
+
+
 def load_robot(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Robot:
     """The robot of a TOML file after `overrides` such as "tube.2.poisson_ratio=0.28".
 
     Raises InputError, one sentence with file, key, value and rule, for anything malformed or contradictory.
     """
-    return _build(read_document(path, overrides))
+    return _build(read_document(path, of_robot(overrides)))
 
 
 def robot_from_dict(content: Mapping[str, Any], *, file: str | None = None, overrides: Sequence[str] = ()) -> Robot:

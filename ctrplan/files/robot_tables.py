@@ -11,6 +11,7 @@ from typing import Annotated, Any
 import numpy as np
 from msgspec import Meta, Struct
 
+from ctrplan.base.arguments import or_meant
 from ctrplan.base.arrays import Array, read_only
 from ctrplan.drive.drive import DEFAULT_MOTION, UNITS, Drive, ExecutionTolerance, Joint, Kind
 from ctrplan.errors import InputError
@@ -221,6 +222,7 @@ def _named(path: tuple[Step, ...], robot: Robot, document: Document) -> tuple[st
         known = ", ".join(KEYS)
         rule = (
             f"is no number of this file that may have an interval, such as tube.1.poisson_ratio; those end in {known}"
+            f"{or_meant(key, KEYS)}"
         )
         raise document.fault(rule, *PLACE, *path) from None
     return f"{stem}.{name}", si

@@ -15,10 +15,11 @@ from msgspec import Meta, Struct
 
 from ctrplan.anatomy.parts import AnatomyPart
 from ctrplan.anatomy.structure import images_kept
+from ctrplan.base.arguments import or_meant
 from ctrplan.base.arrays import MOST_TURNS_DEG, NORM_TOLERANCE, Array, read_only, shortest_rotation, unit
 from ctrplan.drive.drive import JOINT_ROUNDING, Joint
 from ctrplan.errors import InputError
-from ctrplan.files.robot_file import load_robot, robot_from_dict
+from ctrplan.files.robot_file import ROBOT_PREFIX, load_robot, of_robot, robot_from_dict
 from ctrplan.files.scenario_anatomy import anatomy_notes, anatomy_part, fixture, refuse_targets_outside_images
 from ctrplan.robot.magnitudes import summarised
 from ctrplan.robot.robot import Robot, nesting_violation
@@ -53,6 +54,7 @@ from ctrplan.storage.toml_document import (
     metres,
     read_document,
 )
+from ctrplan.storage.toml_faults import rule_of_options
 
 if TYPE_CHECKING:
     pass
@@ -130,7 +132,8 @@ def joint_values(table: dict[str, Any], robot: Robot, document: Document, *path:
     joints = robot.drive.joints
     for name in table:
         if name not in robot.drive.names:
-            raise document.fault(f"unknown joint, the robot has {', '.join(robot.drive.names)}", *path, name)
+            rule = f"unknown joint, the robot has {', '.join(robot.drive.names)}{or_meant(name, robot.drive.names)}"
+            raise document.fault(rule, *path, name)
     q = read_only([_joint_value(table, joint, document, *path) for joint in joints])
     if violation := nesting_violation(robot, *robot.drive.collars(q)):
         raise document.fault(violation, *path)
@@ -207,7 +210,6 @@ def _direction(base: BaseEntry, document: Document) -> Array:
     return away
 
 
-ROBOT_PREFIX = "robot."
 FRICTION, WHOLE_TURNS = "friction", "turns"  # keys of [start] that are no joints
 
 
@@ -371,7 +373,7 @@ def _start_friction(entry: ScenarioEntry, document: Document) -> StartFriction:
     known = [name for name in get_args(StartFriction) if name != "observed"]  # which needs an observer's state
     value = entry.start.get(FRICTION, "unknown")
     if value not in known:
-        raise document.fault(f"must be one of {', '.join(known)}", "start", FRICTION)
+        raise document.fault(rule_of_options(known, FRICTION, value), "start", FRICTION)
     return cast(StartFriction, value)
 
 
@@ -379,7 +381,7 @@ def _start_turns(entry: ScenarioEntry, document: Document) -> StartTurns:
     known = [name for name in get_args(StartTurns) if name != "followed"]  # which needs the way to the start
     value = entry.start.get(WHOLE_TURNS, "unknown")
     if value not in known:
-        raise document.fault(f"must be one of {', '.join(known)}", "start", WHOLE_TURNS)
+        raise document.fault(rule_of_options(known, WHOLE_TURNS, value), "start", WHOLE_TURNS)
     return cast(StartTurns, value)
 
 
@@ -443,4 +445,4 @@ def load_robot_or_scenario(
     document = read_document(path)
     if "tube" not in document.content:
         return load_scenario(path, overrides, allow_outside=allow_outside)
-    return bare_scenario(robot_from_dict(document.with_overrides(overrides).content, file=document.file))
+    return bare_scenario(robot_from_dict(document.with_overrides(of_robot(overrides)).content, file=document.file))

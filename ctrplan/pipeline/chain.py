@@ -12,7 +12,6 @@ the robot is: the chain has them.
 
 from __future__ import annotations
 
-import difflib
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -22,6 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ctrplan.base.arguments import or_meant
 from ctrplan.base.arrays import Array
 from ctrplan.drive.legs import Collars
 from ctrplan.effects.effect import CATALOGUE, Effect, Parameter, Stage, Values
@@ -234,7 +234,8 @@ def check_effects(robot: Robot, document: Document) -> None:
             for key, rule in learned_table.faults(name, table, COMMON_NOTES, robot.n):
                 raise document.fault(rule, "effects", name, *([key] if key else []))
         elif name not in CATALOGUE:
-            raise document.fault(f"unknown effect, known ones are {', '.join(CATALOGUE)}", "effects", name)
+            rule = f"unknown effect, known ones are {', '.join(CATALOGUE)}{or_meant(name, CATALOGUE)}"
+            raise document.fault(rule, "effects", name)
         known = {parameter.name: parameter for parameter in effect_of(name, table, robot.n).parameters(robot)}
         for key, value in table.items():
             if key in (FILE_NOTES if learned_table.is_learned(name) else COMMON_NOTES):
@@ -252,9 +253,9 @@ def check_effects(robot: Robot, document: Document) -> None:
 def _unknown(key: str, known: Sequence[str]) -> str:
     """The rule that a key which is no parameter breaks: of many parameters it names the likeliest, and examples."""
     if len(known) <= 2 * FEW:
-        return f"unknown parameter, known ones are {', '.join(known)}"
-    meant = "".join(f", did you mean {name}?" for name in difflib.get_close_matches(key, known, n=1))
-    return f"unknown parameter{meant or ','} {len(known)} are known: {known[0]}, {known[1]} to {known[-1]}"
+        return f"unknown parameter, known ones are {', '.join(known)}{or_meant(key, known)}"
+    meant = or_meant(key, known).replace(";", ",") or ","
+    return f"unknown parameter{meant} {len(known)} are known: {known[0]}, {known[1]} to {known[-1]}"
 
 
 def _check_intervals(name: str, table: Mapping[str, Any], known: Mapping[str, Parameter], document: Document) -> None:

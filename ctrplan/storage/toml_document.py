@@ -194,6 +194,8 @@ def _parse(data: bytes, file: str) -> dict[str, Any]:
     except tomllib.TOMLDecodeError as error:
         message, _, place = str(error).rstrip(")").partition(" (at ")
         hint = " (text needs quotes, and numbers a point for the comma)" if "value" in message.lower() else ""
+        if any(said in message for said in ("overwrite", "twice", "mutate")):
+            hint = " (a key is said once; a table that may be there several times has [[two brackets]] each time)"
         if "after a statement" in message:  # as what follows a decimal comma does
             hint = " (numbers have a point for the comma, and a key a line of its own)"
         hint = " (it is a table: are two files exchanged?)" if file.lower().endswith(".csv") else hint

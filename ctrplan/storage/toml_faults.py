@@ -10,7 +10,7 @@ from typing import Any, Literal, get_args, get_origin
 import msgspec
 from msgspec import inspect
 
-from ctrplan.base.arguments import percent_hint
+from ctrplan.base.arguments import or_meant, percent_hint
 
 Path = tuple[str | int, ...]  # of keys and positions, these from 0
 Fault = tuple[Path, str]  # the place, and the rule that the value there breaks
@@ -65,6 +65,8 @@ MEANT: dict[str, tuple[str, ...]] = {
     "deg": ("degree", "degrees", "\u00b0"),
     "rad": ("radian", "radians"),
 }
+WORD = r"^[A-Za-z][A-Za-z0-9]{0,39}$"
+PATTERNS = {WORD: "a letter, and after it letters and digits alone, 40 in all at most"}
 _KINDS: tuple[tuple[Any, Any, str], ...] = (  # of a schema, the types that values of it have, and what people call it
     (inspect.FloatType, (int, float), "a number"),
     (inspect.IntType, int, "a whole number"),
@@ -93,8 +95,7 @@ def rule_of_options(options: Sequence[str], key: str = "", value: Any = None) ->
     shown = ", ".join(f"{option} ({meanings[option]})" if option in meanings else option for option in options)
     text = str(value).lower() if isinstance(value, (str, bool)) else ""
     meant = [option for option in options if text in (word.lower() for word in (option, *MEANT.get(option, ())))]
-    meant = meant or (difflib.get_close_matches(str(value), options, n=1) if text else [])
-    return f"must be one of {shown}" + (f"; did you mean {meant[0]}?" if meant else "")
+    return f"must be one of {shown}{or_meant(meant[0] if meant else value, options if text else ())}"
 
 
 def _fault(value: Any, kind: inspect.Type, path: Path) -> Fault | None:
@@ -105,7 +106,10 @@ def _fault(value: Any, kind: inspect.Type, path: Path) -> Fault | None:
         is_known = any(value == option and type(value) is type(option) for option in kind.values)
         return None if is_known else (path, f"must be one of {', '.join(map(str, kind.values))}")
     if not _is_of(value, kind):
-        return path, f"must be {_in_words(kind)}"
+        tables = isinstance(value, dict) and isinstance(kind, inspect.ListType)
+        is_headed = tables and isinstance(kind.item_type, (inspect.StructType, inspect.DictType))
+        heads = f", each headed [[{'.'.join(step for step in path if isinstance(step, str))}]]" if is_headed else ""
+        return path, f"must be {_in_words(kind)}{heads}"
     if isinstance(kind, inspect.StructType):
         return _fault_in_table(value, kind, path)
     if isinstance(kind, (inspect.ListType, inspect.TupleType, inspect.DictType)):
@@ -114,6 +118,8 @@ def _fault(value: Any, kind: inspect.Type, path: Path) -> Fault | None:
         return _beyond(value, kind, path)
     if isinstance(kind, inspect.StrType) and (broken := _wrong_length(len(value), kind)):
         return path, f"must be text {broken}"
+    if isinstance(kind, inspect.StrType) and kind.pattern and not re.search(kind.pattern, value):
+        return path, f"must be {PATTERNS.get(kind.pattern, f'text like {kind.pattern}')}"
     return None
 
 

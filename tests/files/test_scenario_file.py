@@ -71,7 +71,7 @@ position_mm = [1, 2, 3] -> position_mm = [1, 2, 3]\nroll_deg = 5
     scenario.toml: start.rotate middle = true: must be a number (in deg).
 "rotate middle" = 90 -> "rotate midle" = 90
     scenario.toml: start.rotate midle = 90: unknown joint, the robot has rotate outer, rotate middle, rotate
-    inner, translate inner.
+    inner, translate inner; did you mean rotate middle?
 "rotate outer" = 0 -> "rotate outer" = 181
     scenario.toml: start.rotate outer = 181 deg: must be within the joint's limits, -180 to 180 deg.
 "translate inner" = -86.4 -> "translate inner" = 1
