@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import io
 import json
+import shlex
 from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
@@ -61,10 +62,11 @@ def write_scene(folder: Path, verification: Verification, figure: WorstFigure) -
 def _commands(folder: Path, figure: WorstFigure) -> list[str]:
     mesh = "search" if figure.accuracy == "search" else "certificate"
     start = ",".join(f"{phi:+.17g}" for phi in figure.phi) if any(figure.phi) else "released"
-    replay = f"-o {folder / 'replay'} --start={start} --accuracy {mesh}"
+    names = (folder / name for name in ("scenario.toml", "robot.toml", "joints.csv", "replay"))
+    scenario, robot, joints, replay = (shlex.quote(str(name)) for name in names)
     return [
-        f"ctrplan view {folder / 'scenario.toml'}",
-        f"ctrplan simulate {folder / 'robot.toml'} {folder / 'joints.csv'} {replay}",
+        f"ctrplan view {scenario}",
+        f"ctrplan simulate {robot} {joints} -o {replay} --start={start} --accuracy {mesh}",
     ]
 
 

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from ctrplan.commands.options import add_joint_options, add_set_option, configuration
-from ctrplan.commands.terminal import PATIENCE_S, ProgressBar, finite, tell_next, warn
+from ctrplan.commands.terminal import PATIENCE_S, ProgressBar, finite, tell_next, typed, warn
 from ctrplan.errors import InputError, NoAnswerError, SolverError
 from ctrplan.storage.output_folder import DEFAULT, output_folder, write_results
 
@@ -218,7 +218,9 @@ def run(arguments: argparse.Namespace) -> int:
     if result.frictionless.status is Status.UNSTABLE:
         raise NoAnswerError("the configuration is elastically unstable: the robot snaps away, no bound is promised.")
     if not arguments.json:
-        tell_next(f"ctrplan view {arguments.robot}, a slider for every joint; ctrplan ik, to bring the tip to a point")
+        tell_next(
+            f"ctrplan view {typed(arguments.robot)}, a slider for every joint; ctrplan ik, to bring the tip to a point"
+        )
     return 0
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from ctrplan.base.arguments import SEED, Number, Whole
 from ctrplan.commands.options import add_number, add_output_option, add_set_option
-from ctrplan.commands.terminal import warn
+from ctrplan.commands.terminal import typed, warn
 from ctrplan.storage.output_folder import output_folder, written_together
 
 if TYPE_CHECKING:
@@ -109,13 +109,13 @@ def _summary(folder: Path, calibration: Calibration, measurements: str) -> str:
 def _next(folder: Path, calibration: Calibration, measurements: str) -> str:
     """What to do with it: go on, or look for what the model lacks where more is left than the tracker's noise."""
     noise = calibration.fit.chain.robot.measurement
-    robot, parent = folder / "robot.toml", calibration.fit.chain.robot.path or "ROBOT.toml"
+    robot, parent = typed(folder / "robot.toml"), typed(calibration.fit.chain.robot.path or "ROBOT.toml")
     if noise is None:
         return f"next: ctrplan check {robot}; with [measurement] in it ctrplan diagnose tells noise from faults"
     from ctrplan.reports.calibration_page import what_is_missing
 
     if missing := what_is_missing(calibration):
-        return f"next: {missing}; ctrplan diagnose {parent} {measurements} -o found"
+        return f"next: {missing}; ctrplan diagnose {parent} {typed(measurements)} -o found"
     return f"next: what is left is the noise of the tracker; plan with it: ctrplan check {robot}"
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from ctrplan.base.arguments import in_plain_digits
 from ctrplan.base.long_work import INTERRUPTED, interrupt_event
 from ctrplan.commands.options import add_options_of
-from ctrplan.commands.terminal import PATIENCE_S, ProgressBar, tell_next
+from ctrplan.commands.terminal import PATIENCE_S, ProgressBar, tell_next, typed
 from ctrplan.errors import InputError
 from ctrplan.patients.request import OPTIONS, STEP_NAMES
 
@@ -80,7 +80,10 @@ def run(arguments: argparse.Namespace) -> int:
                 **{name: getattr(arguments, name) for name in OPTIONS},
             )
         print(_summary(result))
-        tell_next(f"open {arguments.output}/slicer/scene.mrml in 3D Slicer, or change {arguments.output}/scenario.toml")
+        tell_next(
+            f"open {typed(f'{arguments.output}/slicer/scene.mrml')} in 3D Slicer, "
+            f"or change {arguments.output}/scenario.toml"
+        )
         return INTERRUPTED if result.interrupted else 0
 
 

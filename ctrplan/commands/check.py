@@ -5,8 +5,9 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from pathlib import Path
 
-from ctrplan.commands.terminal import tell_next
+from ctrplan.commands.terminal import tell_next, typed
 from ctrplan.storage.output_folder import output_folder, write_results
 
 DESCRIPTION = (
@@ -51,10 +52,18 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _following(arguments: argparse.Namespace, kind: str) -> str:
     """What to do with a file of that kind."""
-    file, robot = arguments.file, arguments.robot
+    file, robot = typed(arguments.file), typed(arguments.robot)
     return {
         "robot": f"ctrplan init scenario task.toml --robot {file}; ctrplan view {file}, a slider for every joint",
-        "scenario": f"ctrplan plan {file} -o out",
+        "scenario": f"ctrplan plan {file}{_outside(arguments.file) if kind == 'scenario' else ''} -o out",
         "measurements": f"ctrplan calibrate {robot} {file} -o calibrated; ctrplan diagnose {robot} {file} -o found",
         "plan": f"ctrplan verify {file}",
     }[kind]
+
+
+def _outside(file: str) -> str:
+    """The option without which a scenario is refused that names files outside its folder, which this command reads."""
+    from ctrplan.files.file_content import names_files_outside
+    from ctrplan.storage.toml_document import read_document
+
+    return " --allow-outside" if names_files_outside(read_document(file), Path(file)) else ""

@@ -9,7 +9,7 @@ import sys
 from typing import TYPE_CHECKING, Any
 
 from ctrplan.commands.options import add_allow_outside_option
-from ctrplan.commands.terminal import aligned, finite, tell_next, warn
+from ctrplan.commands.terminal import aligned, finite, tell_next, typed, warn
 from ctrplan.storage.output_folder import output_folder, write_results
 
 if TYPE_CHECKING:
@@ -59,7 +59,7 @@ def run(arguments: argparse.Namespace) -> int:
         contents = compared_html(first, second, names), png(compared_figure(first, second, names))
         write_results(folder, dict(zip(OUTPUTS, contents, strict=True)))
         print(f"ctrplan: written to {folder}/{', '.join(OUTPUTS)}", file=sys.stderr)
-        tell_next(f"open {folder / OUTPUTS[0]}, both plans in one scene")
+        tell_next(f"open {typed(folder / OUTPUTS[0])}, both plans in one scene")
     elif not arguments.json:
         tell_next("-o DIR draws both plans in one scene")
     return 0

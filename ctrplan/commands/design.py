@@ -15,7 +15,7 @@ from ctrplan.commands.options import (
     add_worker_options,
     chosen_workers,
 )
-from ctrplan.commands.terminal import ProgressBar, aligned, tell_next
+from ctrplan.commands.terminal import ProgressBar, aligned, tell_next, typed
 
 if TYPE_CHECKING:
     from ctrplan.studies.design.tube_design import TubeDesigns
@@ -90,7 +90,7 @@ def _told(arguments: argparse.Namespace, designs: TubeDesigns) -> int:
     write_design_report(designs)
     print(_text(designs))
     print(f"ctrplan: results in {arguments.output}", file=sys.stderr)
-    tell_next(f"open {arguments.output}/report.html; robots of the front are in {arguments.output}/robots")
+    tell_next(f"open {typed(f'{arguments.output}/report.html')}; robots of the front are in {arguments.output}/robots")
     if designs.interrupted:
         print("ctrplan: interrupted; run the same command again, and the search goes on.", file=sys.stderr)
         return INTERRUPTED

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from ctrplan.base.long_work import INTERRUPTED, interrupt_event
 from ctrplan.commands.options import add_output_option, add_set_option
-from ctrplan.commands.terminal import ProgressBar, tell_next, warn
+from ctrplan.commands.terminal import ProgressBar, tell_next, typed, warn
 from ctrplan.storage.output_folder import output_folder, written_together
 
 if TYPE_CHECKING:
@@ -107,7 +107,8 @@ def run(arguments: argparse.Namespace) -> int:
         print(summary(folder, result))
         if arguments.propose is not None:
             _propose(Path(arguments.propose), result)
-        tell_next(f"open {folder}/report.html; ctrplan check {folder}/robot.toml, the model with what was found in it")
+        page, robot_file = typed(folder / "report.html"), typed(folder / "robot.toml")
+        tell_next(f"open {page}; ctrplan check {robot_file}, the model with what was found in it")
         return INTERRUPTED if result.interrupted else 0
 
 

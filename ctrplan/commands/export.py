@@ -6,7 +6,7 @@ import argparse
 from typing import TYPE_CHECKING
 
 from ctrplan.commands.options import add_plan_arguments, add_steps_option, read_plan, solved_motion
-from ctrplan.commands.terminal import PATIENCE_S, ProgressBar, tell_next
+from ctrplan.commands.terminal import PATIENCE_S, ProgressBar, tell_next, typed
 from ctrplan.storage.output_folder import output_folder, write_results
 
 if TYPE_CHECKING:
@@ -58,7 +58,7 @@ def run(arguments: argparse.Namespace) -> int:
         files = case_files(motion, frame)
     write_results(folder, files)
     print(_summary(motion, str(folder / SCENE), len(files), frame))
-    tell_next(f"open {folder / SCENE} in 3D Slicer")
+    tell_next(f"open {typed(folder / SCENE)} in 3D Slicer")
     return 0
 
 

@@ -6,6 +6,7 @@ import argparse
 import os
 from pathlib import Path
 
+from ctrplan.commands.terminal import typed
 from ctrplan.errors import InputError
 
 # Drawn nitinol tubes as makers list them, outer x inner diameter in mm; each fits into the ones before it.
@@ -69,7 +70,7 @@ def _text(arguments: argparse.Namespace, path: Path) -> tuple[str, str]:
         tubes = [tube_choice(text) for text in arguments.tube] if arguments.tube else USUAL
         text = robot_text(tubes, "my robot" if arguments.name is None else arguments.name)
         robot_from_dict(parsed_toml(text, str(path)), file=str(path))  # refuses tubes that don't fit
-        return text, f"ctrplan check {path}"
+        return text, f"ctrplan check {typed(path)}"
     if arguments.robot is None:
         raise InputError(f"is needed: whose {arguments.kind} it is", key="--robot")
     robot = load_robot(arguments.robot)
@@ -78,7 +79,7 @@ def _text(arguments: argparse.Namespace, path: Path) -> tuple[str, str]:
             raise InputError("is needed: the CSV file of measurements", key="--table")
         if Path(arguments.table).resolve().parent != path.resolve().parent:
             raise InputError("must be in the folder of its table", key="FILE", value=str(path))
-        return mapping_text(arguments.table, robot), f"ctrplan check {path} --robot {arguments.robot}"
+        return mapping_text(arguments.table, robot), f"ctrplan check {typed(path)} --robot {typed(arguments.robot)}"
     inside = [
         _beside(name, path, key) for key, name in (("--robot", arguments.robot), ("--mesh", arguments.mesh)) if name
     ]
@@ -86,7 +87,9 @@ def _text(arguments: argparse.Namespace, path: Path) -> tuple[str, str]:
     Document(parsed_toml(text, str(path)), str(path))
     return (
         text,
-        f"say in it where the base is, ctrplan check {path}" if NO_ROOM in text else f"ctrplan plan {path} -o out",
+        f"say in it where the base is, ctrplan check {typed(path)}"
+        if NO_ROOM in text
+        else f"ctrplan plan {typed(path)} -o out",
     )
 
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from ctrplan.base.arguments import CANDIDATES, CONFIRMED, LONGEST_MM, SEED, Number, Whole
 from ctrplan.base.long_work import INTERRUPTED, interrupt_event
 from ctrplan.commands.options import add_allow_outside_option, add_number, add_set_option
-from ctrplan.commands.terminal import PATIENCE_S, ProgressBar, aligned, finite, tell_next, warn
+from ctrplan.commands.terminal import PATIENCE_S, ProgressBar, aligned, finite, tell_next, typed, warn
 from ctrplan.errors import InputError, NoAnswerError
 
 if TYPE_CHECKING:
@@ -93,9 +93,9 @@ def run(arguments: argparse.Namespace) -> int:
                 interrupted=interrupted,
             )
         print(json.dumps(_json(result), indent=1) if arguments.json else _text(scenario, result))
-        _write(arguments, file, _picked(arguments, scenario, result))
+        outside = _write(arguments, file, _picked(arguments, scenario, result))
         if not arguments.json:
-            tell_next(f"ctrplan plan {file} -o out")
+            tell_next(f"ctrplan plan {typed(file)}{' --allow-outside' if outside else ''} -o out")
         return INTERRUPTED if result.interrupted else 0
 
 
@@ -126,7 +126,8 @@ def _picked(arguments: argparse.Namespace, scenario: Scenario, placement: Placem
     return pose
 
 
-def _write(arguments: argparse.Namespace, file: Path, pose: BasePose) -> None:
+def _write(arguments: argparse.Namespace, file: Path, pose: BasePose) -> bool:
+    """Writes the scenario with a pose; returns whether it names files outside its folder."""
     from ctrplan.files.file_content import names_files_outside, placed_scenario
     from ctrplan.storage.output_folder import write_atomically
     from ctrplan.storage.toml_document import read_document
@@ -134,9 +135,11 @@ def _write(arguments: argparse.Namespace, file: Path, pose: BasePose) -> None:
     own = [text for text in arguments.overrides if not text.lstrip().startswith("robot.")]
     document = read_document(arguments.scenario, own)
     write_atomically(file, placed_scenario(document, pose, file))
-    notes = ["; it needs --allow-outside there"] if names_files_outside(document, file) else []
+    outside = names_files_outside(document, file)
+    notes = ["; it needs --allow-outside there"] if outside else []
     notes += ["; --set robot... is not part of it, give it again"] if len(own) < len(arguments.overrides) else []
     print(f"ctrplan: base pose {arguments.pick} written to {file}{''.join(notes)}", file=sys.stderr)
+    return outside
 
 
 def _text(scenario: Scenario, placement: Placement) -> str:

@@ -22,7 +22,7 @@ from ctrplan.commands.options import (
     add_output_option,
     add_set_option,
 )
-from ctrplan.commands.terminal import ProgressBar, amber, tell_next, warn
+from ctrplan.commands.terminal import ProgressBar, amber, tell_next, typed, warn
 from ctrplan.errors import CtrplanError
 from ctrplan.storage.output_folder import output_folder
 
@@ -110,7 +110,10 @@ def run(arguments: argparse.Namespace) -> int:
         result.save(folder, arguments.formats, report=report)
         warn(plan_range_notes(scenario.robot, result.waypoints))
         print(_summary(folder, result, outputs))
-        tell_next(f"ctrplan verify {folder}" + (f"; open {folder}/report.html" if report and not is_file else ""))
+        tell_next(
+            f"ctrplan verify {typed(folder)}"
+            + (f"; open {typed(folder / 'report.html')}" if report and not is_file else "")
+        )
         warn(f"{folder / name} is of an earlier plan." for name in left_over(folder, formats))
         if interrupted.is_set():
             return INTERRUPTED

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from ctrplan.base.arguments import Number, in_plain_digits
 from ctrplan.commands.options import add_number, add_plan_arguments, read_plan, solved_motion
-from ctrplan.commands.terminal import PATIENCE_S, ProgressBar, tell_next
+from ctrplan.commands.terminal import PATIENCE_S, ProgressBar, tell_next, typed
 from ctrplan.errors import InputError
 
 if TYPE_CHECKING:
@@ -58,7 +58,7 @@ def run(arguments: argparse.Namespace) -> int:
         shown = _watched(pictures, bar, len(motion.path))
         write_film(arguments.output, shown, arguments.fps)
     print(_summary(arguments, plan.scenario.name, suffix, len(motion.path), seconds))
-    tell_next(f"open {arguments.output}; --camera shows it from elsewhere: {', '.join(CAMERAS)}")
+    tell_next(f"open {typed(arguments.output)}; --camera shows it from elsewhere: {', '.join(CAMERAS)}")
     return 0
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from ctrplan.base.arguments import Number, Whole, in_plain_digits
 from ctrplan.base.long_work import INTERRUPTED, interrupt_event
 from ctrplan.commands.options import add_igtl_option, add_number, add_output_option, add_set_option
-from ctrplan.commands.terminal import PATIENCE_S, ProgressBar, tell_next, warn
+from ctrplan.commands.terminal import PATIENCE_S, ProgressBar, tell_next, typed, warn
 from ctrplan.errors import InputError, NoAnswerError
 from ctrplan.storage.output_folder import output_folder, write_results
 
@@ -188,7 +188,7 @@ def run(arguments: argparse.Namespace) -> int:
         warn(result.warnings)
         _write(folder, result)
         print(_summary(folder, result))
-        tell_next(f"open {folder}; ctrplan bound, for what no history exceeds")
+        tell_next(f"open {typed(folder)}; ctrplan bound, for what no history exceeds")
         if arguments.igtl is not None:
             _play(result, arguments.igtl, interrupted)
         if (row := result.failed_waypoint) is not None:

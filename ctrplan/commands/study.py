@@ -15,7 +15,7 @@ from ctrplan.commands.options import (
     add_worker_options,
     chosen_workers,
 )
-from ctrplan.commands.terminal import ProgressBar, tell_next
+from ctrplan.commands.terminal import ProgressBar, tell_next, typed
 
 if TYPE_CHECKING:
     from ctrplan.studies.study.study import Outcome, Study, Where
@@ -68,7 +68,9 @@ def run(arguments: argparse.Namespace) -> int:
         result = run_study(study, arguments.output, where, add=arguments.add, yes=arguments.yes, progress=teller)
     _write_report(study, result)
     print(_summary(study, result))
-    tell_next(f"open {arguments.output}/report.html; ctrplan.load_study({str(arguments.output)!r}) in Python")
+    tell_next(
+        f"open {typed(f'{arguments.output}/report.html')}; ctrplan.load_study({str(arguments.output)!r}) in Python"
+    )
     if result.interrupted:
         return INTERRUPTED
     return 0 if result.table.done.any() else 1

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import shlex
 import sys
 import time
 from collections.abc import Iterable, Sequence
@@ -21,6 +22,11 @@ def warn(sentences: Iterable[str]) -> None:
     """Prints warnings on standard error."""
     for sentence in sentences:
         print(f"ctrplan: warning: {sentence}", file=sys.stderr)
+
+
+def typed(name: object) -> str:
+    """A file's name as it is typed in a shell."""
+    return shlex.quote(str(name))
 
 
 def tell_next(command: str) -> None:

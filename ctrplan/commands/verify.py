@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from ctrplan.base.arguments import SEED, Number
 from ctrplan.base.long_work import INTERRUPTED, interrupt_event
 from ctrplan.commands.options import add_number, add_output_option, add_plan_arguments, read_plan
-from ctrplan.commands.terminal import ProgressBar, tell_next
+from ctrplan.commands.terminal import ProgressBar, tell_next, typed
 from ctrplan.storage.output_folder import output_folder
 
 if TYPE_CHECKING:
@@ -76,8 +76,10 @@ def run(arguments: argparse.Namespace) -> int:
             )
         print("\n".join(_report(result)))
         if result.is_kept:
+            plan_file = typed(arguments.plan)
+            frame = "" if result.plan.scenario.frame else " --frame, RAS or LPS"
             tell_next(
-                f"ctrplan render {arguments.plan} -o motion.gif; ctrplan export {arguments.plan} --to slicer -o scene"
+                f"ctrplan render {plan_file} -o motion.gif; ctrplan export {plan_file} --to slicer -o scene{frame}"
             )
         if (outcome := result.counterexample) is not None:
             commands = write_scene(folder, result, outcome)

@@ -195,7 +195,7 @@ class MappedTable(CsvTable):
         if key == "file" and is_bag(path):
             bag = self._entry.bag
             return BagTable(path, bag.joints, bag.poses, bag.frame)
-        path = file_inside(name, self._document, False, *self._place, key)
+        path = file_inside(name, self._document, None, *self._place, key)
         separator = SEPARATORS[self._entry.separator]
         return CsvTable(str(path), "file of measurements", separator=separator, header=self._entry.header)
 

@@ -29,7 +29,7 @@ from ctrplan.measurement.measurements import Measurements
 from ctrplan.mechanics.shapes import Bound, Status
 from ctrplan.mechanics.tube import TubeSection
 from ctrplan.pipeline.tip_table import point_table
-from ctrplan.planning.room import blocked, start_trouble
+from ctrplan.planning.room import blocked, fixture_trouble, start_trouble
 from ctrplan.reports.object_figures import bound_figure, robot_figure
 from ctrplan.robot.magnitudes import implied_young_Pa, reach_m, straightened_strain
 from ctrplan.robot.robot import Robot
@@ -252,7 +252,12 @@ def _of_scenario(scenario: Scenario) -> Check:
     lines += [f"start: {_shown(scenario.robot, scenario.start)}", *([start] if start else [])]
     faults = {"start": fault} | {goal.place: _goal_fault(scenario, goal) for goal in scenario.targets}
     where = scenario.path or scenario.name
-    flags = [*doubtful_sizes(scenario), *(f"{where}: {key}: {text}" for key, text in faults.items() if text)]
+    fixture = fixture_trouble(scenario)
+    flags = [
+        *doubtful_sizes(scenario),
+        *([f"{where}: {fixture}"] if fixture else []),
+        *(f"{where}: {key}: {text}" for key, text in faults.items() if text),
+    ]
     notes = [text for text in scenario.warnings if text not in (*scenario.robot.warnings, *flags) and MORE not in text]
     return Check(
         name=scenario.name,

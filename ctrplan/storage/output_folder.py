@@ -95,7 +95,8 @@ def write_atomically(path: str | os.PathLike[str], content: str | bytes) -> None
             _write_through(made, content.encode() if isinstance(content, str) else content)
             os.replace(made, target)
     except OSError as error:
-        raise CtrplanError(f"{path}: could not be written, nothing was changed: {error.strerror or error}.") from error
+        shown = Path(*(part for part in Path(path).parts if not NAME.fullmatch(part)))  # as it would have been called
+        raise CtrplanError(f"{shown}: could not be written, nothing was changed: {error.strerror or error}.") from error
 
 
 def _write_through(path: Path, content: bytes) -> None:
@@ -117,8 +118,9 @@ def written_together(folder: Path, outputs: Sequence[str], outdated: Sequence[st
     The file SHA256SUMS follows last: a process killed between two renames leaves files that do not match it, so
     `sha256sum -c SHA256SUMS` tells a whole set from a mixed one. It keeps the sums of other results in the folder.
     Files called `outdated`, of earlier results, are removed then. What a killed process left hidden is removed by the
-    next one. Makes `folder` if need be. Raises CtrplanError where the system refuses.
+    next one. Makes `folder` if need be, and leaves none without results. Raises CtrplanError where the system refuses.
     """
+    is_new = not folder.exists()
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with temporary(folder, Path.mkdir) as made:
@@ -133,6 +135,10 @@ def written_together(folder: Path, outputs: Sequence[str], outdated: Sequence[st
             (folder / name).unlink(missing_ok=True)
     except OSError as error:
         raise CtrplanError(f"{folder}: could not be written: {error.strerror or error}.") from error
+    finally:
+        if is_new:
+            with contextlib.suppress(OSError):  # it has what was written
+                folder.rmdir()
 
 
 def stated_sums(folder: Path) -> dict[str, str]:

@@ -199,6 +199,7 @@ def _parse(data: bytes, file: str) -> dict[str, Any]:
         if "after a statement" in message:  # as what follows a decimal comma does
             hint = " (numbers have a point for the comma, and a key a line of its own)"
         hint = " (it is a table: are two files exchanged?)" if file.lower().endswith(".csv") else hint
+        hint = " (it is JSON: are two files exchanged?)" if data.lstrip().startswith(b"{") else hint
         raise InputError(f"is not valid TOML at {place or 'an unknown place'}: {message}{hint}", file=file) from None
     except ValueError:
         raise InputError("holds a number with thousands of digits", file=file) from None
@@ -371,20 +372,22 @@ def in_si(fault: InputError) -> InputError:
 SI_OF = {"mm": ("m", 1e-3), "deg": ("rad", math.radians(1))}  # units that keys end with
 
 
-def file_inside(name: str, document: Document, allow_outside: bool, *path: Step) -> Path:
+def file_inside(name: str, document: Document, allow_outside: bool | None, *path: Step) -> Path:
     """The file that key `path` names, relative to the document's folder.
 
-    Raises InputError when it lies outside that folder, unless allowed, or does not exist.
+    Raises InputError when it lies outside that folder, unless allowed (None: nobody can), or does not exist.
     """
     return _inside(name, document, allow_outside, Path.is_file, *path)
 
 
 def path_inside(name: str, document: Document, *path: Step) -> Path:
     """The file or folder that key `path` names, which must lie in the document's folder or below and exist."""
-    return _inside(name, document, False, Path.exists, *path)
+    return _inside(name, document, None, Path.exists, *path)
 
 
-def _inside(name: str, document: Document, allow_outside: bool, is_there: Callable[[Path], bool], *path: Step) -> Path:
+def _inside(
+    name: str, document: Document, allow_outside: bool | None, is_there: Callable[[Path], bool], *path: Step
+) -> Path:
     folder = Path(document.file or ".").parent
     try:
         inside = (folder / name).resolve().is_relative_to(folder.resolve())
@@ -392,7 +395,8 @@ def _inside(name: str, document: Document, allow_outside: bool, is_there: Callab
     except (OSError, ValueError, RuntimeError):  # a NUL in the name, a loop of links, a closed folder
         inside, exists = True, False
     if not (inside or allow_outside):
-        raise document.fault("must lie in the folder of this file or below", *path)
+        unless = "" if allow_outside is None else ", unless --allow-outside is given"
+        raise document.fault(f"must lie in the folder of this file or below{unless}", *path)
     if not exists:
         raise document.fault("is not a file that exists", *path)
     return folder / name

@@ -46,6 +46,12 @@ def test_of_a_scenario(text: str, other: str, rule: str, tmp_path: Path) -> None
         load_scenario(file)
 
 
+def test_a_plan_in_the_place_of_a_robot_is_named(tmp_path: Path) -> None:
+    (tmp_path / "plan.json").write_text('{"schema_version": 6}')
+    with pytest.raises(InputError, match=r"is not valid TOML .* \(it is JSON: are two files exchanged\?\)"):
+        load_robot_or_scenario(tmp_path / "plan.json")
+
+
 def test_a_robot_file_takes_keys_as_a_scenario_hands_them_on(tmp_path: Path) -> None:
     """`ctrplan ik FILE --set robot.KEY=VALUE` and keys of studies are the same for a robot and a scenario."""
     file = tmp_path / "robot.toml"

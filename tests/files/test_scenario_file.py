@@ -40,7 +40,8 @@ name = "past the ribs" -> name = 3
 robot = "robots/three_tube.toml" ->
     scenario.toml: robot: is missing.
 robot = "robots/three_tube.toml" -> robot = "../robots/three_tube.toml"
-    scenario.toml: robot = '../robots/three_tube.toml': must lie in the folder of this file or below.
+    scenario.toml: robot = '../robots/three_tube.toml': must lie in the folder of this file or below,
+    unless --allow-outside is given.
 robot = "robots/three_tube.toml" -> robot = "robots/none.toml"
     scenario.toml: robot = 'robots/none.toml': is not a file that exists.
 robot = "robots/three_tube.toml" -> robot = "a\u0000b"
@@ -109,7 +110,8 @@ radius_mm = 5 -> radius_mm = 5\nunit = "mm"
 radius_mm = 5 -> radius_mm = 5\nmargin_mm = -1
     scenario.toml: anatomy.1.margin_mm = -1 mm: must be from 0 to 100000.
 file = "meshes/wedge.stl" -> file = "../wedge.stl"
-    scenario.toml: anatomy.3.file = '../wedge.stl': must lie in the folder of this file or below.
+    scenario.toml: anatomy.3.file = '../wedge.stl': must lie in the folder of this file or below,
+    unless --allow-outside is given.
 file = "meshes/wedge.stl" -> file = "meshes/none.stl"
     scenario.toml: anatomy.3.file = 'meshes/none.stl': is not a file that exists.
 unit = "cm" -> unit = "inch"
@@ -313,11 +315,11 @@ def test_a_base_may_look_along_z_or_against_it(folder: Path, z: float, R: Any) -
 def test_files_outside_the_folder_need_permission(folder: Path) -> None:
     shutil.move(folder / "robots", folder.parent)
     (folder / "scenario.toml").write_text(SCENARIO.replace('"robots/', '"../robots/'))
-    assert refusal("scenario.toml").endswith("must lie in the folder of this file or below.")
+    assert refusal("scenario.toml").endswith("below, unless --allow-outside is given.")
     assert load_scenario("scenario.toml", allow_outside=True).robot.n == 3
     os.symlink(folder.parent / "robots", folder / "robots")  # a link out of the folder is outside, too
     (folder / "scenario.toml").write_text(SCENARIO)
-    assert refusal("scenario.toml").endswith("must lie in the folder of this file or below.")
+    assert refusal("scenario.toml").endswith("below, unless --allow-outside is given.")
 
 
 def test_the_place_of_the_caller_makes_no_difference(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,7 +10,9 @@ from places import ROBOTS, SCENARIOS
 from small_scenarios import NEAR
 
 from ctrplan.__main__ import main
+from ctrplan.errors import CtrplanError
 from ctrplan.files.plan_inputs import changed_files
+from ctrplan.storage.output_folder import write_atomically, written_together
 
 PAIR = str(ROBOTS / "table_5_pair.toml")
 PLAN = ["plan", str(SCENARIOS / "pair_free.toml"), "--set", "planner.time_s=0.2", "--set", NEAR, "--quiet"]
@@ -72,3 +74,14 @@ def test_no_command_takes_a_file_of_another(planned: Path, tmp_path: Path, capsy
 def test_a_plan_in_the_place_of_another_keeps_none_of_its_sums(planned: Path) -> None:
     assert main([*PLAN, "--no-report", "-o", str(planned)]) == 0
     assert unmatched(planned) == () and not (planned / "report.html").exists()
+
+
+def test_what_could_not_be_written_leaves_no_folder_and_is_called_by_its_name(tmp_path: Path) -> None:
+    for name in ("new", "there"):
+        (tmp_path / "there").mkdir(exist_ok=True)
+        with (
+            pytest.raises(CtrplanError, match=f"{name}/none/a.txt: could not be written, nothing was changed: No such"),
+            written_together(tmp_path / name, ["a.txt"]) as made,
+        ):
+            write_atomically(made / "none" / "a.txt", "")
+    assert [path.name for path in tmp_path.iterdir()] == ["there"] and not list((tmp_path / "there").iterdir())

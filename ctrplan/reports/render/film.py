@@ -268,7 +268,7 @@ def film_suffix(path: str) -> str:
     if not Path(path).absolute().parent.is_dir():
         raise InputError("must be in a folder that there is", key="--output", value=path)
     if suffix == ".mp4":
-        ffmpeg()
+        ffmpeg(path)
     return suffix
 
 
@@ -278,7 +278,7 @@ def write_film(path: str, pictures: Iterable[Picture], fps: float) -> None:
     write_atomically(path, write(pictures, fps))
 
 
-def ffmpeg() -> str:
+def ffmpeg(path: str) -> str:
     """The program that makes MP4: the one on this machine, or that of the extra. Raises InputError without any."""
     if installed := shutil.which("ffmpeg"):
         return installed
@@ -286,7 +286,7 @@ def ffmpeg() -> str:
         from imageio_ffmpeg import get_ffmpeg_exe
     except ImportError:
         rule = "needs ffmpeg: pip install ctrplan[video], or write a .gif"
-        raise InputError(rule, key="--output", value=".mp4") from None
+        raise InputError(rule, key="--output", value=path) from None
     program: str = get_ffmpeg_exe()
     return program
 
@@ -354,6 +354,6 @@ def _mp4(pictures: Iterable[Picture], fps: float) -> bytes:
 def _encoder(file: Path, width: int, height: int, fps: float) -> subprocess.Popen[bytes]:
     raw = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", f"{fps:g}", "-i", "-"]
     even = ["-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2", "-pix_fmt", "yuv420p", "-movflags", "+faststart"]
-    command = [ffmpeg(), "-loglevel", "error", "-y", *raw, "-c:v", "libx264", "-crf", "20", *even, str(file)]
+    command = [ffmpeg(str(file)), "-loglevel", "error", "-y", *raw, "-c:v", "libx264", "-crf", "20", *even, str(file)]
     quiet = subprocess.DEVNULL
     return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=quiet)
