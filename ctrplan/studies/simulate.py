@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arguments import EVENT, PROGRESS, Choice, Made, checked
-from ctrplan.base.arrays import Array
+from ctrplan.base.arrays import ROUNDING_M, Array
 from ctrplan.drive.legs import Collars
 from ctrplan.errors import InputError
 from ctrplan.measurement.approach import last_directions
@@ -23,6 +23,7 @@ from ctrplan.measurement.joint_path import JointPath
 from ctrplan.measurement.measurements import Measurements, Poses, frames_along, joint_columns
 from ctrplan.mechanics.history import History, Start
 from ctrplan.mechanics.shapes import Accuracy, Bounds, Status
+from ctrplan.mechanics.tube import moved_to_nest
 from ctrplan.pipeline.chain import Chain, at_instants, range_notes
 from ctrplan.pipeline.followed_runs import walked
 from ctrplan.robot.data_rules import require_path
@@ -176,9 +177,11 @@ def _driven_legs(robot: Robot, chain: Chain, path: JointPath, run: slice) -> Ite
     legs = list(_legs(path, run))
     place, theta, l = (np.concatenate(parts) for parts in zip(*legs, strict=True))  # noqa: E741
     samples = _samples(path, place, Collars(theta, l))
-    collars = chain.drive(chain.late(samples), last_directions(samples))
+    late, directions = chain.late(samples), last_directions(samples)
+    collars = chain.drive(late, directions)
     if chain.of_stage("drive"):
-        _check_collars(robot, path, place, collars)
+        _check_collars(robot, path, place, chain.drive(late, np.zeros_like(directions)))  # in the middle of all play
+        collars = Collars(collars.theta, _stopped(robot, collars.l))
     ends = np.cumsum([len(leg[0]) for leg in legs])[:-1]
     yield from zip(*(np.split(part, ends) for part in (place, theta, l, collars.theta, collars.l)), strict=True)
 
@@ -249,6 +252,13 @@ def _ranges_left(robot: Robot, path: JointPath, theta: Array, l: Array, position
     upright = np.broadcast_to(np.eye(3), (int(solved.sum()), 3, 3))
     tips = Poses(position_m[solved], upright)
     yield from (f"{path.file}: {note}" for note in range_notes(robot, theta[solved], l[solved], tips))
+
+
+def _stopped(robot: Robot, l: Array) -> Array:  # noqa: E741
+    """Base translations (S, n) [m] where play may put them: tubes that would not nest stop one another."""
+    nested = moved_to_nest(robot.tubes, l)
+    apart: Array = np.where(np.abs(nested - l).max(axis=1, keepdims=True) > ROUNDING_M, nested, l)
+    return apart
 
 
 def _check_collars(robot: Robot, path: JointPath, place: Array, collars: Collars) -> None:

@@ -163,6 +163,18 @@ def test_effects_that_need_a_time_say_so(tmp_path: Path, capsys: pytest.CaptureF
     assert "measured_x_m" not in (tmp_path / "out" / "poses.csv").read_text()
 
 
+def test_within_the_play_of_a_drive_tubes_that_would_not_nest_stop_one_another(tmp_path: Path) -> None:
+    """A plan from where the tips are even may be certified, and is replayed from there, by the same rule."""
+    robot, still = with_effects(backlash={"l_2_mm": 0.4}), with_effects()
+    even = robot.tubes[0].length_m - robot.tubes[1].length_m
+    lines = (f"0,0,0,{even + ahead!r}" for ahead in (0.0, 1e-4, 3e-3))
+    path = load_joint_path(write_path(tmp_path, HEADER, *lines), robot)
+    found, free = simulate(robot, path), simulate(still, path)
+    at = found.waypoints
+    np.testing.assert_allclose(found.position_m[at[:2]], free.position_m[at[:1]].repeat(2, axis=0), atol=1e-7)
+    assert np.linalg.norm(found.position_m[at[2]] - free.position_m[at[2]]) > 1e-4  # behind by half the play
+
+
 def test_a_drive_that_pushes_tubes_through_the_plate_is_refused(tmp_path: Path) -> None:
     robot = with_effects(homing_offset={"l_1_mm": 1.0})
     path = load_joint_path(write_path(tmp_path, HEADER, *ROWS), robot)
