@@ -62,7 +62,7 @@ class Record:
             self.request = request_of(content["request"])
             self.steps = {name: MadeFile(**made) for name, made in content["steps"].items()}
         except (ValueError, KeyError, TypeError, AttributeError):
-            raise InputError("is no record of a case: remove it to begin anew", file=folder / FILE) from None
+            raise InputError("is no record of a case: begin anew in another folder", file=folder / FILE) from None
 
     def write(self) -> None:
         """Writes the file, whole."""

@@ -26,7 +26,7 @@ def refusal(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, s
     code = main(list(arguments))
     sentence = capsys.readouterr().err.strip().splitlines()
     lines = [line for line in sentence if "warning" not in line]
-    assert len(lines) == 1 and lines[0].startswith("ctrplan: ") and lines[0].endswith(".")
+    assert len(lines) == 1 and lines[0].startswith("ctrplan: ") and lines[0].endswith((".", "?"))
     return code, lines[0]
 
 

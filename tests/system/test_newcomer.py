@@ -83,7 +83,7 @@ MISTAKES: dict[str, tuple[str, str, str, str, str]] = {
     "a joint of another name": (
         "plan task.toml", "task.toml", '"rotate outer"', '"rotate_outer"',
         "task.toml: start.rotate_outer = 20: unknown joint, the robot has rotate outer, rotate middle, rotate inner, "
-        "translate inner.",
+        "translate inner; did you mean rotate outer?",
     ),
     "a tube wider inside than outside": (
         "check robot.toml", "robot.toml", "outer_diameter_mm = 2.64 ", "outer_diameter_mm = 0.5 ",
@@ -181,10 +181,10 @@ def test_calibrate_says_what_comes_next(folder: Path, tmp_path: Path, capsys: py
     said[2] = str(folder / "off.csv")
     assert main(said) == 0
     told = capsys.readouterr().out
-    assert "something is missing in the model; ctrplan diagnose" in told and "off.csv -o found" in told
+    assert "something is missing in the model; ctrplan diagnose" in told and "off.csv' -o found" in told
     names = {"theta": ["theta_1_rad", "theta_2_rad"], "l": ["l_1_m", "l_2_m"], "position": ["x_m", "y_m", "z_m"]}
     content = {"run": [{"file": "off.csv"}], "columns": names | {"sequence": "sequence"}}
     (folder / "lab.toml").write_text(tomli_w.dumps(content))
     said[2] = str(folder / "lab.toml")
     assert main(said) == 0
-    assert f" {folder / 'lab.toml'} -o found" in capsys.readouterr().out  # what reads the table, not the table
+    assert f" '{folder / 'lab.toml'}' -o found" in capsys.readouterr().out  # what reads the table, not the table
