@@ -319,8 +319,9 @@ def _curves(case: _Case, motion: WrittenMotion) -> None:
     every = max(1, -(-len(motion.tip_m) // MOST_POINTS))
     tips = np.concatenate([motion.tip_m[:-1:every], motion.tip_m[-1:]])
     case.markup("Curve", "tip_path.mrk.json", looks.TIP_PATH.name, tips, looks.TIP_PATH.colour)
-    for percent in sorted(set(PERCENTS)):
-        pose = motion.path[round(percent / 100 * (len(motion.path) - 1))]
+    last = max(len(motion.path) - 1, 1)
+    for k in sorted({min(round(percent / 100 * last), len(motion.path) - 1) for percent in PERCENTS}):
+        pose, (_, percent) = motion.path[k], min((abs(p / 100 - k / last), p) for p in PERCENTS)
         name = f"centreline at {pose.time_s:.1f} s"
         ends = percent in (0, 100)
         file = f"centreline_{percent:03}.mrk.json"

@@ -50,6 +50,13 @@ def test_the_scene_loads_every_file_and_every_reference_leads_somewhere(files: d
     assert {node.get("id") for node in root if node.get("fileName")} <= set(used)
 
 
+def test_centrelines_are_those_of_the_tenths_that_their_names_say(files: dict[str, str | bytes]) -> None:
+    """Of four poses only those tenths have a file that a pose is near to, each another one."""
+    names = sorted(name for name in files if name.startswith("centreline_"))
+    assert names == [f"centreline_{percent:03}.mrk.json" for percent in (0, 30, 70, 100)]
+    assert len({files[name] for name in names}) == len(names)
+
+
 def test_the_player_moves_each_tube_and_the_envelope(files: dict[str, str | bytes], motion: WrittenMotion) -> None:
     root = ET.fromstring(files["scene.mrml"])
     (browser,) = root.findall("SequenceBrowser")
