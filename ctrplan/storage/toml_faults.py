@@ -106,8 +106,11 @@ def _fault(value: Any, kind: inspect.Type, path: Path) -> Fault | None:
         is_known = any(value == option and type(value) is type(option) for option in kind.values)
         return None if is_known else (path, f"must be one of {', '.join(map(str, kind.values))}")
     if not _is_of(value, kind):
-        tables = isinstance(value, dict) and isinstance(kind, inspect.ListType)
-        is_headed = tables and isinstance(kind.item_type, (inspect.StructType, inspect.DictType))
+        is_headed = (
+            isinstance(value, dict)
+            and isinstance(kind, inspect.ListType)
+            and isinstance(kind.item_type, (inspect.StructType, inspect.DictType))
+        )
         heads = f", each headed [[{'.'.join(step for step in path if isinstance(step, str))}]]" if is_headed else ""
         return path, f"must be {_in_words(kind)}{heads}"
     if isinstance(kind, inspect.StructType):
