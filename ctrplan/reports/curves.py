@@ -123,7 +123,7 @@ def error_panel(plan: Plan) -> Panel:
     series = (
         Series("worst case", time_s, bound_mm, looks.BOUND),
         Series("predicted", time_s, samples.predicted_m * MM_PER_M, looks.BOUND, "dotted"),
-        Series("unknown", time_s, samples.spread_m * MM_PER_M, looks.INK, "dotted"),
+        Series("spread", time_s, samples.spread_m * MM_PER_M, looks.INK, "dotted"),
     )
     stated_m = plan.certificate.goal_bound_m
     at_goal = Mark(f"at the goal\n{millimetres(stated_m)}", stated_m * MM_PER_M, looks.GOAL, True)
