@@ -115,5 +115,5 @@ def _summary(case: Case) -> str:
     for what, name in (("report", "plan/report.html"), ("3D Slicer", "slicer/scene.mrml")):
         if (Path(case.folder) / name).exists() and not case.interrupted:
             lines.append(f"  {what:27} {case.folder / name}")
-    lines.append(f"  {'after an edit of its files':27} ctrplan case -o {case.folder}")
+    lines.append(f"  {'after an edit of its files':27} ctrplan case -o {typed(case.folder)}")
     return "\n".join(lines)
