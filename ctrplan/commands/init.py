@@ -48,6 +48,8 @@ def run(arguments: argparse.Namespace) -> int:
     from ctrplan.storage.output_folder import write_atomically
 
     path = Path(arguments.file)
+    if path.suffix.lower() != ".toml":
+        raise InputError("must end with .toml, by which other commands know it", key="FILE", value=arguments.file)
     if path.exists():
         raise InputError("is there already: name another file, nothing is written over", file=arguments.file)
     for name in sorted({name for names in OPTIONS.values() for name in names} - {*OPTIONS[arguments.kind]}):

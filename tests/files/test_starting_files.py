@@ -289,3 +289,5 @@ def test_options_of_another_kind_are_refused(tmp_path: Path, capsys: pytest.Capt
     for kind, *option in (("robot", "--mesh", "a.stl"), ("robot", "--robot", "r.toml"), ("scenario", "--name", "x")):
         assert main(["init", kind, str(tmp_path / "x.toml"), *option]) == 2
         assert f"{option[0]}: goes with init " in capsys.readouterr().err
+    assert main(["init", "robot", str(tmp_path / "robot.csv")]) == 2  # which check would take for measurements
+    assert "must end with .toml" in capsys.readouterr().err and not list(tmp_path.iterdir())
