@@ -27,7 +27,7 @@ from ctrplan.calibration.fit_warnings import (
     too_many,
     unsolved_sentence,
 )
-from ctrplan.calibration.least_squares import Fit, fit
+from ctrplan.calibration.least_squares import MOST_STEPS, Fit, fit
 from ctrplan.calibration.parameters import chosen_terms, spelled_out
 from ctrplan.calibration.reading import told_again
 from ctrplan.calibration.residuals import Noise, Weighting, weighed_by
@@ -35,7 +35,7 @@ from ctrplan.calibration.robot_content import calibrated_content, model_error_m,
 from ctrplan.effects.effect import Parameter
 from ctrplan.errors import InputError
 from ctrplan.measurement.measurements import Measurements, groups
-from ctrplan.pipeline.followed_runs import friction_correction
+from ctrplan.pipeline.followed_runs import simulated
 from ctrplan.pipeline.parametric_chain import ParametricChain
 from ctrplan.pipeline.term import Term
 from ctrplan.robot.data_rules import require_measured
@@ -83,11 +83,10 @@ def calibrated(
     robot, terms = result.chain.robot, result.chain.terms
     trained = tested = PoseErrors.of(result.chain, result.p, group[~aside])
     if aside.any():
-        chain = ParametricChain(robot, data.subset(aside), terms)
-        chain.correction = friction_correction(chain, result.p)
+        chain = simulated(robot, data.subset(aside), terms, result.p)
         tested = PoseErrors.of(chain, result.p, group[aside])
-    whole = ParametricChain(robot, data, terms)
-    nominal = PoseErrors.of(whole, whole.neutral, group)
+    neutral = result.chain.neutral
+    nominal = PoseErrors.of(simulated(robot, data, terms, neutral), neutral, group)
     least_known = tuple(combinations(first))
     unknown = [
         f"The data can't tell {' and '.join(c.parameters)} apart from the prior: "
@@ -238,14 +237,20 @@ def _check_count(data: Measurements, group: NDArray[np.int_], parameters: int) -
 
 
 def _fitted(chain: ParametricChain, noise: Noise, starts: int, seed: int, first: Array | None = None) -> Fit:
-    """The best of several starts; with friction once more with what its states leave out."""
+    """The best of several starts; with friction again with what its states leave out, until that changes nothing."""
     group = np.arange(chain.data.count) if chain.data.is_stream else chain.data.configuration
     rng = np.random.default_rng(seed)
     begin = chain.start if first is None else first
     drawn = [begin + SPREAD * chain.prior * rng.standard_normal(len(begin)) for _ in range(starts - 1)]
     best = min((fit(chain, noise, group, start) for start in (begin, *drawn)), key=lambda candidate: candidate.loss)
-    chain.correction = friction_correction(chain, best.p)
-    return best if chain.correction is None else fit(chain, noise, group, best.p)
+    for _ in range(MOST_STEPS):
+        corrected = simulated(chain.robot, chain.data, chain.terms, best.p)
+        if corrected.correction is None:
+            break
+        before, best = best, fit(corrected, noise, group, best.p)
+        if np.array_equal(before.p, best.p):
+            break
+    return best
 
 
 def _second(first: Fit, terms: Sequence[Term]) -> Fit:

@@ -26,7 +26,7 @@ from ctrplan.measurement.measurements import LONGEST_LAG_S, Measurements, Split,
 from ctrplan.mechanics.shapes import Status
 from ctrplan.pipeline.followed_runs import followed
 from ctrplan.pipeline.parametric_chain import ParametricChain
-from ctrplan.pipeline.tip_table import nested
+from ctrplan.pipeline.tip_table import FrictionCorrection, nested
 from ctrplan.robot.robot import Robot
 
 MEMORIES_IN_BLOCK = 2.0  # correlation times that a block of a continuous motion lasts at least
@@ -98,7 +98,7 @@ def on_one_branch(bench: CorrelatedBench, chosen: Scored) -> NDArray[np.bool_]:
 def _apart_m(chain: ParametricChain, p: Array) -> Array:
     """(K,) [m] of the tips; 0 where either is missing."""
     path, alone = followed(chain, p), ParametricChain(chain.robot, chain.data, chain.terms)
-    alone.followed_phi = np.clip(np.nan_to_num(path.phi), -1.0, 1.0)
+    alone.correction = FrictionCorrection(np.clip(np.nan_to_num(path.phi), -1.0, 1.0))
     afresh, sound = alone.before_sensor(p)
     distance: Array = np.where(sound, np.linalg.norm(path.position_m - afresh, axis=1), 0.0)
     return np.nan_to_num(distance)
