@@ -209,14 +209,16 @@ def calibrate(
 def _without_outliers(
     fitted: Callable[[NDArray[np.bool_]], list[Fit]], data: Measurements, aside: NDArray[np.bool_]
 ) -> tuple[list[Fit], NDArray[np.bool_]]:
-    """The passes fitted to poses that are right, and which of all (K,) went wrong."""
-    wrong = np.zeros(data.count, bool)
+    """The passes fitted to poses that are right, and which of all (K,) went wrong: by the last fit, too."""
+    wrong, every = np.zeros(data.count, bool), np.ones(data.count, bool)
     while True:
         passes = fitted(~aside & ~wrong)
         more = gross_outliers(passes[-1], data, ~wrong)
-        if not more.any() or too_many(wrong | more, np.ones_like(wrong)):
-            return passes, wrong
+        if not more.any() or too_many(wrong | more, every):
+            break
         wrong |= more
+    near = wrong & ~gross_outliers(passes[-1], data, every)
+    return (fitted(~aside & ~(wrong & ~near)), wrong & ~near) if near.any() else (passes, wrong)
 
 
 def _split_off(group: NDArray[np.int_], share: float, seed: int) -> NDArray[np.bool_]:

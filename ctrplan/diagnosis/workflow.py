@@ -309,13 +309,13 @@ def _calibrated(
 
 
 def _ordinary(begun: Conclusion, data: Measurements, usable: NDArray[np.bool_], tell: Teller) -> Conclusion:
-    """The search for what leaves noise alone, once more without poses that something missing had hidden."""
-    result, wrong = _searched(begun, data, tell), begun.wrong
-    more = gross_outliers(result.chosen.fit, data, usable & ~wrong)
-    if more.any() and not too_many(wrong | more, usable) and not result.interrupted:
-        parts = checked_split(data, usable & ~(wrong | more))
+    """The search for what leaves noise alone, once more with the poses that went wrong by what it found."""
+    result = _searched(begun, data, tell)
+    wrong = gross_outliers(result.chosen.fit, data, usable)
+    if (wrong != begun.wrong).any() and not too_many(wrong, usable) and not result.interrupted:
+        parts = checked_split(data, usable & ~wrong)
         bench = bench_of(begun.bench.robot, data, parts, begun.noise)
-        result = _searched(_calibrated(bench, begun.known, parts, data, wrong | more), data, tell)
+        result = _searched(_calibrated(bench, begun.known, parts, data, wrong), data, tell)
     return result
 
 
