@@ -28,7 +28,7 @@ from ctrplan.calibration.fit_warnings import (
     unsolved_sentence,
 )
 from ctrplan.calibration.least_squares import MOST_STEPS, Fit, fit
-from ctrplan.calibration.parameters import chosen_terms, spelled_out
+from ctrplan.calibration.parameters import chosen_terms, require_apart, spelled_out
 from ctrplan.calibration.reading import told_again
 from ctrplan.calibration.residuals import Noise, Weighting, weighed_by
 from ctrplan.calibration.robot_content import calibrated_content, model_error_m, within_file
@@ -177,8 +177,8 @@ def calibrate(
     Names: a number of the robot such as tube.2.poisson_ratio (SI), effects.friction.mu_1 for one of an effect,
     effects.friction for all of them that the data can test, or one of the base parameters, "calibration" for all;
     None: all of those (precurvature magnitudes, stiffness ratios, Poisson's ratios).
-    `priors` are standard deviations and `bounds` limits, by name. `held_out` is the share of configurations kept aside.
-    Poses that went wrong, `gross_outliers.py`, are left out of all fits and errors, and a note names their rows.
+    `priors` are standard deviations and `bounds` limits, by the names that are fitted, in their units. `held_out` is
+    the share of configurations kept aside. Poses that went wrong, `gross_outliers.py`, are left out of all fits and errors, and a note names their rows.
     Whether the measurements mean what they say is asked first: by default nothing is fitted to those that do not, and
     MisreadError is raised; with `as_read` they are fitted as they stand, and a note says it. Raises
     InputError for what no file of measurements may say, for unknown names, for names given twice and for too few poses.
@@ -186,9 +186,13 @@ def calibrate(
     require_measured(robot, measurements)
     names = spelled_out(["calibration"] if parameters is None else parameters, robot, measurements)
     second_pass = spelled_out(second_pass, robot, measurements)
-    for name in names:
-        if [*names, *second_pass].count(name) > 1:
-            raise InputError("is named twice", key=name)
+    fitted_names = [*names, *second_pass]
+    require_apart(robot, fitted_names)
+    if not names:
+        raise InputError("must name something to fit, None is ordinary calibration", key="parameters", value=names)
+    for key, table in (("priors", priors or {}), ("bounds", bounds or {})):
+        for name in table.keys() - set(fitted_names):
+            raise InputError(f"is not fitted: those that are, are {', '.join(fitted_names)}", key=key, value=name)
     reading = told_again(robot, measurements, as_read=as_read)
     noise = weighed_by(robot, measurements, weighting)
     group = groups(measurements)
@@ -231,7 +235,7 @@ def _split_off(group: NDArray[np.int_], share: float, seed: int) -> NDArray[np.b
 
 def _check_count(data: Measurements, group: NDArray[np.int_], parameters: int) -> None:
     count = len(np.unique(group))
-    each = int(np.ceil(data.given.sum(axis=1).mean()))  # numbers of a pose
+    each = int(np.ceil(data.given.sum(axis=1).mean())) if count else data.given.shape[1]  # numbers of a pose
     if count * each < 2 * parameters:
         least = -(-2 * parameters // each)
         rule = f"has {count} configurations to fit, too few for {parameters} parameters: at least {least}"
