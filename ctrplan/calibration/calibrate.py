@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -58,10 +59,14 @@ class Calibration:
     data: Measurements
     first: Fit | None = None  # of two passes
 
-    @property
+    @cached_property
     def robot(self) -> Robot:
-        """The calibrated robot, its effects at work."""
-        return self.fit.chain.installed_at(self.fit.p)
+        """The calibrated robot, as if read from the file that `robot_content` is of: with its intervals and the error
+        that is left.
+        """
+        import ctrplan  # files are of a package above, and stand in the public names
+
+        return ctrplan.robot_from_dict(self.robot_content())
 
     def robot_content(self) -> dict[str, Any]:
         """The content of the new robot file; the parent is not touched."""
@@ -178,7 +183,8 @@ def calibrate(
     effects.friction for all of them that the data can test, or one of the base parameters, "calibration" for all;
     None: all of those (precurvature magnitudes, stiffness ratios, Poisson's ratios).
     `priors` are standard deviations and `bounds` limits, by the names that are fitted, in their units. `held_out` is
-    the share of configurations kept aside. Poses that went wrong, `gross_outliers.py`, are left out of all fits and errors, and a note names their rows.
+    the share of configurations kept aside. Poses that went wrong, `gross_outliers.py`, are left out of all fits and
+    errors, and a note names their rows.
     Whether the measurements mean what they say is asked first: by default nothing is fitted to those that do not, and
     MisreadError is raised; with `as_read` they are fitted as they stand, and a note says it. Raises
     InputError for what no file of measurements may say, for unknown names, for names given twice and for too few poses.

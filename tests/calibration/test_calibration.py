@@ -172,4 +172,4 @@ def test_what_cannot_be_asked_is_refused_by_name(data: Measurements) -> None:
         ({"held_out": 0.98}, "has 0 configurations to fit"),
     ):
         with pytest.raises(InputError, match=re.escape(told)):
-            calibrate(ROBOT, data, **arguments)  # type: ignore[arg-type]
+            calibrate(ROBOT, data, **arguments)
