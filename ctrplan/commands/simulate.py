@@ -41,7 +41,7 @@ def run_simulate_measured(arguments: argparse.Namespace) -> int:
 
         robot = load_robot(arguments.robot, arguments.overrides)
         data = load_measurements(arguments.path, robot)
-        folder = output_folder(arguments.output, FOLLOWED_OUTPUTS)
+        folder = output_folder(arguments.output, FOLLOWED_OUTPUTS, inputs=[arguments.path, data.file])
         warn([*robot.warnings, *data.warnings])
         offset = SlowOffset(arguments.offset_mm * 1e-3, arguments.offset_steps)
         with ProgressBar(patience_s=PATIENCE_S) as bar:
@@ -177,7 +177,7 @@ def run(arguments: argparse.Namespace) -> int:
         robot = load_robot(arguments.robot, arguments.overrides)
         start = start_state(arguments.start, robot.n - 1)
         path = load_joint_path(arguments.path, robot)
-        folder = output_folder(arguments.output, OUTPUTS)
+        folder = output_folder(arguments.output, OUTPUTS, inputs=[arguments.path, path.file])
         warn(robot.warnings)
         if interrupted.is_set():
             raise KeyboardInterrupt

@@ -124,6 +124,15 @@ def usable_poses(robot: Robot, data: Measurements) -> NDArray[np.bool_]:
     return usable
 
 
+def require_unread(read: Measurements, data: Measurements, key: str) -> None:
+    """Raises InputError where some of the new poses are among those that a diagnosis has read."""
+    if (known := data.are_of(read)).any():
+        rule = (
+            f"must be runs that the diagnosis has not read: those poses count already (row {data.rows_in_words(known)})"
+        )
+        raise InputError(rule, file=data.file, key=key)
+
+
 def checked_split(data: Measurements, usable: NDArray[np.bool_]) -> Split:
     """Raises InputError where `usable` (K,) leaves too little."""
     count = len(np.unique(groups(data)[usable]))

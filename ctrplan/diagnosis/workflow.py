@@ -31,7 +31,15 @@ from ctrplan.diagnosis.partial_diagnosis import build, diagnose_partially
 from ctrplan.diagnosis.posterior import settled
 from ctrplan.diagnosis.result import Diagnosis
 from ctrplan.diagnosis.slips import REMEDIES, Slip, after_slip, most_probable_slip
-from ctrplan.diagnosis.usable_poses import MOST_POSES, bench_of, checked_split, thinned, usable_poses, without_outliers
+from ctrplan.diagnosis.usable_poses import (
+    MOST_POSES,
+    bench_of,
+    checked_split,
+    require_unread,
+    thinned,
+    usable_poses,
+    without_outliers,
+)
 from ctrplan.diagnosis.verdict import Judgement, judge, names_of
 from ctrplan.diagnosis.workbench import (
     HELD_OUT_SHARE,
@@ -189,6 +197,7 @@ def decide(
     proposed decide as well as they can. Raises InputError where nothing is ambiguous.
     """
     require_measured(diagnosis.robot, data)
+    require_unread(diagnosis.data, data, "decide")
     finding = next((f for f in diagnosis.judgement.findings if f.alternatives), None)
     if finding is None:
         raise InputError("has nothing to decide: the verdict is not ambiguous", file=data.file, key="decide")

@@ -140,10 +140,11 @@ def _sha256(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-def output_folder(name: str, outputs: Sequence[str]) -> Path:
+def output_folder(name: str, outputs: Sequence[str], *, inputs: Sequence[str | None] = ()) -> Path:
     """The folder that `outputs` will be written into, checked before any time is spent on them.
 
-    It is made when there is something to write. Raises InputError if it can't be used.
+    It is made when there is something to write. Raises InputError if it can't be used, or if an output would take the
+    place of one of the `inputs`, files that are read and kept.
     """
     folder = Path(name)
     try:
@@ -166,7 +167,17 @@ def output_folder(name: str, outputs: Sequence[str]) -> Path:
         if (folder / output).is_dir():
             rule = f"holds a folder of the name {output}, where a file is to be written"
             raise InputError(rule, key="--output", value=name)
+        require_kept(folder / output, inputs)
     return folder
+
+
+def require_kept(file: Path, inputs: Sequence[str | None], key: str = "--output") -> None:
+    """Raises InputError if `file`, which is to be written, is one of those that are read."""
+    for each in inputs:
+        if each and file.exists() and os.path.exists(each) and file.samefile(each):
+            raise InputError(
+                f"would write over {file.name}, which is read: name another place", key=key, value=str(file)
+            )
 
 
 def _reason(error: Exception) -> str:

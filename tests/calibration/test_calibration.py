@@ -15,7 +15,7 @@ from ctrplan.base.arrays import CHI95
 from ctrplan.calibration.calibrate import calibrate
 from ctrplan.calibration.robot_content import model_error_m
 from ctrplan.errors import InputError
-from ctrplan.files.robot_file import load_robot
+from ctrplan.files.robot_file import load_robot, write_robot
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.robot.robot import Robot
 
@@ -173,3 +173,19 @@ def test_what_cannot_be_asked_is_refused_by_name(data: Measurements) -> None:
     ):
         with pytest.raises(InputError, match=re.escape(told)):
             calibrate(ROBOT, data, **arguments)
+
+
+@pytest.mark.parametrize("command", ["calibrate", "diagnose"])
+def test_no_file_that_is_read_is_written_over(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], command: str, data: Measurements
+) -> None:
+    write_robot(tmp_path / "robot.toml", dict(ROBOT.content))
+    write_csv(tmp_path / "poses.csv", data)
+    before = (tmp_path / "robot.toml").read_bytes()
+    inputs = [str(tmp_path / "robot.toml"), str(tmp_path / "poses.csv")]
+    assert main([command, *inputs, "-o", str(tmp_path)]) == 2
+    assert "would write over robot.toml, which is read: name another place" in capsys.readouterr().err
+    assert (tmp_path / "robot.toml").read_bytes() == before and len(list(tmp_path.iterdir())) == 2
+    if command == "diagnose":
+        assert main([command, *inputs, "-o", str(tmp_path / "out"), "--propose", inputs[1]]) == 2
+        assert "--propose" in capsys.readouterr().err

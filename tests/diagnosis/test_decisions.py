@@ -82,6 +82,9 @@ def test_what_predicts_the_same_everywhere_stays_undecided() -> None:
     after = decide(before, new, catalogue=few)
     (taken,) = after.decisions
     assert not taken.is_decided and after.verdict == "ambiguous" and "do not decide" in taken.sentence
+    for again in (data, data.subset(np.arange(4))):  # which the probabilities are of already
+        with pytest.raises(InputError, match="has not read: those poses count already"):
+            decide(before, again, catalogue=few)
     nothing = replace(before, judgement=replace(before.judgement, verdict="no_missing_effect", findings=()))
     with pytest.raises(InputError, match="has nothing to decide"):
         decide(nothing, new, catalogue=few)
