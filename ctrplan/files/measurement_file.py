@@ -142,7 +142,8 @@ def _whole_turns(source: Source, theta: Array, sequence: NDArray[np.int_]) -> tu
         name, rows = f"theta_{i + 1}_rad", jumps(theta[:, i], sequence)
         if wrapped is None:
             turn = np.degrees(abs(theta[rows[0], i] - theta[rows[0] - 1, i]))
-            rule = f"turns by {turn:.0f} deg at once: is it wrapped? Unwrap it, or give a row halfway if it is not"
+            rule = f"turns by {turn:.0f} deg at once: is it wrapped? Unwrap it, or give a row halfway if it is not; "
+            rule += 'in a mapping file rotations = "wrapped" or "unwrapped" says which'
             raise source.table.fault(rule, int(rows[0]), name, float(theta[rows[0], i]))
         if wrapped and len(rows):
             whole[:, i] = unwrapped(theta[:, i], sequence)
