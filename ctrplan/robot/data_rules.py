@@ -158,6 +158,14 @@ def unit_tangents(table: DataPlaces, tangent: Array, rows: NDArray[np.int_], nam
     return unit
 
 
+def require_seen(table: DataPlaces, position: Array, rows: NDArray[np.int_], columns: Sequence[str]) -> None:
+    """Raises InputError for positions (K, 3) that a tracker has filled in."""
+    what = "tip" if columns[0] == POSITION[0] else "marker"
+    for k in np.flatnonzero((position == 0).all(axis=1)).tolist():
+        rule = f"{what} is 0 in all coordinates, as trackers write what they do not see: leave such poses out"
+        raise table.fault(rule, int(rows[k]), columns[0], position[k, 0])
+
+
 def check_positions(
     table: DataPlaces,
     position: Array,
@@ -171,9 +179,7 @@ def check_positions(
     if not len(position):
         return
     what = "tip" if columns[0] == POSITION[0] else "marker"
-    for k in np.flatnonzero((position == 0).all(axis=1)).tolist():
-        rule = f"{what} is 0 in all coordinates, as trackers write what they do not see: leave such poses out"
-        raise table.fault(rule, int(rows[k]), columns[0], position[k, 0])
+    require_seen(table, position, rows, columns)
     seen, position = ~np.isnan(position), np.nan_to_num(position)
     with np.errstate(over="ignore"):  # what is beyond all numbers is too far
         middle = np.median(position, axis=0) if anywhere else np.zeros(3)
@@ -186,6 +192,8 @@ def check_positions(
         likely = likely_units(float(np.median(size)), "m", (0.01 if is_some else 0.1) * limit, limit)
         first = int(np.argmax(wide))
         unit = f", are these {in_words(likely)}?" if likely else ""
+        if not np.linalg.norm(position - np.median(position, axis=0), axis=1).max() > limit:  # about another origin
+            unit = ': is that the tracker\'s frame? A mapping file has frame = "unknown", or where the robot is in it'
         rule = f"{what} is {far[k]:g} m from the base, beyond the reach of {limit:.3g} m{unit}"
         raise table.fault(rule, int(rows[k]), columns[first], position[k, first])
     if np.median(far) < limit / 2000 and not anywhere:
