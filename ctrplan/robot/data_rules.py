@@ -23,6 +23,7 @@ from ctrplan.measurement.measurements import (
     Measurements,
     joint_columns,
 )
+from ctrplan.mechanics.tube import Tube
 from ctrplan.robot.magnitudes import in_words, likely_units
 from ctrplan.robot.robot import Robot, nesting_violation
 from ctrplan.storage.toml_document import LARGEST_NUMBER
@@ -166,6 +167,11 @@ def require_seen(table: DataPlaces, position: Array, rows: NDArray[np.int_], col
         raise table.fault(rule, int(rows[k]), columns[0], position[k, 0])
 
 
+def farthest_m(tubes: Sequence[Tube]) -> float:
+    """Distance [m] from the base beyond which no tip is believed."""
+    return FURTHEST * max(tube.length_m for tube in tubes)
+
+
 def check_positions(
     table: DataPlaces,
     position: Array,
@@ -184,7 +190,7 @@ def check_positions(
     with np.errstate(over="ignore"):  # what is beyond all numbers is too far
         middle = np.median(position, axis=0) if anywhere else np.zeros(3)
         far = np.linalg.norm(position - middle, axis=1)
-    limit = FURTHEST * max(tube.length_m for tube in robot.tubes)
+    limit = farthest_m(robot.tubes)
     for k in np.flatnonzero(far > limit).tolist():
         wide = np.abs(position[k] - middle) > limit  # of some axes alone, whose place the others say
         is_some = bool(wide.any() and not wide[seen[k]].all())

@@ -389,6 +389,7 @@ class Robot:
         the robot that are estimated besides. members: friction states that are followed, more where there are more
         corners. Raises InputError.
         """
+        from ctrplan.robot.data_rules import farthest_m
         from ctrplan.robot.observer import Observer
         from ctrplan.robot.slow_states import SlowOffset, robot_with, values_of_slow
 
@@ -405,6 +406,7 @@ class Robot:
             members=members,
             seed=seed,
             accuracy=accuracy,
+            farthest_m=farthest_m(self.tubes),
         )
 
     def _clearance(self, i: int) -> float:
