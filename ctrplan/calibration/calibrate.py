@@ -254,6 +254,7 @@ def _fitted(chain: ParametricChain, noise: Noise, starts: int, seed: int, first:
     rng = np.random.default_rng(seed)
     begin = chain.start if first is None else first
     drawn = [begin + SPREAD * chain.prior * rng.standard_normal(len(begin)) for _ in range(starts - 1)]
+    chain = simulated(chain.robot, chain.data, chain.terms, begin)
     best = min((fit(chain, noise, group, start) for start in (begin, *drawn)), key=lambda candidate: candidate.loss)
     for _ in range(MOST_STEPS):
         corrected = simulated(chain.robot, chain.data, chain.terms, best.p)
