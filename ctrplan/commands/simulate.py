@@ -90,8 +90,8 @@ def _followed_summary(folder: Path, result: Following) -> str:
             lines.append(f"  {label:27} {rms:.3f} mm (rms), at most {most:.3f} mm")
     for name, values in result.parameters.items():
         lines.append(f"  {name:27} {values[-1, 0]:.4g} +- {1.96 * values[-1, 1]:.2g} in the end")
-    inside = np.all((result.low_m <= result.measured_m) & (result.measured_m <= result.high_m), axis=1).mean()
-    lines.append(f"  {'measured within interval':27} {100 * inside:.0f} % of the rows")
+    inside = np.mean((result.low_m <= result.measured_m) & (result.measured_m <= result.high_m))
+    lines.append(f"  {'within intervals of 95 %':27} {100 * inside:.0f} % of the measured coordinates")
     lines.append(f"  {'written to':27} {folder}/{', '.join(FOLLOWED_OUTPUTS)}")
     return "\n".join(lines)
 
