@@ -23,7 +23,7 @@ from ctrplan.measurement.measurements import (
     Measurements,
     joint_columns,
 )
-from ctrplan.mechanics.tube import Tube
+from ctrplan.mechanics.tube import farthest_m
 from ctrplan.robot.magnitudes import in_words, likely_units
 from ctrplan.robot.robot import Robot, nesting_violation
 from ctrplan.storage.toml_document import LARGEST_NUMBER
@@ -31,7 +31,6 @@ from ctrplan.storage.toml_document import LARGEST_NUMBER
 MOST_TURNS = 50  # of a tube; more are most likely degrees
 MOST_LENGTHS = 10  # of the longest tube; more are most likely millimetres
 TANGENT_TOLERANCE = 0.01  # of its length: files are rounded
-FURTHEST = 2.0  # tip from the base, in lengths of the longest tube
 
 
 class DataPlaces(Protocol):
@@ -165,11 +164,6 @@ def require_seen(table: DataPlaces, position: Array, rows: NDArray[np.int_], col
     for k in np.flatnonzero((position == 0).all(axis=1)).tolist():
         rule = f"{what} is 0 in all coordinates, as trackers write what they do not see: leave such poses out"
         raise table.fault(rule, int(rows[k]), columns[0], position[k, 0])
-
-
-def farthest_m(tubes: Sequence[Tube]) -> float:
-    """Distance [m] from the base beyond which no tip is believed."""
-    return FURTHEST * max(tube.length_m for tube in tubes)
 
 
 def check_positions(

@@ -18,14 +18,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ctrplan.base.arguments import SEED, Choice, Made, Whole, checked
-from ctrplan.base.arrays import CI95, LEVEL, Array, numbers, warn_of_degrees
+from ctrplan.base.arrays import CI95, LEVEL, UNITS_M, Array, numbers, warn_of_degrees
 from ctrplan.base.package import of_this_process
 from ctrplan.drive.legs import STILL_M, STILL_RAD
 from ctrplan.errors import InputError, SolverError
 from ctrplan.measurement.measurements import SensorNoise
 from ctrplan.mechanics.core_arrays import joint_row, joint_rows
 from ctrplan.mechanics.history import HistoryPath
-from ctrplan.robot.magnitudes import in_words, likely_units
 from ctrplan.robot.observer_histories import Histories, Member, RobotWith, probed, states_nearby, tidied, weights
 from ctrplan.robot.slow_states import Slow, SlowModel, SlowOffset, SlowParameter, spread_m2
 
@@ -247,8 +246,7 @@ class Observer:
         theta_b, l_b = self._collars(theta_b, l_b)
         seen, along = _vector(position_m, "position_m"), _vector(tangent, "tangent")
         if seen is not None and (far := float(np.linalg.norm(seen))) > (limit := self._farthest_m):
-            likely = likely_units(far, "m", 0.1 * limit, limit)
-            unit = f", are these {in_words(likely)}?" if likely else ""
+            unit = ", are these millimetres?" if far * UNITS_M["mm"] <= limit else ""
             rule = f"is {far:g} m from the base, beyond the reach of {limit:.3g} m{unit}"
             raise InputError(rule, key="position_m", value=seen.tolist())
         if along is not None:

@@ -16,7 +16,7 @@ from ctrplan.base.package import shown, warn_caller
 from ctrplan.drive.drive import Drive
 from ctrplan.errors import InputError
 from ctrplan.measurement.measurements import Marker, SensorNoise
-from ctrplan.mechanics.tube import Contact, Loads, Tube, least_distance_m, nesting_inequalities
+from ctrplan.mechanics.tube import Contact, Loads, Tube, farthest_m, least_distance_m, nesting_inequalities
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
@@ -389,7 +389,6 @@ class Robot:
         the robot that are estimated besides. members: friction states that are followed, more where there are more
         corners. Raises InputError.
         """
-        from ctrplan.robot.data_rules import farthest_m
         from ctrplan.robot.observer import Observer
         from ctrplan.robot.slow_states import SlowOffset, robot_with, values_of_slow
 
