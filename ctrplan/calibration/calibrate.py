@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -27,15 +28,15 @@ from ctrplan.calibration.fit_warnings import (
     too_many,
     unsolved_sentence,
 )
-from ctrplan.calibration.least_squares import Fit, fit
-from ctrplan.calibration.parameters import chosen_terms, spelled_out
+from ctrplan.calibration.least_squares import MOST_STEPS, Fit, fit
+from ctrplan.calibration.parameters import chosen_terms, require_apart, spelled_out
 from ctrplan.calibration.reading import told_again
 from ctrplan.calibration.residuals import Noise, Weighting, weighed_by
 from ctrplan.calibration.robot_content import calibrated_content, model_error_m, within_file
 from ctrplan.effects.effect import Parameter
 from ctrplan.errors import InputError
 from ctrplan.measurement.measurements import Measurements, groups
-from ctrplan.pipeline.followed_runs import friction_correction
+from ctrplan.pipeline.followed_runs import simulated
 from ctrplan.pipeline.parametric_chain import ParametricChain
 from ctrplan.pipeline.term import Term
 from ctrplan.robot.data_rules import require_measured
@@ -58,10 +59,14 @@ class Calibration:
     data: Measurements
     first: Fit | None = None  # of two passes
 
-    @property
+    @cached_property
     def robot(self) -> Robot:
-        """The calibrated robot, its effects at work."""
-        return self.fit.chain.installed_at(self.fit.p)
+        """The calibrated robot, as if read from the file that `robot_content` is of: with its intervals and the error
+        that is left.
+        """
+        import ctrplan  # files are of a package above, and stand in the public names
+
+        return ctrplan.robot_from_dict(self.robot_content())
 
     def robot_content(self) -> dict[str, Any]:
         """The content of the new robot file; the parent is not touched."""
@@ -83,11 +88,10 @@ def calibrated(
     robot, terms = result.chain.robot, result.chain.terms
     trained = tested = PoseErrors.of(result.chain, result.p, group[~aside])
     if aside.any():
-        chain = ParametricChain(robot, data.subset(aside), terms)
-        chain.correction = friction_correction(chain, result.p)
+        chain = simulated(robot, data.subset(aside), terms, result.p)
         tested = PoseErrors.of(chain, result.p, group[aside])
-    whole = ParametricChain(robot, data, terms)
-    nominal = PoseErrors.of(whole, whole.neutral, group)
+    neutral = result.chain.neutral
+    nominal = PoseErrors.of(simulated(robot, data, terms, neutral), neutral, group)
     least_known = tuple(combinations(first))
     unknown = [
         f"The data can't tell {' and '.join(c.parameters)} apart from the prior: "
@@ -178,8 +182,9 @@ def calibrate(
     Names: a number of the robot such as tube.2.poisson_ratio (SI), effects.friction.mu_1 for one of an effect,
     effects.friction for all of them that the data can test, or one of the base parameters, "calibration" for all;
     None: all of those (precurvature magnitudes, stiffness ratios, Poisson's ratios).
-    `priors` are standard deviations and `bounds` limits, by name. `held_out` is the share of configurations kept aside.
-    Poses that went wrong, `gross_outliers.py`, are left out of all fits and errors, and a note names their rows.
+    `priors` are standard deviations and `bounds` limits, by the names that are fitted, in their units. `held_out` is
+    the share of configurations kept aside. Poses that went wrong, `gross_outliers.py`, are left out of all fits and
+    errors, and a note names their rows.
     Whether the measurements mean what they say is asked first: by default nothing is fitted to those that do not, and
     MisreadError is raised; with `as_read` they are fitted as they stand, and a note says it. Raises
     InputError for what no file of measurements may say, for unknown names, for names given twice and for too few poses.
@@ -187,9 +192,13 @@ def calibrate(
     require_measured(robot, measurements)
     names = spelled_out(["calibration"] if parameters is None else parameters, robot, measurements)
     second_pass = spelled_out(second_pass, robot, measurements)
-    for name in names:
-        if [*names, *second_pass].count(name) > 1:
-            raise InputError("is named twice", key=name)
+    fitted_names = [*names, *second_pass]
+    require_apart(robot, fitted_names)
+    if not names:
+        raise InputError("must name something to fit, None is ordinary calibration", key="parameters", value=names)
+    for key, table in (("priors", priors or {}), ("bounds", bounds or {})):
+        for name in table.keys() - set(fitted_names):
+            raise InputError(f"is not fitted: those that are, are {', '.join(fitted_names)}", key=key, value=name)
     reading = told_again(robot, measurements, as_read=as_read)
     noise = weighed_by(robot, measurements, weighting)
     group = groups(measurements)
@@ -210,14 +219,16 @@ def calibrate(
 def _without_outliers(
     fitted: Callable[[NDArray[np.bool_]], list[Fit]], data: Measurements, aside: NDArray[np.bool_]
 ) -> tuple[list[Fit], NDArray[np.bool_]]:
-    """The passes fitted to poses that are right, and which of all (K,) went wrong."""
-    wrong = np.zeros(data.count, bool)
+    """The passes fitted to poses that are right, and which of all (K,) went wrong: by the last fit, too."""
+    wrong, every = np.zeros(data.count, bool), np.ones(data.count, bool)
     while True:
         passes = fitted(~aside & ~wrong)
         more = gross_outliers(passes[-1], data, ~wrong)
-        if not more.any() or too_many(wrong | more, np.ones_like(wrong)):
-            return passes, wrong
+        if not more.any() or too_many(wrong | more, every):
+            break
         wrong |= more
+    near = wrong & ~gross_outliers(passes[-1], data, every)
+    return (fitted(~aside & ~(wrong & ~near)), wrong & ~near) if near.any() else (passes, wrong)
 
 
 def _split_off(group: NDArray[np.int_], share: float, seed: int) -> NDArray[np.bool_]:
@@ -230,7 +241,7 @@ def _split_off(group: NDArray[np.int_], share: float, seed: int) -> NDArray[np.b
 
 def _check_count(data: Measurements, group: NDArray[np.int_], parameters: int) -> None:
     count = len(np.unique(group))
-    each = int(np.ceil(data.given.sum(axis=1).mean()))  # numbers of a pose
+    each = int(np.ceil(data.given.sum(axis=1).mean())) if count else data.given.shape[1]  # numbers of a pose
     if count * each < 2 * parameters:
         least = -(-2 * parameters // each)
         rule = f"has {count} configurations to fit, too few for {parameters} parameters: at least {least}"
@@ -238,14 +249,21 @@ def _check_count(data: Measurements, group: NDArray[np.int_], parameters: int) -
 
 
 def _fitted(chain: ParametricChain, noise: Noise, starts: int, seed: int, first: Array | None = None) -> Fit:
-    """The best of several starts; with friction once more with what its states leave out."""
+    """The best of several starts; with friction again with what its states leave out, until that changes nothing."""
     group = np.arange(chain.data.count) if chain.data.is_stream else chain.data.configuration
     rng = np.random.default_rng(seed)
     begin = chain.start if first is None else first
     drawn = [begin + SPREAD * chain.prior * rng.standard_normal(len(begin)) for _ in range(starts - 1)]
+    chain = simulated(chain.robot, chain.data, chain.terms, begin)
     best = min((fit(chain, noise, group, start) for start in (begin, *drawn)), key=lambda candidate: candidate.loss)
-    chain.correction = friction_correction(chain, best.p)
-    return best if chain.correction is None else fit(chain, noise, group, best.p)
+    for _ in range(MOST_STEPS):
+        corrected = simulated(chain.robot, chain.data, chain.terms, best.p)
+        if corrected.correction is None:
+            break
+        before, best = best, fit(corrected, noise, group, best.p)
+        if np.array_equal(before.p, best.p):
+            break
+    return best
 
 
 def _second(first: Fit, terms: Sequence[Term]) -> Fit:

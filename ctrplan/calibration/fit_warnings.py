@@ -156,14 +156,18 @@ def outlier_sentences(fit: Fit, data: Measurements, wrong: NDArray[np.bool_]) ->
 
 
 def _typical_of_companions(norm: Array, data: Measurements) -> Array:
-    """(K,) median norm of the other approaches of a pose's configuration, or of the poses around it."""
-    typical = np.empty(len(norm))
+    """(K,) median norm of the other approaches of a pose's configuration.
+
+    Of less than two, that of the poses around it, or of the other approach where that is larger.
+    """
+    typical = np.zeros(len(norm))
     members = {number: np.flatnonzero(data.configuration == number) for number in np.unique(data.configuration)}
     for k in range(len(norm)):
         others = members[data.configuration[k]]
         others = others[others != k]
         if len(others) < 2:
             around = np.arange(max(0, k - REACH), min(len(norm), k + REACH + 1))
-            others = around[around != k]
-        typical[k] = np.median(norm[others]) if len(others) else 0.0
+            twin, others = others, around[around != k]
+            typical[k] = norm[twin].max(initial=0.0)
+        typical[k] = max(typical[k], np.median(norm[others]) if len(others) else 0.0)
     return typical

@@ -7,6 +7,7 @@ Gauges: without loads the shape depends on ratios of stiffness only, so that the
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -165,6 +166,19 @@ def spelled_out(names: Sequence[str], robot: Robot, data: Measurements) -> list[
     return spelled
 
 
+def require_apart(robot: Robot, names: Sequence[str]) -> None:
+    """Raises InputError for a name that is there twice, and for a number that another of the names scales."""
+    base, owners = BaseParameters(), dict[str, str]()
+    scaled = {p.name: base.mechanics({p.name: p.neutral}, robot) for p in base.parameters(robot)}
+    for name in names:
+        numbers = scaled.get(name, {name: 1.0})
+        for number in (n for n, value in numbers.items() if value or len(numbers) == 1):  # a factor leaves 0 alone
+            if (other := owners.setdefault(number, name)) != name:
+                raise InputError(f"and {other} are one number: fit either", key=name)
+        if list(names).count(name) > 1:
+            raise InputError("is named twice", key=name)
+
+
 def chosen_terms(
     robot: Robot, names: Sequence[str], priors: Mapping[str, float], bounds: Mapping[str, tuple[float, float]]
 ) -> list[Term]:
@@ -191,7 +205,21 @@ def chosen_terms(
     effects: dict[str, Effect] = {"base": BaseParameters()} | dict(CATALOGUE)
     effects["named"] = NamedParameters(sorted_names.get("named", []), priors, bounds)
     order = sorted(sorted_names, key=lambda kind: ("base", "named").index(kind) if kind in ("base", "named") else 2)
-    return [term(effects[kind], sorted_names[kind], robot) for kind in order]
+    terms = [term(effects[kind], sorted_names[kind], robot) for kind in order]
+    return [Term(t.effect, tuple(_as_told(t.effect, p, priors, bounds) for p in t.parameters)) for t in terms]
+
+
+def _as_told(
+    effect: Effect, parameter: Parameter, priors: Mapping[str, float], bounds: Mapping[str, tuple[float, float]]
+) -> Parameter:
+    """A parameter with the prior and bounds that were given for its name, inside its own bounds."""
+    name = parameter.name if effect.of_the_file else f"effects.{effect.name}.{parameter.name}"
+    low, high = bounds.get(name, (parameter.lower, parameter.upper))
+    lower, upper = max(low, parameter.lower), min(high, parameter.upper)
+    if lower > upper:
+        rule = f"must leave something of {parameter.lower:g} to {parameter.upper:g}"
+        raise InputError(rule, key=f"bounds of {name}", value=(low, high))
+    return replace(parameter, prior=priors.get(name, parameter.prior), lower=lower, upper=upper)
 
 
 def _check_named(robot: Robot, name: str) -> None:

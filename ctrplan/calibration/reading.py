@@ -202,7 +202,7 @@ def _displaced(off: Array, error: float, moves: Array) -> float:
     What that takes is held against it as an error that is as improbable; `error` is the size of those that remain.
     """
     J, r = moves.transpose(0, 2, 1).reshape(-1, moves.shape[1]), off.ravel()
-    by = np.linalg.solve(J.T @ J + len(off) * error**2 / NUMBERS * np.eye(moves.shape[1]), J.T @ r)
+    by = np.linalg.solve(J.T @ J + np.diag(np.full(moves.shape[1], len(off) * error**2 / NUMBERS)), J.T @ r)
     with np.errstate(over="ignore"):  # what no effect does
         return _rms((r - J @ by).reshape(-1, 3)) * float(np.exp(by @ by / 2 / NUMBERS))
 

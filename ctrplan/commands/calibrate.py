@@ -60,7 +60,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     robot = load_robot(arguments.robot, arguments.overrides)
     data = load_measurements(arguments.measurements, robot)
-    folder = output_folder(arguments.output, OUTPUTS)
+    folder = output_folder(arguments.output, OUTPUTS, inputs=[arguments.robot, arguments.measurements])
     result = calibrate(
         robot,
         data,

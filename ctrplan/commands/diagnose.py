@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from ctrplan.base.long_work import INTERRUPTED, interrupt_event
 from ctrplan.commands.options import add_output_option, add_set_option
 from ctrplan.commands.terminal import ProgressBar, tell_next, typed, warn
-from ctrplan.storage.output_folder import output_folder, written_together
+from ctrplan.storage.output_folder import output_folder, require_kept, written_together
 
 if TYPE_CHECKING:
     from ctrplan.calibration.reading import MisreadError
@@ -84,7 +84,10 @@ def run(arguments: argparse.Namespace) -> int:
         data = load_measurements(arguments.measurements, robot)
         others = [load_measurements(path, robot) for path in arguments.confirm]
         deciding = load_measurements(arguments.decide, robot) if arguments.decide is not None else None
-        folder = output_folder(arguments.output, OUTPUTS)
+        read = [arguments.robot, arguments.measurements, *arguments.confirm, arguments.decide]
+        folder = output_folder(arguments.output, OUTPUTS, inputs=read)
+        if arguments.propose is not None:
+            require_kept(Path(arguments.propose), read, "--propose")
         warn([*robot.warnings, *data.warnings])
         with ProgressBar(quiet=arguments.quiet) as bar:
             try:

@@ -15,6 +15,7 @@ from ctrplan.base.long_work import INTERRUPTED, interrupt_event
 from ctrplan.commands.options import add_allow_outside_option, add_number, add_set_option
 from ctrplan.commands.terminal import PATIENCE_S, ProgressBar, aligned, finite, tell_next, typed, warn
 from ctrplan.errors import InputError, NoAnswerError
+from ctrplan.storage.output_folder import require_kept
 
 if TYPE_CHECKING:
     from ctrplan.base.arrays import Array
@@ -108,8 +109,7 @@ def _output(arguments: argparse.Namespace) -> Path:
         raise InputError("must be a file in a folder that exists", key="--output", value=str(given))
     if not os.access(file.parent, os.W_OK):
         raise InputError("lies in a folder that is not writable", key="--output", value=str(file))
-    if file.exists() and file.samefile(source):
-        raise InputError("is the scenario itself, which is kept", key="--output", value=str(file))
+    require_kept(file, [arguments.scenario])
     return file
 
 

@@ -41,7 +41,7 @@ def run_simulate_measured(arguments: argparse.Namespace) -> int:
 
         robot = load_robot(arguments.robot, arguments.overrides)
         data = load_measurements(arguments.path, robot)
-        folder = output_folder(arguments.output, FOLLOWED_OUTPUTS)
+        folder = output_folder(arguments.output, FOLLOWED_OUTPUTS, inputs=[arguments.path, data.file])
         warn([*robot.warnings, *data.warnings])
         offset = SlowOffset(arguments.offset_mm * 1e-3, arguments.offset_steps)
         with ProgressBar(patience_s=PATIENCE_S) as bar:
@@ -90,8 +90,8 @@ def _followed_summary(folder: Path, result: Following) -> str:
             lines.append(f"  {label:27} {rms:.3f} mm (rms), at most {most:.3f} mm")
     for name, values in result.parameters.items():
         lines.append(f"  {name:27} {values[-1, 0]:.4g} +- {1.96 * values[-1, 1]:.2g} in the end")
-    inside = np.all((result.low_m <= result.measured_m) & (result.measured_m <= result.high_m), axis=1).mean()
-    lines.append(f"  {'measured within interval':27} {100 * inside:.0f} % of the rows")
+    inside = np.mean((result.low_m <= result.measured_m) & (result.measured_m <= result.high_m))
+    lines.append(f"  {'within intervals of 95 %':27} {100 * inside:.0f} % of the measured coordinates")
     lines.append(f"  {'written to':27} {folder}/{', '.join(FOLLOWED_OUTPUTS)}")
     return "\n".join(lines)
 
@@ -177,7 +177,7 @@ def run(arguments: argparse.Namespace) -> int:
         robot = load_robot(arguments.robot, arguments.overrides)
         start = start_state(arguments.start, robot.n - 1)
         path = load_joint_path(arguments.path, robot)
-        folder = output_folder(arguments.output, OUTPUTS)
+        folder = output_folder(arguments.output, OUTPUTS, inputs=[arguments.path, path.file])
         warn(robot.warnings)
         if interrupted.is_set():
             raise KeyboardInterrupt

@@ -22,7 +22,7 @@ from ctrplan.calibration.least_squares import Fit, fit, fit_at
 from ctrplan.diagnosis.correlated_bench import FRAMES, CorrelatedBench, fixed, frames
 from ctrplan.diagnosis.result import Diagnosis
 from ctrplan.diagnosis.unknown_errors import UnknownErrors
-from ctrplan.diagnosis.usable_poses import thinning, usable_poses
+from ctrplan.diagnosis.usable_poses import require_unread, thinning, usable_poses
 from ctrplan.diagnosis.verdict import NAMED, log_odds, shown
 from ctrplan.diagnosis.workbench import Scored, valued
 from ctrplan.effects.learned.learned import Learned
@@ -104,9 +104,8 @@ def confirm(diagnosis: Diagnosis, data: Measurements) -> Confirmation:
 
     Raises InputError for runs that it has read, and where no pose can be compared.
     """
-    if data.sha256 and data.sha256 == diagnosis.data.sha256:
-        raise InputError("must be runs that the diagnosis has not read", file=data.file, key="confirm")
     require_measured(diagnosis.robot, data)
+    require_unread(diagnosis.data, data, "confirm")
     usable = usable_poses(diagnosis.robot, data)
     new = _new(diagnosis, data, usable)
     past = [t for t in diagnosis.built_terms if isinstance(t.effect, Learned) and "time" in t.effect.inputs]

@@ -29,6 +29,7 @@ from ctrplan.measurement.measurements import Measurements
 from ctrplan.pipeline.followed_runs import followed
 from ctrplan.pipeline.parametric_chain import ParametricChain
 from ctrplan.pipeline.term import Term, term
+from ctrplan.pipeline.tip_table import FrictionCorrection
 from ctrplan.robot.robot import Robot
 
 FRAME, SHIFT = "base_misalignment", "frame_shift"  # of the first set-up, and of the others beside it
@@ -154,8 +155,8 @@ class CorrelatedBench(Workbench):
     def chain(self, terms: Sequence[Term]) -> ParametricChain:
         """The chain of terms, with friction as it is known by now."""
         chain = super().chain(terms)
-        if self._has_friction(terms):
-            chain.followed_phi = self.phi
+        if self._has_friction(terms) and self.phi is not None:
+            chain.correction = FrictionCorrection(self.phi)
         return chain
 
     def rubbing(self, scored: Scored) -> tuple[ParametricChain, Array]:

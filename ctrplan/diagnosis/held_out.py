@@ -39,6 +39,7 @@ from ctrplan.measurement.measurements import Measurements
 from ctrplan.pipeline.followed_runs import simulated
 from ctrplan.pipeline.parametric_chain import ParametricChain
 from ctrplan.pipeline.term import SensorPrediction, Term
+from ctrplan.pipeline.tip_table import FrictionCorrection
 
 MOST_WORSE = 1.05  # rms error of poses kept aside with an effect, over that without it, for chance allows for so much
 
@@ -59,7 +60,7 @@ class Gap:
     chi_square: ChiSquare  # of the held-out set's poses under the predictive distribution of the fit with the effects
     failed: NDArray[np.bool_]  # of all poses of the held-out set: without a solution, before or after
     outlying: NDArray[np.bool_]  # likewise: too far off for noise while few are, left out of every figure
-    correction: tuple[Array, Array] | None  # of all its poses: what friction states leave out, with the effects
+    correction: FrictionCorrection | None  # of all its poses: what friction states leave out, with the effects
 
 
 def open_test_set(before: Fit, after: Fit, held_out_set: Measurements, group: NDArray[np.int_], noise: Noise) -> Gap:

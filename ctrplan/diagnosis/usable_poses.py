@@ -26,7 +26,7 @@ from ctrplan.measurement.measurements import LONGEST_LAG_S, Measurements, Split,
 from ctrplan.mechanics.shapes import Status
 from ctrplan.pipeline.followed_runs import followed
 from ctrplan.pipeline.parametric_chain import ParametricChain
-from ctrplan.pipeline.tip_table import nested
+from ctrplan.pipeline.tip_table import FrictionCorrection, nested
 from ctrplan.robot.robot import Robot
 
 MEMORIES_IN_BLOCK = 2.0  # correlation times that a block of a continuous motion lasts at least
@@ -98,7 +98,7 @@ def on_one_branch(bench: CorrelatedBench, chosen: Scored) -> NDArray[np.bool_]:
 def _apart_m(chain: ParametricChain, p: Array) -> Array:
     """(K,) [m] of the tips; 0 where either is missing."""
     path, alone = followed(chain, p), ParametricChain(chain.robot, chain.data, chain.terms)
-    alone.followed_phi = np.clip(np.nan_to_num(path.phi), -1.0, 1.0)
+    alone.correction = FrictionCorrection(np.clip(np.nan_to_num(path.phi), -1.0, 1.0))
     afresh, sound = alone.before_sensor(p)
     distance: Array = np.where(sound, np.linalg.norm(path.position_m - afresh, axis=1), 0.0)
     return np.nan_to_num(distance)
@@ -122,6 +122,15 @@ def usable_poses(robot: Robot, data: Measurements) -> NDArray[np.bool_]:
         begun = np.array([starts[run] for run in data.sequence[data.rows].tolist()])
         usable = usable & (data.time_s[data.rows] - begun >= LONGEST_LAG_S)
     return usable
+
+
+def require_unread(read: Measurements, data: Measurements, key: str) -> None:
+    """Raises InputError where some of the new poses are among those that a diagnosis has read."""
+    if (known := data.are_of(read)).any():
+        rule = (
+            f"must be runs that the diagnosis has not read: those poses count already (row {data.rows_in_words(known)})"
+        )
+        raise InputError(rule, file=data.file, key=key)
 
 
 def checked_split(data: Measurements, usable: NDArray[np.bool_]) -> Split:

@@ -24,6 +24,7 @@ from ctrplan.measurement.measurements import Measurements
 from ctrplan.pipeline.followed_runs import friction_correction
 from ctrplan.pipeline.parametric_chain import DRIVEN_ALREADY, ParametricChain
 from ctrplan.pipeline.term import Term, term
+from ctrplan.pipeline.tip_table import FrictionCorrection
 from ctrplan.robot.robot import Robot
 
 
@@ -176,7 +177,7 @@ class Workbench:
     data: Measurements
     noise: Noise
     group: NDArray[np.int_]  # (K,) poses that are left out together
-    correction: tuple[Array, Array] | None = None  # what friction states leave out of positions and tangents
+    correction: FrictionCorrection | None = None  # what friction states leave out of positions and tangents
     _answers: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False)
 
     def _once(self, question: Hashable, answer: Callable[[], Answer]) -> Answer:

@@ -31,7 +31,15 @@ from ctrplan.diagnosis.partial_diagnosis import build, diagnose_partially
 from ctrplan.diagnosis.posterior import settled
 from ctrplan.diagnosis.result import Diagnosis
 from ctrplan.diagnosis.slips import REMEDIES, Slip, after_slip, most_probable_slip
-from ctrplan.diagnosis.usable_poses import MOST_POSES, bench_of, checked_split, thinned, usable_poses, without_outliers
+from ctrplan.diagnosis.usable_poses import (
+    MOST_POSES,
+    bench_of,
+    checked_split,
+    require_unread,
+    thinned,
+    usable_poses,
+    without_outliers,
+)
 from ctrplan.diagnosis.verdict import Judgement, judge, names_of
 from ctrplan.diagnosis.workbench import (
     HELD_OUT_SHARE,
@@ -189,6 +197,7 @@ def decide(
     proposed decide as well as they can. Raises InputError where nothing is ambiguous.
     """
     require_measured(diagnosis.robot, data)
+    require_unread(diagnosis.data, data, "decide")
     finding = next((f for f in diagnosis.judgement.findings if f.alternatives), None)
     if finding is None:
         raise InputError("has nothing to decide: the verdict is not ambiguous", file=data.file, key="decide")
@@ -309,13 +318,13 @@ def _calibrated(
 
 
 def _ordinary(begun: Conclusion, data: Measurements, usable: NDArray[np.bool_], tell: Teller) -> Conclusion:
-    """The search for what leaves noise alone, once more without poses that something missing had hidden."""
-    result, wrong = _searched(begun, data, tell), begun.wrong
-    more = gross_outliers(result.chosen.fit, data, usable & ~wrong)
-    if more.any() and not too_many(wrong | more, usable) and not result.interrupted:
-        parts = checked_split(data, usable & ~(wrong | more))
+    """The search for what leaves noise alone, once more with the poses that went wrong by what it found."""
+    result = _searched(begun, data, tell)
+    wrong = gross_outliers(result.chosen.fit, data, usable)
+    if (wrong != begun.wrong).any() and not too_many(wrong, usable) and not result.interrupted:
+        parts = checked_split(data, usable & ~wrong)
         bench = bench_of(begun.bench.robot, data, parts, begun.noise)
-        result = _searched(_calibrated(bench, begun.known, parts, data, wrong | more), data, tell)
+        result = _searched(_calibrated(bench, begun.known, parts, data, wrong), data, tell)
     return result
 
 

@@ -263,6 +263,11 @@ class MappedTable(CsvTable):
 
     def _add_poses(self, robot: Robot, frame: FrameEntry | str | None) -> None:
         columns, unit = self._columns, SI[self._entry.units.position]
+        for key, given in (("position", columns.position), ("tangent", columns.tangent), *columns.markers.items()):
+            axes = [str(column).removeprefix("-") for column in given or () if column != ""]
+            if twice := next((axis for k, axis in enumerate(axes) if axis in axes[:k]), None):
+                place = (key,) if key in ("position", "tangent") else ("markers", key)
+                raise self._document.fault(f"has {twice} for two axes", "columns", *place)
         if columns.position is None and (columns.tangent is not None or not columns.markers):
             raise self._document.fault("is missing", "columns", "position")
         for name, column in zip(POSITION, columns.position or (), strict=columns.position is not None):
@@ -335,9 +340,15 @@ def sources(path: str | os.PathLike[str], robot: Robot, what: str) -> list[Sourc
     document = read_document(name)
     entry = document.to(MappingEntry)
     wrapped = None if entry.rotations is None else entry.rotations == "wrapped"
+    _require_one_frame(entry.run, document)
+    tables = [MappedTable(entry, k, robot, document) for k in range(len(entry.run))]
+    known: dict[str, int] = {}
+    for k, table in enumerate(tables):
+        if (first := known.setdefault(table.sha256, k)) != k:
+            raise document.fault(f"has what run {first + 1} has: every pose would count twice", "run", k)
     return [
         Source(
-            table=MappedTable(entry, k, robot, document),
+            table=table,
             is_mapped=True,
             tracker=run.tracker,
             homing=run.homing,
@@ -346,5 +357,15 @@ def sources(path: str | os.PathLike[str], robot: Robot, what: str) -> list[Sourc
             wrapped=wrapped,
             at_rest=entry.at_rest,
         )
-        for k, run in enumerate(entry.run)
+        for table, run in zip(tables, entry.run, strict=True)
     ]
+
+
+def _require_one_frame(runs: Sequence[RunEntry], document: Document) -> None:
+    frames: dict[str, FrameEntry | str | None] = {}
+    for k, run in enumerate(runs):
+        if frames.setdefault(run.tracker, run.frame) != run.frame:
+            rule = (
+                f"differs from that of another run of the tracker {run.tracker!r}, which has one frame: say it in each"
+            )
+            raise document.fault(f"{rule}, or name another tracker", "run", k, "frame")

@@ -31,7 +31,7 @@ from ctrplan.measurement.joint_path import (
 from ctrplan.measurement.measurements import POSITION, TANGENT, Measurements, is_streamed, joint_columns
 from ctrplan.pipeline.chain import Chain
 from ctrplan.pipeline.tip_table import registered
-from ctrplan.robot.data_rules import check_joints, check_order, check_positions, passed, unit_tangents
+from ctrplan.robot.data_rules import check_joints, check_order, check_positions, passed, require_seen, unit_tangents
 from ctrplan.robot.robot import Robot
 from ctrplan.storage.csv_table import CsvTable
 
@@ -47,6 +47,10 @@ class MarkerColumns:
     position_m: Array  # (N, 3); NaN for an axis along which it was seen
     rows: NDArray[np.int_]  # (N,)
     notes: tuple[str, ...]
+
+    def of(self, poses: NDArray[np.bool_]) -> MarkerColumns:
+        """Some of its rows, mask (N,)."""
+        return replace(self, position_m=self.position_m[poses], rows=self.rows[poses])
 
 
 def marker_columns(table: CsvTable, robot: Robot, *, is_registered: bool) -> list[MarkerColumns]:
@@ -142,7 +146,8 @@ def _whole_turns(source: Source, theta: Array, sequence: NDArray[np.int_]) -> tu
         name, rows = f"theta_{i + 1}_rad", jumps(theta[:, i], sequence)
         if wrapped is None:
             turn = np.degrees(abs(theta[rows[0], i] - theta[rows[0] - 1, i]))
-            rule = f"turns by {turn:.0f} deg at once: is it wrapped? Unwrap it, or give a row halfway if it is not"
+            rule = f"turns by {turn:.0f} deg at once: is it wrapped? Unwrap it, or give a row halfway if it is not; "
+            rule += 'in a mapping file rotations = "wrapped" or "unwrapped" says which'
             raise source.table.fault(rule, int(rows[0]), name, float(theta[rows[0], i]))
         if wrapped and len(rows):
             whole[:, i] = unwrapped(theta[:, i], sequence)
@@ -214,7 +219,9 @@ def _measurements(source: Source, robot: Robot) -> Measurements:
     check_positions(table, position, rows, POSITION, robot, anywhere=not source.is_registered)
     for point in seen:
         check_positions(table, point.position_m, point.rows, point.columns, robot, anywhere=not source.is_registered)
-    position, tangent, rows, marker = with_markers(position, tangent, rows, seen)
+    anew = _measured_anew(joints, rows, np.hstack([position, tangent]))
+    seen = [point.of(_measured_anew(joints, point.rows, point.position_m)) for point in seen]
+    position, tangent, rows, marker = with_markers(position[anew], tangent[anew], rows[anew], seen)
     return Measurements(
         sequence=joints.sequence,
         theta_commanded=joints.theta_commanded,
@@ -232,7 +239,12 @@ def _measurements(source: Source, robot: Robot) -> Measurements:
         more=joints.more,
         file=table.file,
         sha256=table.sha256,
-        warnings=(*joints.notes, *_marker_poses(table), *(note for point in seen for note in point.notes)),
+        warnings=(
+            *joints.notes,
+            *_copied_rows(table, ~anew),
+            *_marker_poses(table),
+            *(note for point in seen for note in point.notes),
+        ),
         of_collars=joints.of_collars,
         marker=marker if seen else None,
         noise_ratio=noise_ratio(robot, marker),
@@ -255,10 +267,26 @@ def _poses(table: CsvTable, markers: Sequence[MarkerColumns]) -> tuple[Array, Ar
     rows = np.flatnonzero(given[:, :3].all(axis=1))
     if not len(rows) and not any(len(marker.rows) for marker in markers):
         raise table.fault(f"holds no pose: {', '.join(names)} are empty in every row")
+    require_seen(table, pose[rows, :3], rows, POSITION)
     tangent = np.full((len(rows), 3), np.nan)
     if seen:
         tangent[:, [TANGENT.index(name) for name in seen]] = unit_tangents(table, pose[rows, 3:], rows, seen)
     return pose[rows, :3], tangent, rows
+
+
+def _measured_anew(joints: JointPath, rows: NDArray[np.int_], pose: Array) -> NDArray[np.bool_]:
+    """(K,) poses (K, M) that are not those of the row before, written twice: time, joints and pose are its own."""
+    time_s = np.zeros(len(joints.sequence)) if joints.time_s is None else joints.time_s
+    whole = np.column_stack([joints.sequence, time_s, joints.theta_commanded, joints.l_commanded])[rows]
+    whole = np.nan_to_num(np.hstack([whole, pose]))
+    copied = (np.diff(rows) == 1) & (np.diff(whole, axis=0) == 0).all(axis=1)
+    return np.concatenate([np.ones(min(1, len(rows)), bool), ~copied])
+
+
+def _copied_rows(table: CsvTable, copied: NDArray[np.bool_]) -> list[str]:
+    """A sentence about poses that stand in the file twice, if any do."""
+    count = int(copied.sum())
+    return [f"{table.file}: {count} rows repeat the row before to the last digit: they count once."] if count else []
 
 
 def _still_joints(theta_b: Array, l_b: Array, file: str) -> list[str]:

@@ -39,7 +39,7 @@ class JointPath:
 
 
 TURN = 2 * np.pi
-NEAR_A_TURN = 0.25 * TURN  # steps that are nearer to one turn may be a wrapped angle's
+NEAR_A_TURN = 0.26 * TURN  # steps that are nearer to one turn may be a wrapped angle's: of the usual 90 deg, too
 SMALL_STEP = 1.0  # rad; those of a log, but for a few
 FEW = 0.01  # of the steps of a log
 STEPS_PER_JUMP = 20  # of a log, at least

@@ -294,3 +294,11 @@ def _precurvature(tube: Tube, inside: float, at: float) -> tuple[list[float], li
             return (mean * (1 - section.gradient + slope * (at - begin))).tolist(), (mean * slope).tolist()
         begin += section.length_m
     return [0.0, 0.0], [0.0, 0.0]
+
+
+FURTHEST = 2.0  # tip from the base, in lengths of the longest tube
+
+
+def farthest_m(tubes: Sequence[Tube]) -> float:
+    """Distance [m] from the base beyond which no measured tip is believed."""
+    return FURTHEST * max(tube.length_m for tube in tubes)

@@ -16,7 +16,7 @@ import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -28,12 +28,14 @@ from ctrplan.effects.effect import CATALOGUE, Effect, Parameter, Stage, Values
 from ctrplan.effects.learned import learned as learned_table
 from ctrplan.effects.learned.inputs import Situation, unit
 from ctrplan.effects.learned.learned import COMMON_NOTES, FILE_NOTES, Learned, effect_of
-from ctrplan.errors import FEW
+from ctrplan.errors import FEW, InputError
 from ctrplan.measurement.approach import friction_state
 from ctrplan.measurement.measurements import Measurements, Poses, moved_rigidly
 from ctrplan.robot.named_numbers import with_values
 from ctrplan.robot.robot import Robot
 from ctrplan.storage.toml_document import Document, interval_fault
+
+Stood = TypeVar("Stood", Collars, Poses)
 
 
 @dataclass(frozen=True)
@@ -42,6 +44,23 @@ class Acting:
 
     effect: Effect
     values: Values
+
+    def driven(self, collars: Collars, directions: Array) -> Collars:
+        """Collars (K, n) where an effect of the drive puts them. Raises InputError for arrays of another shape."""
+        moved = self.effect.drive(self.values, collars, directions)
+        return self._alike(moved, (moved.theta, collars.theta), (moved.l, collars.l))
+
+    def seen(self, poses: Poses, data: Measurements) -> Poses:
+        """What an effect of the sensor makes of K poses. Raises InputError for arrays of another shape."""
+        made = self.effect.sensor(self.values, poses, data)
+        return self._alike(made, (made.position, poses.position), (made.frame, poses.frame))
+
+    def _alike(self, made: Stood, *pairs: tuple[Array, Array]) -> Stood:
+        for returned, given in pairs:
+            if np.shape(returned) != given.shape:
+                rule = f"returns an array of shape {np.shape(returned)} where it was given {given.shape}"
+                raise InputError(rule, key=f"effects.{self.effect.name}")
+        return made
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +121,7 @@ class Chain:
         """
         collars = commanded
         for given in self.of_stage("drive"):
-            collars = given.effect.drive(given.values, collars, directions)
+            collars = given.driven(collars, directions)
         return collars
 
     @cached_property
@@ -117,7 +136,7 @@ class Chain:
     def sensor(self, poses: Poses, data: Measurements, first: int = 0) -> Poses:
         """What is measured of the K poses of the tip, as the sensor's effects before `first` have left them."""
         for given in self.of_stage("sensor")[first:]:
-            poses = given.effect.sensor(given.values, poses, data)
+            poses = given.seen(poses, data)
         return poses
 
     def plate_turn(self, collars: Collars) -> Array | None:
@@ -428,5 +447,5 @@ class DriveAtRest:
                 continue
             for given in group:
                 yield given, moved
-                moved = given.effect.drive(given.values, moved, nowhere)
+                moved = given.driven(moved, nowhere)
         yield None, moved

@@ -23,7 +23,7 @@ from ctrplan.mechanics.history import History, HistoryPath, Start
 from ctrplan.mechanics.shapes import Status
 from ctrplan.pipeline.parametric_chain import ParametricChain
 from ctrplan.pipeline.term import Term
-from ctrplan.pipeline.tip_table import markers_on, nested, on_body, point_table
+from ctrplan.pipeline.tip_table import FrictionCorrection, markers_on, nested, on_body, point_table
 from ctrplan.robot.robot import Robot
 
 
@@ -111,24 +111,29 @@ def _run(robot: Robot, theta: Array, l_b: Array) -> tuple[Array, int]:
 LARGEST_M = 5e-3  # corrections beyond it are a path that snapped, and are left out
 
 
-def friction_correction(chain: ParametricChain, p: Array) -> tuple[Array, Array] | None:
-    """What to add to positions (K, 3) [m] and tangents (K, 3) at parameters (P,); None without friction."""
-    robot = chain.at(p).mechanics
+def friction_correction(chain: ParametricChain, p: Array) -> FrictionCorrection | None:
+    """What the rule of friction states leaves out at parameters (P,); None without friction.
+
+    On a continuous motion the states are those of the simulated history: between those of the rule and these may lie
+    twice the bound.
+    """
+    robot, data = chain.at(p).mechanics, chain.data
     if not robot.friction.any():
         return None
     # friction that a rest or a speed has changed is as much less in the states as in the history, to first order
-    collars, phi = chain.collars(p), friction_state(chain.data, chain.at(p).release_m)
-    coarse = point_table(robot, chain.data, collars, phi)
-    if chain.data.is_stream:
+    collars, phi = chain.collars(p), friction_state(data, chain.at(p).release_m)
+    if data.is_stream:
         path = followed(chain, p)
         position, tangent = path.position_m, path.tangent
+        phi = np.where(np.isfinite(path.phi), np.clip(path.phi, -1.0, 1.0), phi)
     else:
-        fine = point_table(robot, chain.data, collars, phi, accuracy="certificate")
+        fine = point_table(robot, data, collars, phi, accuracy="certificate")
         position, tangent = fine.position_m, fine.tangent
+    coarse = point_table(robot, data, collars, phi)
     shift, turn = position - coarse.position_m, tangent - coarse.tangent
     wild = ~(np.linalg.norm(shift, axis=1) < LARGEST_M)
     shift[wild], turn[wild] = 0.0, 0.0
-    return shift, turn
+    return FrictionCorrection(phi if data.is_stream else None, shift, turn)
 
 
 def simulated(robot: Robot, data: Measurements, terms: Sequence[Term], p: Array) -> ParametricChain:

@@ -28,7 +28,7 @@ from ctrplan.measurement.approach import friction_state, last_directions
 from ctrplan.measurement.measurements import Measurements, Poses, frames_along
 from ctrplan.pipeline.chain import Acting, Chain, taken_along, with_chain
 from ctrplan.pipeline.term import SensorPrediction, Term, TermValues
-from ctrplan.pipeline.tip_table import NEAR_M, TipTable, on_body, point_table, remembered_tip_x
+from ctrplan.pipeline.tip_table import NEAR_M, FrictionCorrection, TipTable, on_body, point_table, remembered_tip_x
 from ctrplan.robot.named_numbers import value_of, with_values
 from ctrplan.robot.robot import Robot
 
@@ -280,8 +280,7 @@ class ParametricChain(TermValues):
         """terms: effects, with the parameters that vary; effects in the robot file act besides, at their values."""
         super().__init__(terms)
         self.robot, self.data = robot, data
-        self.correction: tuple[Array, Array] | None = None  # (K, 3) each: what a finer mesh adds to position, tangent
-        self.followed_phi: Array | None = None  # (K, n - 1) friction states of a simulated history, not of the rule
+        self.correction: FrictionCorrection | None = None  # what a finer mesh or a simulated history knows better
         self._in_file = Chain.of(robot).on(data.time_s, data.more, of_collars=data.of_collars)
         self._across: Array | None = None
         self._last_ideal: tuple[list[tuple[Effect, dict[str, float]]], Robot] | None = None
@@ -294,7 +293,7 @@ class ParametricChain(TermValues):
     def with_terms(self, terms: Sequence[Term]) -> ParametricChain:
         """Other terms for the same data, friction as simulated for these."""
         chain = ParametricChain(self.robot, self.data, terms)
-        chain.correction, chain.followed_phi = self.correction, self.followed_phi
+        chain.correction = self.correction
         return chain
 
     def at(self, p: Array) -> Chain:
@@ -367,8 +366,8 @@ class ParametricChain(TermValues):
     def friction_state(self, p: Array) -> Array:
         """(K, n - 1) circumferential share of the Coulomb limit of each pair."""
         chain = self.at(p)
-        if self.followed_phi is not None:
-            return self.followed_phi * chain.friction_share(self.data)
+        if self.correction is not None and self.correction.phi is not None:
+            return self.correction.phi * chain.friction_share(self.data)
         return friction_state(self.data, chain.release_m) * chain.friction_share(self.data)
 
     def predict(self, p: Array, *, derivatives: bool = True) -> SensorPrediction:
@@ -381,7 +380,7 @@ class ParametricChain(TermValues):
         position, tangent = _followed(table, changes)
         coarse_m = position
         if self.correction is not None:
-            position, tangent = position + self.correction[0], unit(tangent + self.correction[1])
+            position, tangent = position + self.correction.shift_m, unit(tangent + self.correction.turn)
         poses = Poses(position, frames_along(tangent, self._tip_x(chain, collars, phi, tangent)))
         seen = chain.seen(poses, collars, self.data)
         by = np.zeros((len(position), 6, len(self.parameters) if derivatives else 0))
@@ -405,7 +404,7 @@ class ParametricChain(TermValues):
         """Derivatives of markers, now at (K, 3) [m], by differences of whole solves."""
         if self._body.any():
             chain = self._body_chain
-            chain.followed_phi = None if self.followed_phi is None else self.followed_phi[self._body]
+            chain.correction = self.correction and self.correction.states_of(self._body)
             by[self._body, :3] = marker_columns(chain, self.data, p, here_m[self._body], by[self._body, :3])
 
     def _table(

@@ -54,6 +54,19 @@ class TipTable:
     tangent_by: Array  # (K, 3, P)
 
 
+@dataclass(frozen=True, eq=False)
+class FrictionCorrection:
+    """What the rule of friction states leaves out of K poses, at the parameters for which it was asked."""
+
+    phi: Array | None  # (K, n - 1) circumferential friction states of a simulated history, where that is followed
+    shift_m: Array | float = 0.0  # (K, 3) more, of positions
+    turn: Array | float = 0.0  # (K, 3) more, of tangents
+
+    def states_of(self, poses: NDArray[np.bool_]) -> FrictionCorrection:
+        """The friction states of some of the poses (K,) alone."""
+        return FrictionCorrection(None if self.phi is None else self.phi[poses])
+
+
 def tip_table(
     robot: Robot,
     theta_b: Array,

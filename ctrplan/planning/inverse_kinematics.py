@@ -120,8 +120,6 @@ def inverse_kinematics(
     `seed`, are where solves begin. Nothing found is no error: see `InverseKinematics.sentence`. Raises InputError.
     """
     scenario = _scenario(robot_or_scenario)
-    if doubt := refuse_wrong_unit(scenario, tip_m, "m", "tip_m"):
-        warn_caller(doubt)
     target = _target(scenario, tip_m, direction, direction_tolerance_rad)
     checker = MotionChecker(scenario)
     checker.limits = path_limits(scenario)  # the scenario's own, without what a search adds, as in the live view
@@ -156,6 +154,8 @@ def _target(
     scenario: Scenario, tip_m: ArrayLike, direction: ArrayLike | None, tolerance_rad: float | None
 ) -> TipTarget:
     """The point and direction asked for, in the robot's frame."""
+    if doubt := refuse_wrong_unit(scenario, tip_m, "m", "tip_m"):
+        warn_caller(doubt)
     tip = scenario.base_R.T @ (_vector("tip_m", tip_m, FARTHEST_M, "m") - scenario.base_position_m)
     if direction is None:
         if tolerance_rad is not None:

@@ -38,6 +38,8 @@ def _how_probable(diagnosis: Diagnosis) -> str:
     if diagnosis.posterior is None or diagnosis.verdict_probability is None:
         return ""
     probability, unknown = shown(diagnosis.verdict_probability), diagnosis.posterior.of_unknown
+    if diagnosis.verdict == "unexplained" and unknown < 1 / 2:  # that no name is certain is no wager on something else
+        return f" That something acts which the catalogue lacks has {shown(unknown)}."
     sentence = f" This verdict has {probability}"
     if diagnosis.verdict in ("partial", "unexplained"):
         return f"{sentence}.{_along(diagnosis.posterior)}"

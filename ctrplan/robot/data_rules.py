@@ -23,6 +23,7 @@ from ctrplan.measurement.measurements import (
     Measurements,
     joint_columns,
 )
+from ctrplan.mechanics.tube import farthest_m
 from ctrplan.robot.magnitudes import in_words, likely_units
 from ctrplan.robot.robot import Robot, nesting_violation
 from ctrplan.storage.toml_document import LARGEST_NUMBER
@@ -30,7 +31,6 @@ from ctrplan.storage.toml_document import LARGEST_NUMBER
 MOST_TURNS = 50  # of a tube; more are most likely degrees
 MOST_LENGTHS = 10  # of the longest tube; more are most likely millimetres
 TANGENT_TOLERANCE = 0.01  # of its length: files are rounded
-FURTHEST = 2.0  # tip from the base, in lengths of the longest tube
 
 
 class DataPlaces(Protocol):
@@ -158,6 +158,14 @@ def unit_tangents(table: DataPlaces, tangent: Array, rows: NDArray[np.int_], nam
     return unit
 
 
+def require_seen(table: DataPlaces, position: Array, rows: NDArray[np.int_], columns: Sequence[str]) -> None:
+    """Raises InputError for positions (K, 3) that a tracker has filled in."""
+    what = "tip" if columns[0] == POSITION[0] else "marker"
+    for k in np.flatnonzero((position == 0).all(axis=1)).tolist():
+        rule = f"{what} is 0 in all coordinates, as trackers write what they do not see: leave such poses out"
+        raise table.fault(rule, int(rows[k]), columns[0], position[k, 0])
+
+
 def check_positions(
     table: DataPlaces,
     position: Array,
@@ -171,14 +179,12 @@ def check_positions(
     if not len(position):
         return
     what = "tip" if columns[0] == POSITION[0] else "marker"
-    for k in np.flatnonzero((position == 0).all(axis=1)).tolist():
-        rule = f"{what} is 0 in all coordinates, as trackers write what they do not see: leave such poses out"
-        raise table.fault(rule, int(rows[k]), columns[0], position[k, 0])
+    require_seen(table, position, rows, columns)
     seen, position = ~np.isnan(position), np.nan_to_num(position)
     with np.errstate(over="ignore"):  # what is beyond all numbers is too far
         middle = np.median(position, axis=0) if anywhere else np.zeros(3)
         far = np.linalg.norm(position - middle, axis=1)
-    limit = FURTHEST * max(tube.length_m for tube in robot.tubes)
+    limit = farthest_m(robot.tubes)
     for k in np.flatnonzero(far > limit).tolist():
         wide = np.abs(position[k] - middle) > limit  # of some axes alone, whose place the others say
         is_some = bool(wide.any() and not wide[seen[k]].all())
@@ -186,6 +192,8 @@ def check_positions(
         likely = likely_units(float(np.median(size)), "m", (0.01 if is_some else 0.1) * limit, limit)
         first = int(np.argmax(wide))
         unit = f", are these {in_words(likely)}?" if likely else ""
+        if not np.linalg.norm(position - np.median(position, axis=0), axis=1).max() > limit:  # about another origin
+            unit = ': is that the tracker\'s frame? A mapping file has frame = "unknown", or where the robot is in it'
         rule = f"{what} is {far[k]:g} m from the base, beyond the reach of {limit:.3g} m{unit}"
         raise table.fault(rule, int(rows[k]), columns[first], position[k, first])
     if np.median(far) < limit / 2000 and not anywhere:

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ctrplan.base.arguments import SEED, Choice, Made, Whole, checked
-from ctrplan.base.arrays import CI95, LEVEL, Array, numbers, warn_of_degrees
+from ctrplan.base.arrays import CI95, LEVEL, UNITS_M, Array, numbers, warn_of_degrees
 from ctrplan.base.package import of_this_process
 from ctrplan.drive.legs import STILL_M, STILL_RAD
 from ctrplan.errors import InputError, SolverError
@@ -217,11 +217,13 @@ class Observer:
         members: int,
         seed: int,
         accuracy: Accuracy,
+        farthest_m: float,
     ) -> None:
         """Arguments as `Robot.observer` has them; `slow` with the values that the robot file has.
 
-        robot_with: the mechanics with slow parameters so much off these values.
+        robot_with: the mechanics with slow parameters so much off these values; farthest_m: that a tip may be measured.
         """
+        self._farthest_m = farthest_m
         self._accuracy, self._noise, self._most = accuracy, noise, members
         self._slow, self._values = SlowModel(offset, list(slow)), np.array(list(slow.values()), dtype=np.float64)
         self._rng = np.random.default_rng(seed)
@@ -243,6 +245,10 @@ class Observer:
         warn_of_degrees("theta_b", theta_b)
         theta_b, l_b = self._collars(theta_b, l_b)
         seen, along = _vector(position_m, "position_m"), _vector(tangent, "tangent")
+        if seen is not None and (far := float(np.linalg.norm(seen))) > (limit := self._farthest_m):
+            unit = ", are these millimetres?" if far * UNITS_M["mm"] <= limit else ""
+            rule = f"is {far:g} m from the base, beyond the reach of {limit:.3g} m{unit}"
+            raise InputError(rule, key="position_m", value=seen.tolist())
         if along is not None:
             if seen is None:
                 raise InputError("needs a position beside it", key="tangent")
@@ -272,6 +278,8 @@ class Observer:
         single = np.ndim(l_b) == 1
         theta, l = (np.atleast_2d(numbers(x, key)) for x, key in ((theta_b, "theta_b"), (l_b, "l_b")))  # noqa: E741
         theta, l = joint_rows(theta, l, self._bank.mechanics.n)  # noqa: E741 (as in the equations)
+        if not len(l):
+            raise InputError("must have a row to predict", key="theta_b")
         results = []
         paths = self._bank.threads.each(lambda member: probed(member.history, theta, l), self._bank.members)
         for member, path, share in zip(self._bank.members, paths, weights(self._bank.members), strict=True):

@@ -16,7 +16,7 @@ from ctrplan.base.package import shown, warn_caller
 from ctrplan.drive.drive import Drive
 from ctrplan.errors import InputError
 from ctrplan.measurement.measurements import Marker, SensorNoise
-from ctrplan.mechanics.tube import Contact, Loads, Tube, least_distance_m, nesting_inequalities
+from ctrplan.mechanics.tube import Contact, Loads, Tube, farthest_m, least_distance_m, nesting_inequalities
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
@@ -405,6 +405,7 @@ class Robot:
             members=members,
             seed=seed,
             accuracy=accuracy,
+            farthest_m=farthest_m(self.tubes),
         )
 
     def _clearance(self, i: int) -> float:

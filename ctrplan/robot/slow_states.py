@@ -76,9 +76,12 @@ class Followable(HasNumbers, Protocol):
 
 def values_of_slow(robot: Followable, slow: Sequence[SlowParameter]) -> dict[SlowParameter, float]:
     """Each with its value, SI, zero for the zeros of collars. Raises InputError for names that the robot lacks."""
-    for parameter in slow:
+    given: object = slow
+    for parameter in slow if isinstance(given, (list, tuple)) else [None]:
         if not isinstance(parameter, SlowParameter):
-            raise InputError("must be a list of SlowParameter", key="slow", value=parameter)
+            raise InputError(
+                "must be a list of SlowParameter", key="slow", value=given if parameter is None else parameter
+            )
     names = [parameter.name for parameter in slow]
     for name in names:
         if names.count(name) > 1:

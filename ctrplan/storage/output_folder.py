@@ -162,12 +162,14 @@ def _sha256(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-def output_folder(name: str, outputs: Sequence[str], later: Sequence[str] = ()) -> Path:
+def output_folder(
+    name: str, outputs: Sequence[str], later: Sequence[str] = (), *, inputs: Sequence[str | None] = ()
+) -> Path:
     """The folder that `outputs` will be written into, checked before any time is spent on them.
 
     The first of them tells such results from others: where it is missing, files called like the rest, or like those of
-    `later`, are of others and are kept. The folder is made when there is something to write. Raises InputError if it
-    can't be used.
+    `later`, are of others and are kept, as are always the `inputs`, files that are read. The folder is made when there
+    is something to write. Raises InputError if it can't be used.
     """
     folder = Path(name)
     refuse_other_text(name, "--output")
@@ -191,11 +193,21 @@ def output_folder(name: str, outputs: Sequence[str], later: Sequence[str] = ()) 
         if (folder / output).is_dir():
             rule = f"holds a folder of the name {output}, where a file is to be written"
             raise InputError(rule, key="--output", value=name)
+        require_kept(folder / output, inputs)
     foreign = [] if (folder / outputs[0]).exists() else [x for x in (*outputs[1:], *later) if (folder / x).exists()]
     if foreign:
         rule = f"holds {foreign[0]} without {outputs[0]}: other results, which would be lost; name another folder"
         raise InputError(rule, key="--output", value=name)
     return folder
+
+
+def require_kept(file: Path, inputs: Sequence[str | None], key: str = "--output") -> None:
+    """Raises InputError if `file`, which is to be written, is one of those that are read."""
+    for each in inputs:
+        if each and file.exists() and os.path.exists(each) and file.samefile(each):
+            raise InputError(
+                f"would write over {file.name}, which is read: name another place", key=key, value=str(file)
+            )
 
 
 def _reason(error: Exception) -> str:

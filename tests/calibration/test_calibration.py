@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from ctrplan.base.arrays import CHI95
 from ctrplan.calibration.calibrate import calibrate
 from ctrplan.calibration.robot_content import model_error_m
 from ctrplan.errors import InputError
-from ctrplan.files.robot_file import load_robot
+from ctrplan.files.robot_file import load_robot, write_robot
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.robot.robot import Robot
 
@@ -145,3 +146,46 @@ def test_a_tip_that_nothing_has_read_is_inside_the_radius_as_often_as_its_rank_s
         ]
         assert np.mean(inside) == pytest.approx(np.ceil(0.95 * (count + 1)) / (count + 1), abs=0.012)
         assert 0.94 < np.mean(inside) < 0.98
+
+
+TOLD = ("precurvature_factor_1_1", "tube.2.poisson_ratio", "effects.joint_scale.theta_2")
+
+
+@pytest.mark.parametrize("name", TOLD)
+def test_priors_and_bounds_are_kept_whatever_they_are_of(data: Measurements, name: str) -> None:
+    free = calibrate(ROBOT, data, [name]).estimates[name.rpartition("effects.joint_scale.")[2]]
+    neutral = {"precurvature_factor_1_1": 1.0, "tube.2.poisson_ratio": 0.3}.get(name, 0.0)
+    near = neutral + 0.1 * (free.value - neutral)
+    low, high = sorted((neutral, near))
+    held = calibrate(ROBOT, data, [name], bounds={name: (low, high)}).estimates.popitem()[1]
+    assert held.at_bound and low <= held.value <= high
+    tight = calibrate(ROBOT, data, [name], priors={name: 1e-6}).estimates.popitem()[1]
+    assert tight.value == pytest.approx(neutral, abs=1e-4) and tight.ci95[1] - tight.ci95[0] < 1e-5
+
+
+def test_what_cannot_be_asked_is_refused_by_name(data: Measurements) -> None:
+    for arguments, told in (
+        ({"priors": {"precurvature_factor_9": 0.1}}, "priors = 'precurvature_factor_9': is not fitted"),
+        ({"bounds": {"nonsense": (0, 1)}}, "bounds = 'nonsense': is not fitted"),
+        ({"parameters": []}, "must name something to fit"),
+        ({"parameters": ["calibration", "tube.2.poisson_ratio"]}, "tube.2.poisson_ratio: and poisson_ratio_2 are one"),
+        ({"held_out": 0.98}, "has 0 configurations to fit"),
+    ):
+        with pytest.raises(InputError, match=re.escape(told)):
+            calibrate(ROBOT, data, **arguments)
+
+
+@pytest.mark.parametrize("command", ["calibrate", "diagnose"])
+def test_no_file_that_is_read_is_written_over(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], command: str, data: Measurements
+) -> None:
+    write_robot(tmp_path / "robot.toml", dict(ROBOT.content))
+    write_csv(tmp_path / "poses.csv", data)
+    before = (tmp_path / "robot.toml").read_bytes()
+    inputs = [str(tmp_path / "robot.toml"), str(tmp_path / "poses.csv")]
+    assert main([command, *inputs, "-o", str(tmp_path)]) == 2
+    assert "would write over robot.toml, which is read: name another place" in capsys.readouterr().err
+    assert (tmp_path / "robot.toml").read_bytes() == before and len(list(tmp_path.iterdir())) == 2
+    if command == "diagnose":
+        assert main([command, *inputs, "-o", str(tmp_path / "out"), "--propose", inputs[1]]) == 2
+        assert "--propose" in capsys.readouterr().err

@@ -6,6 +6,7 @@ For every effect that the robot file may have already, alone and beside others, 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from ctrplan.calibration.parameters import BaseParameters, NamedParameters
 from ctrplan.calibration.residuals import Noise
 from ctrplan.calibration.robot_content import calibrated_content
 from ctrplan.effects.effect import CATALOGUE
-from ctrplan.files.robot_file import robot_from_dict
+from ctrplan.files.robot_file import load_robot, robot_from_dict, write_robot
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.pipeline.parametric_chain import ParametricChain
 from ctrplan.pipeline.term import Term, term
@@ -130,3 +131,19 @@ def test_clearance_of_the_file_is_what_its_effect_is_added_to() -> None:
     again = robot_from_dict(found.robot_content())
     assert again.clearance_m[0] * 1e3 == pytest.approx(0.09, abs=2e-3)
     assert found.robot.clearance_m[0] == pytest.approx(again.clearance_m[0], rel=1e-5)
+
+
+def test_the_robot_in_python_is_that_of_the_file(tmp_path: Path) -> None:
+    """Once it lacked the error that is left and the intervals, and a plan for it could not be opened again."""
+    data = measured(
+        PLAIN, waypoints(PLAIN, 12), {"homing_offset": {"theta_2_deg": 5.0}, "tip_load": {"force_x_N": 0.1}}
+    )
+    found = calibrate(PLAIN, data, ["calibration", "effects.homing_offset"])
+    write_robot(tmp_path / "robot.toml", found.robot_content())
+    read = load_robot(tmp_path / "robot.toml")
+    assert found.robot.sha256 == read.sha256 and found.robot.model_error_m == pytest.approx(
+        found.model_error_m, rel=1e-6
+    )
+    assert found.robot.intervals.ci95 == read.intervals.ci95 and "tube.2.poisson_ratio" in read.intervals.ci95
+    (tmp_path / "made.toml").write_text(found.robot.to_toml())
+    assert load_robot(tmp_path / "made.toml").sha256 == read.sha256

@@ -66,3 +66,15 @@ def test_the_command_says_which(tmp_path: Path, capsys: pytest.CaptureFixture[st
     code = main(["calibrate", str(tmp_path / "pair.toml"), str(tmp_path / "poses.csv"), "-o", str(tmp_path / "out")])
     row = CLEAN.rows[7] + 1
     assert code == 0 and f"1 of {CLEAN.count} poses (row {row})" in capsys.readouterr().err
+
+
+def test_what_both_approaches_show_is_the_models_and_not_the_poses() -> None:
+    """Of two approaches to a configuration, as the guide has them, either is the other's companion."""
+    data = CLEAN.subset(np.flatnonzero(np.arange(CLEAN.count) % 3 != 2))  # from both sides, without the oscillation
+    both = np.flatnonzero(data.configuration == 7)
+    position = data.position_m.copy()
+    position[both] += [0.0, 0.006, 0.0]
+    found = calibrate(ROBOT, replace(data, position_m=position))
+    assert len(both) == 2 and not remarks(found)
+    position[both[0]] = data.position_m[both[0]]  # one of them alone has no such excuse
+    assert str(data.rows[both[1]] + 1) in remarks(calibrate(ROBOT, replace(data, position_m=position)))[0]

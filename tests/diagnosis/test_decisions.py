@@ -25,6 +25,7 @@ from ctrplan.diagnosis.workflow import decide
 from ctrplan.errors import InputError
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.pipeline.term import term
+from ctrplan.reports.diagnosis_words import verdict_sentence
 from ctrplan.robot.robot import Robot
 
 ROBOT = pair_robot()
@@ -82,6 +83,13 @@ def test_what_predicts_the_same_everywhere_stays_undecided() -> None:
     after = decide(before, new, catalogue=few)
     (taken,) = after.decisions
     assert not taken.is_decided and after.verdict == "ambiguous" and "do not decide" in taken.sentence
+    for again in (data, data.subset(np.arange(4))):  # which the probabilities are of already
+        with pytest.raises(InputError, match="has not read: those poses count already"):
+            decide(before, again, catalogue=few)
+    unsure = replace(before, judgement=replace(before.judgement, verdict="unexplained", findings=()))
+    assert unsure.posterior is not None and unsure.posterior.of_unknown < 1 / 2
+    assert "not certain what acts" in verdict_sentence(unsure) and "This verdict has" not in verdict_sentence(unsure)
+    assert "something acts which the catalogue lacks has probability" in verdict_sentence(unsure)
     nothing = replace(before, judgement=replace(before.judgement, verdict="no_missing_effect", findings=()))
     with pytest.raises(InputError, match="has nothing to decide"):
         decide(nothing, new, catalogue=few)

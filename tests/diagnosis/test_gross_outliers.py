@@ -16,10 +16,12 @@ from numpy.typing import NDArray
 from unbuilt import build_nothing
 
 from ctrplan.calibration.fit_warnings import LEAST, far_from_all
+from ctrplan.calibration.observed_noise import noise_floor
 from ctrplan.calibration.residuals import MODEL_POSITION_M
 from ctrplan.calibration.robot_content import CHI95
 from ctrplan.diagnosis import CATALOGUE, Diagnosis, diagnose
 from ctrplan.diagnosis.held_out import LARGEST_REST, largest_remainder, times_noise
+from ctrplan.diagnosis.usable_poses import usable_poses, without_outliers
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.reports.diagnosis_words import verdict_sentence
 
@@ -206,3 +208,12 @@ def test_a_pose_is_far_only_compared_with_noise_with_all_and_with_companions(
 
 def test_the_solvers_own_error_is_no_contradiction() -> None:
     assert times_noise(MODEL_POSITION_M, 0.0) < 1.0 < LARGEST_REST < times_noise(1.0, 0.5)
+
+
+def test_poses_that_an_effect_explains_count_although_they_were_far_off_before() -> None:
+    """One approach a configuration: nothing but the effect says that the farthest of them are right."""
+    plan = waypoints(ROBOT, 24)
+    data = measured(ROBOT, plan.subset(np.arange(0, plan.count, 3)), {"joint_scale": {"theta_2": 0.05}})
+    before, _, _ = without_outliers(ROBOT, data, usable_poses(ROBOT, data), noise_floor(ROBOT, data)[0])
+    found = diagnose(ROBOT, data, catalogue={name: CATALOGUE[name] for name in ("joint_scale", "tip_load")})
+    assert before.any() and found.verdict == "named" and not found.outlier_rows and found.coverage == 1

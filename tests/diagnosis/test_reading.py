@@ -244,3 +244,9 @@ def test_check_reads_measurements_again(tmp_path: Path, capsys: pytest.CaptureFi
     write_csv(tmp_path / "clean.csv", CLEAN)
     assert main(["check", str(tmp_path / "clean.csv"), "--robot", robot, "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["reading"] == []
+
+
+@pytest.mark.filterwarnings("error")
+def test_few_poses_are_too_few_and_no_warning_of_numpy() -> None:
+    few = places(CLEAN.position_m).subset(np.arange(3))
+    assert read_again(ROBOT, few) == ()

@@ -112,3 +112,14 @@ def sentence(folder: Path, *commands: str) -> str:
     assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1), done.stderr
     assert sorted(folder.iterdir()) == before
     return done.stderr.rstrip("\n")
+
+
+def test_an_effect_that_returns_another_shape_is_named(tmp_path: Path) -> None:
+    """Once it was a traceback of a reshape, or a friction state that no fit has asked for."""
+    good = "return Collars(theta, collars.l)"
+    assert good in source("An effect")
+    write_extension(
+        tmp_path, PLACES["An effect"], source("An effect").replace(good, "return Collars(theta[:, :1], theta)")
+    )
+    said = sentence(tmp_path, BOUND)
+    assert said.endswith("effects.guide_twist: returns an array of shape (1, 1) where it was given (1, 2)."), said

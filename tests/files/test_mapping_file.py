@@ -281,6 +281,15 @@ FAULTS: dict[str, tuple[Callable[[Content], None], str]] = {
     "unit": (_with("units", "l", value="cm"), "units.l = 'cm'"),
     "zero": (_with("zero", value={"l_mm": [1.0]}), "zero.l_mm"),
     "separator": (_with("separator", value=","), "is no column of"),
+    "one column twice": (_with("columns", "position", value=[7, "-7", 9]), ": has 7 for two axes"),
+    "one file twice": (
+        _with("run", value=[{"file": "log.txt"}] * 2),
+        "run.2: has what run 1 has: every pose would count",
+    ),
+    "one frame": (
+        _with("run", value=[{"file": "log.txt"}, {"file": "log.txt", "frame": "unknown"}]),
+        "run.2.frame = 'unknown': differs from that of another run of the tracker 'tracker'",
+    ),
 }
 
 

@@ -292,3 +292,29 @@ def test_rows_nest_where_the_drive_puts_the_collars(tmp_path: Path) -> None:
     assert load_joint_path(file, offset).l_commanded[0, 1] == 0.001
     with pytest.raises(InputError, match="row 1: the base of tube 2"):
         load_joint_path(file, ROBOT)
+
+
+def test_a_row_that_is_written_twice_counts_once(tmp_path: Path) -> None:
+    data = measured(ROBOT, waypoints(ROBOT, 4))
+    write_csv(tmp_path / "once.csv", data)
+    head, *rows = (tmp_path / "once.csv").read_text().splitlines()
+    (tmp_path / "twice.csv").write_text("\n".join([head, *(row for row in rows for _ in range(2))]))
+    once, twice = (load_measurements(tmp_path / f"{name}.csv", ROBOT) for name in ("once", "twice"))
+    np.testing.assert_array_equal(twice.position_m, once.position_m)
+    np.testing.assert_array_equal(twice.theta_commanded[twice.rows], once.theta_commanded[once.rows])
+    assert any(f"{once.count} rows repeat the row before" in text for text in twice.warnings) and not once.warnings
+
+
+def test_what_a_tracker_has_done_is_said_before_all_else(tmp_path: Path) -> None:
+    """Zeros for what it did not see, tangents too; and an origin of its own, which is no unit."""
+    data = measured(ROBOT, waypoints(ROBOT, 2))
+    blind = replace(data, position_m=data.position_m.copy(), tangent=data.tangent.copy())
+    blind.position_m[1], blind.tangent[1] = 0.0, 0.0
+    for name, given, told in (
+        ("blind", blind, "tip is 0 in all coordinates"),
+        ("moved", replace(data, position_m=data.position_m + [0.5, -1.1, 1.2]), "is that the tracker's frame?"),
+        ("inches", replace(data, position_m=data.position_m / 0.0254), "are these centimetres or inches?"),
+    ):
+        write_csv(tmp_path / f"{name}.csv", given)
+        with pytest.raises(InputError, match=re.escape(told)):
+            load_measurements(tmp_path / f"{name}.csv", ROBOT)

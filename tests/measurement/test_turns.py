@@ -48,3 +48,14 @@ def test_a_file_is_unwrapped_with_a_note_or_refused_in_a_sentence(tmp_path: Path
     write_csv(tmp_path / "bad.csv", data)
     with pytest.raises(InputError, match="row 2, theta_2_rad .*turns by 315 deg at once: is it wrapped"):
         load_measurements(tmp_path / "bad.csv", ROBOT)
+
+
+@pytest.mark.parametrize("digits", [3, 6, 9])
+def test_an_approach_by_a_quarter_turn_that_was_wrapped_is_asked_about(digits: int) -> None:
+    """As the guide has configurations approached: three quarters of a turn, by whatever a file rounds."""
+    rng = np.random.default_rng(0)
+    true = rng.uniform(-np.pi, np.pi, 20)
+    for side in (-np.pi / 2, np.pi / 2):
+        wrapped = np.round(np.mod(np.column_stack([true + side, true]) + np.pi, TURN) - np.pi, digits)
+        for before, after in wrapped[np.abs(np.diff(wrapped, axis=1)[:, 0]) > np.pi]:
+            assert looks_wrapped(np.array([before, after]), np.zeros(2, int)) is None

@@ -157,7 +157,8 @@ def test_a_stream_is_followed_where_a_fit_pushes_collars_together() -> None:
     assert chain.collars(p).l[-1, 1] > 0
     assert np.isfinite(chain.predict(p).position_m).all()
     correction = friction_correction(chain, p)
-    assert correction is not None and np.abs(correction[0]).max() > 1e-5
+    assert correction is not None and correction.phi is not None
+    assert np.abs(correction.phi - chain.friction_state(p)).max() > 0.01
 
 
 @pytest.mark.parametrize("tau_s", [-0.25, 0.25])
@@ -180,7 +181,8 @@ def test_a_stream_without_a_start_is_not_corrected(monkeypatch: pytest.MonkeyPat
     chain = chain_of(ROBOT, streamed(), {})
     monkeypatch.setattr(History, "follow", follow)
     correction = friction_correction(chain, chain.neutral)
-    assert correction is not None and not np.any(correction)
+    assert correction is not None and not np.any(correction.shift_m) and not np.any(correction.turn)
+    np.testing.assert_array_equal(correction.phi, chain.friction_state(chain.neutral))
 
 
 def test_compliant_shafts_find_room_where_bases_touch() -> None:

@@ -95,8 +95,8 @@ def test_a_finer_mesh_and_a_history_correct_a_marker_beside_the_tip_as_the_tip()
     for plan in (data, moving):
         chains = [chain_of(robot, of(plan, number), {}) for number in (0, 2)]
         tip, nearly = (friction_correction(chain, chain.neutral) for chain in chains)
-        assert tip is not None and nearly is not None and np.abs(tip[0]).max() > 1e-6
-        np.testing.assert_allclose(nearly[0], tip[0], atol=1e-7)
+        assert tip is not None and nearly is not None and np.abs(tip.shift_m).max() > 1e-6
+        np.testing.assert_allclose(nearly.shift_m, tip.shift_m, atol=1e-7)
 
 
 def _blank(count: int) -> dict[str, Array]:

@@ -222,3 +222,19 @@ def test_walker_history_and_observer_take_collars_by_the_same_names() -> None:
     assert np.linalg.norm(seen.tip.position_m - tip) <= reach + 1e-6
     other = np.linalg.norm(robot.solve([0.0, 1.0], l_b).tip_m - tip)
     assert other > 2 * reach
+
+
+def test_what_no_tip_can_be_is_refused_before_anything_moves() -> None:
+    theta, l_b, truth = truth_of(PAIR)
+    observer, other = PAIR.observer(NOISE_M), PAIR.observer(NOISE_M)
+    for each in (observer, other):
+        each.observe(theta[0], l_b[0], truth.position_m[0])
+    with pytest.raises(InputError, match="position_m.* are these millimetres?"):
+        observer.observe(theta[1], l_b[1], 1e3 * truth.position_m[1])
+    with pytest.raises(InputError, match="must have a row to predict"):
+        observer.predict(np.zeros((0, 2)), np.zeros((0, 2)))
+    with pytest.raises(InputError, match="must be a list of SlowParameter"):
+        PAIR.observer(NOISE_M, slow=SlowParameter("theta_b.1", sigma=0.1))  # type: ignore[arg-type]
+    here, there = (each.observe(theta[1], l_b[1], truth.position_m[1]).tip for each in (observer, other))
+    np.testing.assert_array_equal(here.position_m, there.position_m)
+    np.testing.assert_array_equal(here.high_m, there.high_m)

@@ -231,7 +231,11 @@ def test_the_command_writes_the_pose_that_is_picked(
 @pytest.mark.parametrize(
     ("options", "code", "sentence"),
     [
-        (["-o", "scenario.toml"], 2, "--output = 'scenario.toml': is the scenario itself, which is kept."),
+        (
+            ["-o", "scenario.toml"],
+            2,
+            "--output = 'scenario.toml': would write over scenario.toml, which is read: name another place.",
+        ),
         (["-o", "none/a.toml"], 2, "--output = 'none/a.toml': must be a file in a folder that exists."),
         (["--cone-deg", "91"], 2, "--cone-deg = 91.0 deg: must be a number from 0 to 90."),
         (["--set", JOINTS_GOAL], 2, "a tip is needed."),

@@ -219,3 +219,10 @@ def test_where_it_cannot_stand_is_refused(robot: Robot, joints: list[float], wor
 def test_joints_against_the_wall_are_refused(vessel: Scenario) -> None:
     with pytest.raises(InputError, match="too close to the anatomy"):
         TipTracker(vessel, BEGIN + np.array([2.5, 0, 0, 0.02]))
+
+
+def test_a_point_in_millimetres_is_refused_as_by_inverse_kinematics(robot: Robot) -> None:
+    tracker = TipTracker(robot, BEGIN)
+    with pytest.raises(InputError, match="tip_m .*are these in millimetres"):
+        tracker.step(1e3 * tip(robot, BEGIN) / 5)
+    np.testing.assert_array_equal(tracker.joints, BEGIN)

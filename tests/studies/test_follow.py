@@ -44,6 +44,13 @@ def test_the_command_says_what_the_observer_gains(tmp_path: Path, capsys: pytest
     overrides = [word for key in NOISE for word in ("--set", key)]
     assert main(["simulate", PAIR, path, "-o", str(tmp_path / "out"), "--measured", *overrides]) == 0
     said = capsys.readouterr()
+    rows = list(csv.DictReader((tmp_path / "out" / "followed.csv").open()))
+    inside = [
+        float(row[f"low_{axis}_m"]) <= float(row[f"measured_{axis}_m"]) <= float(row[f"high_{axis}_m"])
+        for row in rows
+        for axis in "xyz"
+    ]  # of coordinates one by one, as the intervals are
+    assert f"{100 * np.mean(inside):.0f} % of the measured coordinates" in said.out
     assert "50 measured tips followed" in said.out and "with the observer" in said.out and said.err == ""
     assert {p.name for p in (tmp_path / "out").iterdir()} == {"SHA256SUMS", "followed.csv", "followed.png"}
     assert (tmp_path / "out" / "followed.png").read_bytes()[:4] == b"\x89PNG"
