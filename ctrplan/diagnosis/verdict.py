@@ -9,7 +9,7 @@ How probable a verdict is, a posterior over sets of effects says.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import combinations
 from typing import Any, Literal
@@ -20,7 +20,7 @@ from scipy.special import gammaln, logsumexp
 from ctrplan.base.arrays import Array
 from ctrplan.calibration.fit_warnings import excused, is_strained, strained
 from ctrplan.diagnosis.adequacy import Adequacy, remains
-from ctrplan.diagnosis.workbench import Candidates, Scored, Workbench
+from ctrplan.diagnosis.workbench import Candidates, Scored, Workbench, linear
 from ctrplan.pipeline.term import Term, term
 
 Verdict = Literal["named", "no_missing_effect", "ambiguous", "partial", "unexplained"]
@@ -180,14 +180,15 @@ def without_shared(
 
 
 def _is_shared(bench: Workbench, chosen: Scored, t: Term) -> bool:
-    """Whether a part of the effect by which other causes act as well explains as much as all of it."""
+    """Whether a part of the effect by which other causes act as well is nearly as probable as all of it, or more."""
     names = t.effect.shared([parameter.name for parameter in t.parameters])
     if not names:
         return False
     part = term(t.effect, names, bench.robot)
     scored = bench.scored([part if other is t else other for other in chosen.terms], chosen.fit)
-    worse_fit = (scored.fit.residuals.loss - chosen.fit.residuals.loss) / 2
-    return worse_fit < log_odds(NAMED)
+    weight = chosen.fit.residuals.weight
+    whole, alone = (replace(linear(some.fit), weight=weight).evidence for some in (chosen, scored))
+    return whole - alone < log_odds(NAMED)
 
 
 def _disbelieved(t: Term) -> str:
