@@ -69,7 +69,7 @@ def test_the_command_says_which(tmp_path: Path, capsys: pytest.CaptureFixture[st
 
 
 def test_what_both_approaches_show_is_the_models_and_not_the_poses() -> None:
-    """Of two approaches to a configuration, as the guide has them, either is the other's companion."""
+    """Either of two approaches to a configuration, as the guide has them, is the other's companion."""
     data = CLEAN.subset(np.flatnonzero(np.arange(CLEAN.count) % 3 != 2))  # from both sides, without the oscillation
     both = np.flatnonzero(data.configuration == 7)
     position = data.position_m.copy()

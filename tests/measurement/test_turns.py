@@ -52,7 +52,7 @@ def test_a_file_is_unwrapped_with_a_note_or_refused_in_a_sentence(tmp_path: Path
 
 @pytest.mark.parametrize("digits", [3, 6, 9])
 def test_an_approach_by_a_quarter_turn_that_was_wrapped_is_asked_about(digits: int) -> None:
-    """As the guide has configurations approached: three quarters of a turn, by whatever a file rounds."""
+    """The guide has configurations approached like this: three quarters of a turn, by whatever a file rounds."""
     rng = np.random.default_rng(0)
     true = rng.uniform(-np.pi, np.pi, 20)
     for side in (-np.pi / 2, np.pi / 2):

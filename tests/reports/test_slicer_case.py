@@ -51,7 +51,7 @@ def test_the_scene_loads_every_file_and_every_reference_leads_somewhere(files: d
 
 
 def test_centrelines_are_those_of_the_tenths_that_their_names_say(files: dict[str, str | bytes]) -> None:
-    """Of four poses only those tenths have a file that a pose is near to, each another one."""
+    """Only those tenths of four poses have a file that a pose is near to, each another one."""
     names = sorted(name for name in files if name.startswith("centreline_"))
     assert names == [f"centreline_{percent:03}.mrk.json" for percent in (0, 30, 70, 100)]
     assert len({files[name] for name in names}) == len(names)

@@ -354,7 +354,7 @@ def test_the_package_runs_as_a_module() -> None:
 def test_names_in_another_encoding_are_refused_before_anything_is_done(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """As of files unpacked from another system: no file that we write could hold such a name."""
+    """Files unpacked from another system have such names: no file that we write could hold one."""
     latin = os.fsdecode("sz\u00fc.toml".encode("latin-1"))
     (tmp_path / latin).write_text((SCENARIOS / "pair_free.toml").read_text())
     own = str(tmp_path / "r.toml")
