@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from ctrplan.commands.options import add_joint_options, add_set_option, configuration
-from ctrplan.commands.terminal import PATIENCE_S, ProgressBar, finite, tell_next, typed, warn
+from ctrplan.commands.terminal import PATIENCE_S, ProgressBar, finite, tell_next, telling, typed, warn
 from ctrplan.errors import InputError, NoAnswerError, SolverError
 from ctrplan.storage.output_folder import DEFAULT, output_folder, write_results
 
@@ -209,7 +209,9 @@ def run(arguments: argparse.Namespace) -> int:
         print(json.dumps(content, indent=1, allow_nan=False))
     else:
         print(_bound_text(result, play_mm))
-        for line in _others(robot, theta_b, l_b, result):
+        with telling("looking for other shapes of the robot at these joints"):
+            others = _others(robot, theta_b, l_b, result)
+        for line in others:
             print(line)
         if robot.drive.terms:
             print(_collars_text(theta_b, l_b))

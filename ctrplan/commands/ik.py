@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from ctrplan.base.arguments import DIRECTION_TOLERANCE_DEG, LONGEST_MM, SEED, Number, Whole
 from ctrplan.commands.options import add_allow_outside_option, add_number, add_set_option
-from ctrplan.commands.terminal import aligned, finite, tell_next, warn
+from ctrplan.commands.terminal import aligned, finite, tell_next, telling, warn
 from ctrplan.errors import InputError, NoAnswerError
 from ctrplan.storage.output_folder import output_folder, write_results
 
@@ -67,22 +67,25 @@ def run(arguments: argparse.Namespace) -> int:
     folder = output_folder(arguments.output, OUTPUTS) if arguments.output is not None else None
     warn([*scenario.warnings, *([doubt] if doubt else [])])
     tolerance_deg = arguments.direction_tolerance_deg
-    result = inverse_kinematics(
-        scenario,
-        np.multiply(arguments.tip_mm, 1e-3),
-        arguments.direction,
-        tolerance_m=arguments.tolerance_mm * 1e-3,
-        direction_tolerance_rad=None if tolerance_deg is None else math.radians(tolerance_deg),
-        starts=arguments.starts,
-        seed=arguments.seed,
-    )
-    outcome, branches = result.solutions, list(result.branches)
-    warn(plan_range_notes(scenario.robot, np.array([c.joints for c in outcome.configurations or [outcome.nearest]])))
-    print(
-        json.dumps(_json(scenario, outcome, branches), indent=1)
-        if arguments.json
-        else _text(scenario, outcome, branches, shown=len(branches) if arguments.all else MOST_SHOWN)
-    )
+    with telling("looking for every way there, and for other shapes of the robot at the same joints"):
+        result = inverse_kinematics(
+            scenario,
+            np.multiply(arguments.tip_mm, 1e-3),
+            arguments.direction,
+            tolerance_m=arguments.tolerance_mm * 1e-3,
+            direction_tolerance_rad=None if tolerance_deg is None else math.radians(tolerance_deg),
+            starts=arguments.starts,
+            seed=arguments.seed,
+        )
+        outcome, branches = result.solutions, list(result.branches)
+        warn(
+            plan_range_notes(scenario.robot, np.array([c.joints for c in outcome.configurations or [outcome.nearest]]))
+        )
+        print(
+            json.dumps(_json(scenario, outcome, branches), indent=1)
+            if arguments.json
+            else _text(scenario, outcome, branches, shown=len(branches) if arguments.all else MOST_SHOWN)
+        )
     if not outcome.configurations:
         raise NoAnswerError(f"--tip-mm: {_unreached(scenario, outcome, arguments)}.")
     if folder is not None:

@@ -6,8 +6,10 @@ import math
 import os
 import shlex
 import sys
+import threading
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -32,6 +34,18 @@ def typed(name: object) -> str:
 def tell_next(command: str) -> None:
     """Prints what to do with a result, below it."""
     print(f"next: {command}")
+
+
+@contextmanager
+def telling(sentence: str) -> Iterator[None]:
+    """Prints on standard error what a block does that has no progress to show, if it takes longer than EVERY_S."""
+    timer = threading.Timer(EVERY_S, print, (f"ctrplan: {sentence}; Ctrl-C ends it",), {"file": sys.stderr})
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
 
 
 def finite(value: float) -> float | None:

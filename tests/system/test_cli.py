@@ -316,6 +316,17 @@ def test_progress_without_a_terminal_is_a_line_every_ten_seconds(
     assert capsys.readouterr().err == ""
 
 
+def test_long_work_without_progress_says_what_it_does(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with terminal.telling("looking for shapes"):
+        pass
+    monkeypatch.setattr(terminal, "EVERY_S", 0.01)
+    with terminal.telling("looking for shapes"):
+        time.sleep(0.2)
+    assert capsys.readouterr().err == "ctrplan: looking for shapes; Ctrl-C ends it\n"
+
+
 @pytest.mark.parametrize(
     "command",
     [
