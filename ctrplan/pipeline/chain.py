@@ -278,8 +278,7 @@ def _unknown(key: str, known: Sequence[str]) -> str:
 
 
 def _check_intervals(name: str, table: Mapping[str, Any], known: Mapping[str, Parameter], document: Document) -> None:
-    intervals = table.get("ci95", {})
-    if not isinstance(intervals, dict):
+    if not isinstance(intervals := table.get("ci95", {}), dict):
         raise document.fault("must be a table of intervals", "effects", name, "ci95")
     for key, ends in intervals.items():
         if key not in known:
