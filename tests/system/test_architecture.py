@@ -56,3 +56,9 @@ def reached(name: str, arrows: list[tuple[str, str]]) -> set[str]:
     """What a chain of arrows leads to."""
     below = {target for start, target in arrows if start == name}
     return below.union(*(reached(target, arrows) for target in below))
+
+
+def test_a_file_is_one_concept() -> None:
+    """What grows beyond 450 lines is two, and what is of one file's use lives in it: the tree has so many files."""
+    files = {path: path.read_text(encoding="utf-8").count("\n") for path in (ROOT / "ctrplan").rglob("*.py")}
+    assert len(files) <= 320 and max(files.values()) <= 450, max(files, key=lambda path: files[path])
