@@ -244,7 +244,8 @@ def _check_count(data: Measurements, group: NDArray[np.int_], parameters: int) -
     each = int(np.ceil(data.given.sum(axis=1).mean())) if count else data.given.shape[1]  # numbers of a pose
     if count * each < 2 * parameters:
         least = -(-2 * parameters // each)
-        rule = f"has {count} configurations to fit, too few for {parameters} parameters: at least {least}"
+        there = "1 configuration" if count == 1 else f"{count} configurations"
+        rule = f"has {there} to fit, too few for {parameters} parameters: at least {least}"
         raise InputError(rule, file=data.file)
 
 
