@@ -227,8 +227,8 @@ def _without_outliers(
         if not more.any() or too_many(wrong | more, every):
             break
         wrong |= more
-    near = wrong & ~gross_outliers(passes[-1], data, every)
-    return (fitted(~aside & ~(wrong & ~near)), wrong & ~near) if near.any() else (passes, wrong)
+    still = wrong & gross_outliers(passes[-1], data, every)
+    return (passes, wrong) if np.array_equal(still, wrong) else (fitted(~aside & ~still), still)
 
 
 def _split_off(group: NDArray[np.int_], share: float, seed: int) -> NDArray[np.bool_]:

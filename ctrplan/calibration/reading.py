@@ -127,9 +127,10 @@ def read_again(robot: Robot, data: Measurements) -> tuple[Reading, ...]:
 
 def _as_lag(way: _Again, data: Measurements) -> str:
     """Poses of a stream with a clock may belong to other rows because they are stamped late."""
+    if not way.rows or not data.is_stream or data.time_s is None:
+        return ""
     late_s = way.rows * float(np.median(np.diff(clock(data))))
-    words = f", or stamped {late_s:.2g} s late, which --as-read leaves to the effect lag"
-    return words if way.rows and data.is_stream and data.time_s is not None else ""
+    return f", or stamped {late_s:.2g} s late, which --as-read leaves to the effect lag"
 
 
 def _unrelated(file: _File) -> Reading | None:
