@@ -184,7 +184,7 @@ def _vector(key: str, value: ArrayLike, largest: float, unit: str | None = None)
 TrackStatus = Literal["reached", "limited", "shortened", "stopped"]
 
 STEP_S = 0.05  # between steps at 20 Hz
-LOOKS, HEADWAY = 4, 0.7  # by a known history, before a way is walked, while each leaves at most that share of the last
+LOOKS = 4  # by a known history, before a way is walked
 ATTEMPTS = 2  # at a step, of which those after the first one correct what the tip and the body did
 
 
@@ -328,7 +328,8 @@ class TipTracker:
     def _led(self, begin: _Place, target: TipTarget, dt_s: float) -> tuple[_Place, bool, str]:
         """Where least squares lead: the last place that keeps all limits, whether it is short of that, why it must be.
 
-        A place off the target or too close to the anatomy is corrected by what the tip and the body did on the way.
+        A place off the target or too close to the anatomy is corrected by what the tip and the body did on the way,
+        where that is expected to take off REFINED_SHARE of what is left: along a wall hardly.
         """
         best, tip, broken, why = begin, begin.tip, "", ""
         if np.linalg.norm(miss_of(target, tip.pose)[0]) <= REFINED_SHARE * self.tolerance_m:
@@ -357,20 +358,20 @@ class TipTracker:
 
         A known history is asked until the tip is where it should be, but not where a way was refused before.
         """
-        best: _Tip | None = None
-        least, joints = np.inf, tip.joints
+        best, least, joints = None, np.inf, tip.joints
         for _ in range(1 if self._history is None or lines.refused else LOOKS):
             motion = lines.motion(target, tip.joints, tip.pose)
             joints = self._space.projected((lines.joints + share * motion)[None], fallback=lines.joints[None])[0]
+            if tip is not begin.tip and not lines.gain(target, tip.joints, tip.pose, joints) > REFINED_SHARE:
+                joints = tip.joints
+                break
             ahead = None if lines.refused else self._foreseen(begin, joints)
             if ahead is None or not np.isfinite(ahead.pose).all():
                 break
             off_m = float(np.linalg.norm(miss_of(target, ahead.pose)[0]))
             unforeseen_m = lines.learn_tip(ahead.joints - tip.joints, ahead.pose - tip.pose)
-            tip, headway = ahead, off_m < HEADWAY * least
-            if off_m < least:
-                best, least = ahead, off_m
-            if min(off_m, unforeseen_m) <= self.tolerance_m or not headway or off_m > unforeseen_m + self.tolerance_m:
+            best, least, tip = (ahead, off_m, ahead) if off_m < least else (best, least, ahead)
+            if min(off_m, unforeseen_m) <= self.tolerance_m:
                 break
         return (joints, None) if best is None else (best.joints, best)
 

@@ -308,6 +308,12 @@ class MotionLines:
         rows, room = np.vstack([self.rows, self.closer]), np.append(self.room, np.maximum(self.spare, 0.0))
         return least_squares_within(slope, aim, rows, room) / self.weights
 
+    def gain(self, target: TipTarget, joints: Array, pose: Array, then: Array) -> float:
+        """The share of a miss that moving on to joints `then` (m,) is expected to take off; arguments of `motion`."""
+        change = self.slope @ ((then - joints) * self.weights)
+        left, expected = (float(np.linalg.norm(miss_of(target, at)[0])) for at in (pose, pose + change))
+        return 1 - expected / max(left, NO_STEP_M)
+
     def learn_tip(self, moved: Array, change: Array) -> float:
         """Takes in how a motion (m,) changed the pose (1, 6); how far [m] the tip is from where it was expected."""
         moved = moved * self.weights

@@ -86,6 +86,19 @@ def test_a_slower_step_goes_less_far(robot: Robot) -> None:
     assert moved[1] < moved[0] < np.linalg.norm(far - tip(robot, BEGIN))
 
 
+@pytest.mark.parametrize("friction", [None, "released"])
+def test_what_limits_hold_is_not_walked_again(
+    robot: Robot, friction: str | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A point far ahead is as far from a second place as from the first one, which speeds allow."""
+    tracker, walks = TipTracker(robot, BEGIN, friction=friction), list[int]()
+    walk = TipTracker._walk
+    monkeypatch.setattr(TipTracker, "_walk", lambda self, corners: walks.append(len(corners)) or walk(self, corners))
+    steps = [tracker.step(tip(robot, BEGIN) + np.array([0.02, 0.02, 0]), dt_s=0.05) for _ in range(5)]
+    assert {step.status for step in steps} == {"limited"}
+    assert len(walks) == len(steps)
+
+
 def into_the_wall(tracker: TipTracker, steps: int) -> list[TrackedStep]:
     at = tracker.scenario.located(tip(tracker.scenario.robot, tracker.joints))
     return [tracker.step(at + share * np.array([0, 12e-3, 0])) for share in np.linspace(0, 1, steps)]
