@@ -283,12 +283,12 @@ class Torus:
     def all_roots(self, alpha: Array, outermost_rad: Sequence[float]) -> list[tuple[list[Equilibrium], int]]:
         """Equilibria and the sum of their signs at relative collar angles (A, n - 1) [rad], outermost ones (A,).
 
-        Newton's method begins where the grid's derivatives lead into the cell around; from everywhere on a denser grid
-        if the signs of what that finds do not add up.
+        Newton's method begins where the grid's derivatives lead into the cell around; on a denser grid, near there and
+        then from everywhere, if the signs of what that finds do not add up.
         """
         results: list[Any] = [None] * len(alpha)
         left = list(range(len(alpha)))
-        for times, cells in ((1, NEAR_CELLS), (DENSER, np.inf)):
+        for times, cells in ((1, NEAR_CELLS), (DENSER, NEAR_CELLS), (DENSER, np.inf)):
             reach_rad = cells * 2 * np.pi / GRID[max(self.pairs, 1)]
             turned = np.ascontiguousarray(alpha[left]), [float(outermost_rad[k]) for k in left]
             every = self._core.roots(self._count(times), *turned, reach_rad, SAME_RAD)

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <map>
 #include <numbers>
 #include <utility>
 
@@ -74,25 +75,27 @@ class TorusOf : public TipTorus {
 
     std::vector<std::vector<TorusRoot>> roots(int count, const std::vector<double>& alpha, const std::vector<double>& outermost,
                                               double reach, double apart) override {
-        std::vector<Place> places = grid(count), known;
-        std::vector<std::pair<double, std::size_t>> order;  // what leads there by the shortest step goes first
+        const std::vector<Place>& places = grid(count);
+        std::vector<Place> earlier, known;  // roots for other alpha: the next one is near, often
+        std::vector<std::pair<double, const Place*>> order;  // what leads there by the shortest step goes first
         std::vector<std::vector<TorusRoot>> all(outermost.size());
         for (std::size_t a = 0; a < all.size(); ++a) {
             const double* here = alpha.data() + a * (N - 1);
             double by[P];
             order.clear();
             known.clear();
-            for (std::size_t k = 0; k < places.size(); ++k)
-                if (const double length = step_to(here, places[k], by); length < reach) order.emplace_back(length, k);
-            std::sort(order.begin(), order.end());
-            for (const auto& [length, k] : order) {
-                Place place = places[k];
+            for (const std::vector<Place>* some : {&places, &std::as_const(earlier)})
+                for (const Place& place : *some)
+                    if (const double length = step_to(here, place, by); length < reach) order.emplace_back(length, &place);
+            std::stable_sort(order.begin(), order.end(), [](const auto& a, const auto& b) { return a.first < b.first; });
+            for (const auto& [length, begun] : order) {
+                Place place = *begun;
                 if (!find(place, here, reach, known)) continue;
                 if (std::any_of(known.begin(), known.end(), [&](const Place& root) { return distance(place, root) <= apart; })) continue;
                 known.push_back(place);
                 all[a].push_back(describe(place, outermost[a]));
             }
-            places.insert(places.end(), known.begin(), known.end());  // the next one is near, often
+            earlier.insert(earlier.end(), known.begin(), known.end());
         }
         return all;
     }
@@ -112,10 +115,10 @@ class TorusOf : public TipTorus {
         double det;                                      // of by; 0 where there is no inverse
     };
 
-    // All places of so many angles along each pair, evenly over the torus. Kept, but for a denser grid.
-    std::vector<Place> grid(int count) {
-        if (count == kept_count_) return kept_;
-        std::vector<Place> places;
+    // All places of so many angles along each pair, evenly over the torus.
+    const std::vector<Place>& grid(int count) {
+        std::vector<Place>& places = grids_[count];
+        if (!places.empty()) return places;
         std::size_t total = 1;
         for (int i = 0; i + 1 < N; ++i) total *= count;
         for (std::size_t k = 0; k < total; ++k) {
@@ -123,10 +126,6 @@ class TorusOf : public TipTorus {
             std::size_t left = k;
             for (int i = N - 2; i >= 0; --i, left /= count) psi[i] = WHOLE * static_cast<double>(left % count) / count;
             places.push_back(at(psi, COARSE * step_));
-        }
-        if (kept_count_ == 0) {
-            kept_ = places;
-            kept_count_ = count;
         }
         return places;
     }
@@ -428,8 +427,7 @@ class TorusOf : public TipTorus {
 
     const TorusTubes tubes_;
     const double step_;
-    int kept_count_ = 0;
-    std::vector<Place> kept_;  // the first grid
+    std::map<int, std::vector<Place>> grids_;  // by their counts; those of five tubes may take 0.1 GB
 };
 
 }  // namespace
