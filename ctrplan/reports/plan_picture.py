@@ -99,7 +99,7 @@ def draw_leg_key(figure: Figure, timeline: Timeline, corner: tuple[float, float]
 
 def _prepare(ax: Axes, timeline: Timeline, heading: str) -> None:
     """Axis over time with its legs shaded by kind."""
-    ax.set_title(heading, loc="left", fontsize=11.5, fontweight="bold", color=looks.INK)
+    ax.set_title(heading, loc="left", y=1.0, fontsize=11.5, fontweight="bold", color=looks.INK)
     ax.set_xlim(0, timeline.end_s)
     for shade in timeline.shades:
         ax.axvspan(shade.start_s, shade.end_s, facecolor=shade.colour, edgecolor="none", zorder=0)
