@@ -193,7 +193,7 @@ class Mechanics:
         `progress` is told the finished share between chunks of half a second or so. With an `executor`, any that has
         the interface of concurrent.futures, chunks are its tasks, by default on one thread each. Results are the same.
         """
-        (thetas, ls), cores = self._configurations(theta_b, l_b), core_threads(threads)
+        (thetas, ls), cores = joint_rows(theta_b, l_b, self.n), core_threads(threads)
         rows = rows_in_a_chunk(self.n, accuracy)
         if executor is not None or len(thetas) > rows:  # nothing is solved before all is known to be well-formed
             self._refuse(thetas, ls)
@@ -227,7 +227,7 @@ class Mechanics:
         parameters: Sequence[str] = (),
     ) -> Bounds:
         """`bound_many` with a status for every row: REFUSED and NaN where `bound` of the row raises InputError."""
-        thetas, ls = self._configurations(theta_b, l_b)
+        thetas, ls = joint_rows(theta_b, l_b, self.n)
         refused = np.zeros(len(thetas), dtype=bool)
         refused[[k for k, _ in self._refused(thetas, ls)]] = True
         solved = self.bound_many(
@@ -242,7 +242,7 @@ class Mechanics:
 
     def first_refused(self, theta_b: ArrayLike, l_b: ArrayLike) -> tuple[int, str] | None:
         """The first of K configurations (K, n), (K, n) that is malformed or does not nest, and why; None if none is."""
-        return next(self._refused(*self._configurations(theta_b, l_b)), None)
+        return next(self._refused(*joint_rows(theta_b, l_b, self.n)), None)
 
     def _refused(self, thetas: Array, ls: Array) -> Iterator[tuple[int, str]]:
         with np.errstate(invalid="ignore"):  # rows that are no numbers
@@ -269,7 +269,7 @@ class Mechanics:
         15 us, so searches, whose tips are hints, leave them out by `loads=False`. `progress` is told the finished
         share, 0 to 1.
         """
-        thetas, ls = self._configurations(theta_b, l_b)
+        thetas, ls = joint_rows(theta_b, l_b, self.n)
         parts = chunks(len(thetas), TIPS_AT_ONCE)
         if len(parts) > 1:  # nothing is solved before all is known to be well-formed
             self._refuse(thetas, ls)
@@ -296,7 +296,7 @@ class Mechanics:
         """
         with input_errors():
             return self._model.clearances(
-                *self._configurations(theta_b, l_b), core_grid(field), spacing_m, core_threads(threads)
+                *joint_rows(theta_b, l_b, self.n), core_grid(field), spacing_m, core_threads(threads)
             )
 
     @checked(parameters=Texts(), threads=THREADS, accuracy=FIRST_ORDER, progress=PROGRESS)
@@ -318,7 +318,7 @@ class Mechanics:
         Derivatives of the discretised equations; NaN where a solve FAILED, by what would pass another, by compliance
         of a rigid shaft, where a load's own change does not settle. What coincides is taken to move together.
         """
-        thetas, ls = self._configurations(theta_b, l_b)
+        thetas, ls = joint_rows(theta_b, l_b, self.n)
         states = np.ascontiguousarray(numbers(phi, "phi"))
         if states.shape != (len(thetas), self.n - 1):
             raise InputError(f"must have shape ({len(thetas)}, {self.n - 1}), not {states.shape}", key="phi")
@@ -363,17 +363,20 @@ class Mechanics:
         limits: PathLimits | None = None,
         accuracy: Accuracy = "search",
         bodies: bool = False,
+        walker: _model.Walker | None = None,
     ) -> PathSamples:
         """Walks the straight lines between configurations (K, n), (K, n), each solve starting from the one before.
 
         Stops after the first sample that breaks a limit, fails, or is UNSTABLE, which a snap on the way is too. With
-        `bodies`, points, stability and strain of every shape are kept.
+        `bodies`, points, stability and strain of every shape are kept. A walker, of `core_walker` with its accuracy,
+        goes on from where it stands or stood before its last step, if that is the first configuration.
         """
         until = core_density(density or PathDensity()), core_limits(limits or PathLimits())
         with input_errors():
             theta, length = joint_rows(theta_b, l_b, self.n)
-            result = self._model.check_path(theta, length, core_grid(field), *until, accuracy, bodies)
-        return promised(PathSamples(**result))
+            given = (theta, length, core_grid(field), *until)
+            walked = walker.check_path(*given, bodies) if walker else self._model.check_path(*given, accuracy, bodies)
+        return promised(PathSamples(**walked))
 
     @checked(accuracy=ACCURACY)
     def body(self, theta_b: ArrayLike, l_b: ArrayLike, *, accuracy: Accuracy = "search") -> tuple[Array, Array]:
@@ -431,18 +434,15 @@ class Mechanics:
             )
         return rows
 
-    def _configurations(self, theta_b: ArrayLike, l_b: ArrayLike) -> tuple[Array, Array]:
-        return joint_rows(theta_b, l_b, self.n)
-
     def _refuse(self, theta_b: Array, l_b: Array) -> None:
         if refused := self.first_refused(theta_b, l_b):
             raise InputError("row {}: {}".format(*refused))
 
     def _pairs(self, values: ArrayLike, key: str) -> Array:
         pairs = np.atleast_1d(numbers(values, key))
-        if pairs.shape != (self.n - 1,):
-            raise InputError(f"must have shape ({self.n - 1},), one value per pair, not {pairs.shape}", key=key)
-        return pairs
+        if pairs.shape == (self.n - 1,):
+            return pairs
+        raise InputError(f"must have shape ({self.n - 1},), one value per pair, not {pairs.shape}", key=key)
 
 
 def kernel_name() -> str:

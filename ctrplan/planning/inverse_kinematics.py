@@ -16,6 +16,7 @@ from ctrplan.base.arguments import DIRECTION_TOLERANCE_DEG, MOST_STARTS, SEED, N
 from ctrplan.base.arrays import LONGEST_MM, MM_PER_M, UNITS_M, Array, numbers
 from ctrplan.base.package import of_this_process, shown, warn_caller
 from ctrplan.errors import InputError
+from ctrplan.mechanics.core_arrays import TipMemory
 from ctrplan.motion.checker import MotionChecker
 from ctrplan.motion.limits import breach, path_limits
 from ctrplan.planning.reach import (
@@ -261,7 +262,7 @@ class TipTracker:
         self._checker = MotionChecker(self.scenario)
         self._checker.limits = path_limits(self.scenario)
         self._space, self._mechanics = self._checker.space, self._checker.mechanics
-        self._solver = TipSolver(self._space, self._mechanics)
+        self._solver, self._walker = TipSolver(self._space, self._mechanics), self._mechanics.core_walker("search")
         q = numbers(joints, "joints").copy()
         if q.shape != (len(self._space.weights_mm),) or not np.isfinite(q).all():
             raise InputError(f"must be {len(self._space.weights_mm)} finite numbers", key="joints", value=joints)
@@ -273,7 +274,7 @@ class TipTracker:
             raise InputError(f"must keep limits and margins: {reason}", key="joints")
         self._history: History | None = None
         self._stopped: tuple[_Place, float, MotionLines] | None = None
-        self._offset_m = np.zeros(3)
+        self._offset_m, self._known = np.zeros(3), TipMemory()
         self._here = _Place(self._frictionless(q, samples), samples)
         self.know(friction)
 
@@ -289,8 +290,7 @@ class TipTracker:
         followed; None: nothing, and the expected tip is the frictionless one. Raises InputError for an observer's state
         at other joints, and where there is no equilibrium.
         """
-        q, samples = self._here.tip.joints, self._here.at
-        offset_m = np.zeros(3)
+        q, samples, offset_m = self._here.tip.joints, self._here.at, np.zeros(3)
         if isinstance(friction, ObserverState):
             friction.check(self._mechanics, *self._space.drive.collars(q))
             offset_m, friction = friction.offset_m, friction.histories[0]
@@ -382,7 +382,7 @@ class TipTracker:
         q, drive, weights = begin.tip.joints, self._space.drive, self._space.weights_mm / MM_PER_M
         most, identity, (nesting, nested) = drive.max_velocity * dt_s, np.eye(len(weights)), self._space.nesting_rules
         up, down = (np.minimum(left, most) for left in (drive.upper - q, q - drive.lower))
-        tips = tips_by_joints(self._checker, q[None], begin.tip.phi)
+        tips = tips_by_joints(self._checker, q[None], begin.tip.phi, (self._known, [0]))
         closer, spare, near = closer_by_joints(self._checker, self._solver, q, begin.at, most)
         return MotionLines(
             joints=q,
@@ -425,7 +425,7 @@ class TipTracker:
         """What the core says along a polyline (K, m), with bodies."""
         checker, collars = self._checker, self._space.drive.collars(corners)
         return self._mechanics.check_path(
-            *collars, checker.field, density=checker.density, limits=checker.limits, bodies=True
+            *collars, checker.field, density=checker.density, limits=checker.limits, bodies=True, walker=self._walker
         )
 
     def _result(self, target: TipTarget, status: TrackStatus, reason: str) -> TrackedStep:

@@ -26,18 +26,20 @@ from ctrplan.scenario.tip_solver import TipSolver, TipTarget, angle_to, damped_s
 
 if TYPE_CHECKING:
     from ctrplan.anatomy.clearance_grid import SignedDistanceField
+    from ctrplan.mechanics.core_arrays import Near
 
 
-def tips_by_joints(checker: MotionChecker, q: Array, phi: Array) -> Tips:
+def tips_by_joints(checker: MotionChecker, q: Array, phi: Array, near: Near | None = None) -> Tips:
     """Tips at joint values q (K, m) in friction states phi (K, n - 1), with derivatives (K, 3, m) by rad or m.
 
-    A joint at a limit of the tubes' nesting has no derivative and counts as fixed.
+    A joint at a limit of the tubes' nesting has no derivative and counts as fixed. near: known solutions, which those
+    beside them begin from.
     """
     drive, names = checker.space.drive, collar_names(checker.mechanics.n)
     moves = drive.collars_by_joints(q)
     moved = np.flatnonzero(moves.any(axis=(0, 2))).tolist()
     parameters, moves = [names[k] for k in moved], moves[:, moved]
-    tips = checker.mechanics.tips_with_friction(*drive.collars(q), phi, parameters=parameters)
+    tips = checker.mechanics.tips_with_friction(*drive.collars(q), phi, parameters=parameters, near=near)
     by_joints = (np.nan_to_num(slope) @ moves for slope in (tips.position_by, tips.tangent_by))
     return replace(tips, position_by=next(by_joints), tangent_by=next(by_joints))
 

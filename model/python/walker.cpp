@@ -7,6 +7,7 @@
 #include "bounds.hpp"
 #include "configurations.hpp"
 #include "unlocked.hpp"
+#include "walk.hpp"
 
 namespace {
 
@@ -21,6 +22,12 @@ class LockedWalker {
         const ctr::BoundRows row = unlocked([&] { return walker_.step(q); });
         return nb::make_tuple(row.position_bound[0], row.tangent_bound[0], row.stability[0], row.max_strain[0], row.residual[0],
                               static_cast<int>(row.status[0]), row.tip[0], row.tangent[0], walker_.started_cold(), walker_.solves());
+    }
+
+    nb::dict check_path(Matrix theta, Matrix l, const Grid* grid, const ctr::PathDensity& density, const ctr::PathLimits& limits, bool shapes) {
+        const std::vector<ctr::Configuration> corners = valid_configurations(robot_, theta, l);
+        const std::unique_lock<std::mutex> lock = hold();
+        return to_python(unlocked([&] { return walker_.check_path(corners, field_of(grid), density, limits, shapes); }), shapes);
     }
 
     nb::dict shapes() const {
@@ -47,5 +54,7 @@ void bind_walker(nb::module_& m) {
         .def("__init__", [](LockedWalker* self, const ctr::Model& model, const std::string& level) { new (self) LockedWalker(model, level); },
              "model"_a, "accuracy"_a)
         .def("step", &LockedWalker::step, "theta_b"_a.noconvert(), "l_b"_a.noconvert())
+        .def("check_path", &LockedWalker::check_path, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "field"_a.none(), "density"_a, "limits"_a,
+             "shapes"_a)
         .def("shapes", &LockedWalker::shapes);
 }

@@ -54,3 +54,20 @@ def test_a_walker_starts_cold_after_a_way_that_is_too_long_and_stands_nowhere_at
     assert walker.bound(*START).started_cold
     assert not walker.bound(START[0] + [0, 0.01, 0], START[1]).started_cold
     assert walker.bound(START[0] + [0, 300.0, 0], START[1]).started_cold
+
+
+def test_a_walk_that_goes_on_is_that_from_scratch() -> None:
+    """Also from where the way before began, which was not taken."""
+    mechanics, random = ctrplan.load_robot(ROBOTS / "three_tube.toml").mechanics, np.random.default_rng(6)
+    walker, (theta, l) = mechanics.core_walker("search"), START  # noqa: E741
+    for k in range(21):
+        to = theta + random.uniform(-0.1, 0.1, 3), l + [0, 0, random.uniform(-1, 1) * 1e-3]
+        way = np.array([theta, to[0]]), np.array([l, to[1]])
+        warm, cold = (mechanics.check_path(*way, bodies=True, walker=own) for own in (walker, None))
+        assert len(warm.segment) == len(cold.segment) == 2
+        for name in ("tip_m", "corner_tip_m", "position_m", "motion_m", "clearance_m", "max_strain"):
+            np.testing.assert_allclose(getattr(warm, name), getattr(cold, name), rtol=1e-6, atol=SAME_M)
+        np.testing.assert_allclose(warm.shape_stability, cold.shape_stability, rtol=1e-3)  # by the last step's factors
+        for mine, afresh in zip(warm.bodies, cold.bodies, strict=True):
+            np.testing.assert_allclose(mine, afresh, rtol=0, atol=SAME_M)
+        theta, l = (theta, l) if k % 3 == 1 else to  # noqa: E741

@@ -63,6 +63,8 @@ class BoundSolver {
     // Starts from the previous solution, carried over to the new mesh; from scratch if that is not possible or fails.
     // retrying: from the solution the last call started from, whose outcome was rejected.
     void follow(const Configuration& q, const Accuracy& accuracy, bool retrying = false);
+    // Stands at q as it does already, or did before its last step; where it did not, as solve().
+    void begin_at(const Configuration& q, const Accuracy& accuracy);
     // One solution for given friction states, phi per pair, outermost first.
     void solve_single(const Configuration& q, const Accuracy& accuracy, const std::vector<double>& phi);
 

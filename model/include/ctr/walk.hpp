@@ -63,8 +63,9 @@ double clearance(const BoundSolver& bound, const SignedDistanceField& field, dou
 // to `out`. They stand at the same arc lengths for every shape of one configuration.
 void collect_points(const BoundSolver& bound, const Backbone& shape, double spacing, std::vector<double>& out);
 
+// goes_on: from the shapes that the solver has at the first configuration, where it stands there; solved from scratch otherwise.
 std::vector<PathSample> check_path(BoundSolver& solver, const std::vector<Configuration>& corners, const Accuracy& mesh,
                                    const SignedDistanceField& field, const PathDensity& density, const PathLimits& limits,
-                                   bool keep_shapes = false);
+                                   bool keep_shapes = false, bool goes_on = false);
 
 }  // namespace ctr

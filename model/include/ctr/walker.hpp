@@ -17,6 +17,9 @@ class Walker {
     // The bound at a configuration, one row. Long ways are walked in steps, so that the branch is that of the path. Other
     // solutions are not looked for.
     BoundRows step(const Configuration& q);
+    // A walk as ctr::check_path, from where it stands, if that is the first configuration, or stood before its last step.
+    std::vector<PathSample> check_path(const std::vector<Configuration>& corners, const SignedDistanceField& field, const PathDensity& density,
+                                       const PathLimits& limits, bool keep_shapes);
     // Whether the last step started from nothing: the first one, and where no solution near the last one was found.
     bool started_cold() const { return cold_; }
     int solves() const { return solves_; }  // of the last step

@@ -307,6 +307,13 @@ void BoundSolver::follow(const Configuration& q, const Accuracy& accuracy, bool 
     measure();
 }
 
+void BoundSolver::begin_at(const Configuration& q, const Accuracy& accuracy) {
+    const auto is_there = [&](const Configuration& at) { return at.theta == q.theta && at.l == q.l; };
+    if (have_solution_ && all_converged() && is_there(q_)) return;
+    if (have_solution_ && predictor_->knows_any() && is_there(predictor_->last())) return follow(q, accuracy, true);
+    solve(q, accuracy);
+}
+
 std::vector<double> BoundSolver::shape_stabilities() {
     std::vector<double> found{stability_};
     double stability[kMostLanes];

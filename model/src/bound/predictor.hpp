@@ -11,6 +11,7 @@ namespace ctr {
 class Predictor {
   public:
     void forget() { count_ = 0; }
+    bool knows_any() const { return count_ > 0; }
     // Remembers the solutions at q, instead of the oldest of three.
     void take(const Configuration& q, const Mesh& mesh, const std::vector<LaneState*>& states);
     // Whether at least two of them lie on a straight line with q, in order, on meshes laid out like this one.

@@ -158,7 +158,7 @@ double clearance(const BoundSolver& bound, const SignedDistanceField& field, dou
 
 std::vector<PathSample> check_path(BoundSolver& solver, const std::vector<Configuration>& corners, const Accuracy& mesh,
                                    const SignedDistanceField& field, const PathDensity& density, const PathLimits& limits,
-                                   bool keep_shapes) {
+                                   bool keep_shapes, bool goes_on) {
     std::vector<PathSample> samples;
     std::vector<Markers> before, now;
     const int pairs = solver.solver().robot().count() - 1;
@@ -195,7 +195,8 @@ std::vector<PathSample> check_path(BoundSolver& solver, const std::vector<Config
                sample.max_strain <= limits.max_strain && sample.clearance >= limits.clearance;
     };
     if (corners.empty()) return samples;
-    solver.solve(corners.front(), mesh);
+    if (goes_on) solver.begin_at(corners.front(), mesh);
+    else solver.solve(corners.front(), mesh);
     ++solves;
     before = markers_of_shapes(solver);
     if (!record(0, 0, 0)) return samples;

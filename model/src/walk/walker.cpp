@@ -58,6 +58,14 @@ BoundRows Walker::step(const Configuration& q) {
     return row;
 }
 
+std::vector<PathSample> Walker::check_path(const std::vector<Configuration>& corners, const SignedDistanceField& field,
+                                           const PathDensity& density, const PathLimits& limits, bool keep_shapes) {
+    begun_ = false;  // until it is there
+    std::vector<PathSample> samples = ctr::check_path(*solver_, corners, accuracy_, field, density, limits, keep_shapes, true);
+    begun_ = !samples.empty() && samples.back().status != Status::failed;
+    return samples;
+}
+
 BoundShapes Walker::shapes() const {
     if (!begun_) throw InvalidInput("a walker stands nowhere before its first step");
     return bound_shapes(*solver_);
