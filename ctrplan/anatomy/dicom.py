@@ -231,8 +231,11 @@ def _segmentation(path: Path, tags: Any) -> Image:
     levels = np.unique(height.round(3))
     groups = tags.get("SharedFunctionalGroupsSequence") or [tags]
     measures = groups[0].get("PixelMeasuresSequence") or [tags]
-    thick = float(measures[0].get("SpacingBetweenSlices", measures[0].get("SliceThickness", 0.0)) or 0.0)
-    gap = min(np.diff(levels), default=thick) if len(levels) > 1 else thick
+    stated = abs(float(measures[0].get("SpacingBetweenSlices", 0.0) or 0.0))
+    gap = min(np.diff(levels), default=stated or float(measures[0].get("SliceThickness", 0.0) or 0.0))
+    steps = np.diff(levels) / stated if stated else np.zeros(0)
+    if len(steps) and (np.abs(steps - np.rint(steps)) <= SAME_SPACING * steps).all():
+        gap = stated  # all frames next to those that are there may be left out
     index = np.rint((height - levels[0]) / gap).astype(int) if gap > 0 else np.zeros(len(parts), int)
     gap = float(np.ptp(height) / index.max()) if index.max() else gap
     if gap <= 0 or np.abs(height - height.min() - index * gap).max() > UNEVEN_MM:
@@ -306,11 +309,12 @@ def _in_order(slices: Sequence[Slice]) -> list[Slice]:
 def _check_gaps(height: Array, position: Array, normal: Array) -> None:
     gaps = np.diff(height)
     usual = float(np.median(gaps))
-    same = int((gaps < UNEVEN_MM).sum())
-    if same:
-        raise ImageRefusal(
-            f"holds {same + 1} slices and more at one place: a time series or doubled images, must be one volume"
-        )
+    ends = np.append(np.flatnonzero(gaps >= UNEVEN_MM), len(gaps))
+    most = int(np.diff(ends, prepend=-1).max())  # slices at one place
+    if most > 1:
+        places = f"{len(ends)} places, up to {most} at one" if len(ends) > 1 else "one place"
+        what = f"holds {len(height)} slices at {places}"
+        raise ImageRefusal(f"{what}: a time series or doubled images, must be one volume")
     uneven = np.flatnonzero(np.abs(gaps - usual) > max(UNEVEN_MM, 1e-3 * usual))
     if len(uneven):
         k = int(uneven[0])

@@ -205,7 +205,7 @@ def _cells(parts: Sequence[AnatomyPart], points: Array) -> Iterator[tuple[NDArra
     yield from zip(rows, nearby(parts, (cells + 0.5) * CELL_M, float(radius)), strict=True)
 
 
-SAMPLED = 3000  # vertices of a phase of which the way to the next one is looked at
+CELLS, FINER = 16, 4  # along a phase's longest side, where the way to the next one is looked at first; and then
 
 
 @dataclass(frozen=True, eq=False)
@@ -260,23 +260,41 @@ class Phases(PartShape):
     def notes(self) -> tuple[str, ...]:  # type: ignore[override]
         """Notes of the phases, and whether the margin is what a straight way between phases would need."""
         own = tuple(f"{shape.name} {note}" for shape in self.shapes for note in shape.notes)
-        half_mm, given_mm = self.apart_m() / 2 * MM_PER_M, self.motion_margin_m * MM_PER_M
-        if half_mm <= given_mm:
-            return own
-        short = f"moves up to {2 * half_mm:.2g} mm from one phase to the next, halfway {half_mm:.2g} mm away from both"
-        return (*own, f"{short}: more than motion_margin_mm = {given_mm:g}")
+        half_mm, back_mm = self.apart_m() / 2 * MM_PER_M, self.ways_m[-1] / 2 * MM_PER_M
+        given_mm, less = self.motion_margin_m * MM_PER_M, []
+        if half_mm > given_mm:
+            way = f"moves up to {2 * half_mm:.3g} mm from phase to phase, halfway {half_mm:.3g} mm away from both"
+            less.append(f"{way}: more than motion_margin_mm = {given_mm:g}")
+        if back_mm > max(half_mm, given_mm):
+            way = f"lies {2 * back_mm:.3g} mm away from its first phase in its last"
+            less.append(f"{way}: where it goes on from there, as in a beat, name the first again as the last")
+        return (*own, *less)
 
     def apart_m(self) -> float:
         """How far the surface of one phase lies from that of the next, at the most."""
-        apart = 0.0
-        for before, after in zip(self.shapes[:-1], self.shapes[1:], strict=True):
-            for a, b in ((before, after), (after, before)):
-                vertices = a.surface().vertices_m
-                apart = max(apart, float(np.abs(b.distance(vertices[:: len(vertices) // SAMPLED + 1])).max()))
-        return apart
+        return max(self.ways_m[:-1])
 
-    @property
-    def image_box_m(self) -> Array | None:
-        """Corners of the first phase's image, where they are of images."""
-        box: Array | None = getattr(self.shapes[0], "image_box_m", None)
-        return box
+    @cached_property
+    def ways_m(self) -> tuple[float, ...]:
+        """How far the surface of each phase lies from that of the next, at the most; of the last from the first."""
+        return tuple(_between_m(*both) for both in zip(self.shapes, (*self.shapes[1:], self.shapes[0]), strict=True))
+
+
+def _between_m(one: PartShape, other: PartShape) -> float:
+    """The farthest that a vertex of either surface lies from the other surface [m]."""
+    return max(_farthest_m(a.surface().vertices_m, b) for a, b in ((one, other), (other, one)))
+
+
+def _farthest_m(vertices_m: Array, shape: PartShape) -> float:
+    """The largest distance of vertices (V, 3) to a surface [m]: distances change by no more than a point moves, so that
+    one vertex of each cell tells which cells may hold a larger one, and finer cells of those are looked at next.
+    """
+    largest, size_m = 0.0, max(float(np.ptp(vertices_m, axis=0).max()) / CELLS, ROUNDING_M)
+    while len(vertices_m):
+        _, first, owner = np.unique(np.floor(vertices_m / size_m), axis=0, return_index=True, return_inverse=True)
+        away = np.abs(shape.distance(vertices_m[first]))
+        largest, owner = max(largest, float(away.max())), owner.ravel()
+        left = away[owner] + np.linalg.norm(vertices_m - vertices_m[first[owner]], axis=1) > largest
+        left[first] = False
+        vertices_m, size_m = vertices_m[left], size_m / FINER
+    return largest

@@ -99,7 +99,8 @@ def anatomy_notes(parts: Sequence[AnatomyPart]) -> tuple[str, ...]:
 
 def refuse_targets_outside_images(parts: Sequence[AnatomyPart], goals: Sequence[Goal], document: Document) -> None:
     """Raises InputError for a tip position that lies in none of the images, with how far, and whether a flip helps."""
-    boxes = [box for part in parts if (box := getattr(part.shape, "image_box_m", None)) is not None]
+    shapes = [shape for part in parts for shape in getattr(part.shape, "shapes", (part.shape,))]
+    boxes = [box for shape in shapes if (box := getattr(shape, "image_box_m", None)) is not None]
     if not boxes:
         return
     for goal in goals:

@@ -95,8 +95,12 @@ STEP_MM = 0.1  # to which a margin is rounded up
 
 
 def later_phases(phases: Sequence[Sequence[str]]) -> dict[Path, tuple[Path, ...]]:
-    """Files of further phases by that of the first. Raises InputError for a single one, a folder, one said twice."""
-    files = [Path(name).resolve() for group in phases for name in group]
+    """Files of further phases by that of the first, which may be said again as the last of three phases or more.
+
+    Raises InputError for a single one, a folder, one said twice.
+    """
+    said = [[Path(name).resolve() for name in group] for group in phases]
+    files = [file for group in said for file in (group[:-1] if len(group) > 3 and group[0] == group[-1] else group)]
     for group in phases:
         if len(group) < 2:
             raise InputError("must be two files at least, one of each phase", key="--phases", value=" ".join(group))
@@ -158,7 +162,7 @@ def content_of(
     """
     structures, markups, grey, notes = list[Structure](), list["PlacedMarkup"](), list[Path](), list[str]()
     later, named = later_phases(phases), [Path(name) for name in inputs]
-    others = {file.resolve() for files in later.values() for file in files}
+    others = {file.resolve() for files in later.values() for file in files} - set(later)
     for path in dict.fromkeys(_files(inputs, output)):
         if path.resolve() in others:
             continue

@@ -189,6 +189,38 @@ def test_a_segmentation_object_has_its_segments(kind: str, tmp_path: Path) -> No
     check(image, TURNED)
 
 
+@pytest.mark.parametrize("there", [(0, 2, 4), (1, 6), (0, 2, 5), (2, 3, 4)])
+def test_slices_that_a_segmentation_leaves_out_are_empty(there: tuple[int, ...], tmp_path: Path) -> None:
+    """Once two slices 5.5 mm apart became one solid, and slices 2 and 3 places apart were refused as uneven."""
+    frames = [{"k": k, "segment": 1} for k in there]
+    bits = np.ones(len(there) * SIZE[0] * SIZE[1], np.uint8)
+    keys: dict[str, Any] = {"BitsAllocated": 1, "BitsStored": 1, "HighBit": 0, "PixelRepresentation": 0}
+    keys |= {"SegmentationType": "BINARY", "SegmentSequence": group(SegmentNumber=1, SegmentLabel="nodes")}
+    data = np.packbits(bits, bitorder="little").tobytes()
+    enhanced(tmp_path, frames, data, sop="1.2.840.10008.5.1.4.1.1.66.4", **keys)
+    made = pydicom.dcmread(tmp_path / "E1.dcm")
+    made.SharedFunctionalGroupsSequence[0].PixelMeasuresSequence[0].SpacingBetweenSlices = f"{SPACING[2]}"
+    made.save_as(tmp_path / "E1.dcm")
+    image = read_series(tmp_path, None)
+    assert (np.flatnonzero(image.voxels.any(axis=(1, 2))) + there[0]).tolist() == list(there)
+    assert image.spacing_m[2] == pytest.approx(SPACING[2] * 1e-3)
+
+
+@pytest.mark.parametrize(
+    ("place", "said"),
+    [
+        (lambda k: k // 2, "10 slices at 5 places, up to 2 at one"),
+        (lambda k: max(k, 1), "10 slices at 9 places, up to 2 at one"),
+        (lambda k: 0, "10 slices at one place"),
+    ],
+)
+def test_slices_at_one_place_are_counted(place: Any, said: str, tmp_path: Path) -> None:
+    """Two phases of five places are not six slices at one place."""
+    series(tmp_path, lambda k: {"ImagePositionPatient": dicom(tmp_path, place(k)).ImagePositionPatient})
+    with pytest.raises(ImageRefusal, match=f"holds {said}: a time series or doubled images"):
+        read_series(tmp_path, None)
+
+
 def test_segments_that_overlap_are_layers(tmp_path: Path) -> None:
     frames = [{"k": k, "segment": number} for number in (1, 2) for k in range(SIZE[2])]
     bits = np.concatenate([(VOXELS[:, :, f["k"]].T > 0).astype(np.uint8).ravel() for f in frames])

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 import ctrplan
 from ctrplan.anatomy.fixture import WITHIN_M, Fixture
-from ctrplan.anatomy.parts import AnatomyPart, exact_clearance
+from ctrplan.anatomy.parts import AnatomyPart, Phases, exact_clearance
 from ctrplan.anatomy.shapes.capsule import Capsule
 from ctrplan.anatomy.shapes.mesh import Mesh
 from ctrplan.anatomy.shapes.sphere import Sphere
@@ -40,9 +40,32 @@ def test_what_moves_is_avoided_in_every_phase_and_stayed_inside_of_in_all(tmp_pa
     np.testing.assert_array_equal(distance_mm(avoided, points), np.min(still, axis=0))
     np.testing.assert_array_equal(distance_mm(lumen, points), np.max(still, axis=0))
     assert avoided.margin_m == pytest.approx(2e-3) and lumen.margin_m == pytest.approx(1.5e-3)
-    assert not avoided.shape.notes
-    (note,) = moving(tmp_path, motion_margin_mm=1.0).shape.notes
-    assert "moves up to 3 mm from one phase to the next, halfway 1.5 mm away from both" in note
+    assert not moving(tmp_path, motion_margin_mm=2.5).shape.notes
+    note, _ = moving(tmp_path, motion_margin_mm=1.0).shape.notes
+    assert "moves up to 3 mm from phase to phase, halfway 1.5 mm away from both" in note
+
+
+def test_the_way_between_phases_is_that_of_the_vertex_that_moves_farthest(tmp_path: Path) -> None:
+    """A bump of a few vertices among 10,000: a sample of them said less than half of it."""
+    still = trimesh.creation.icosphere(subdivisions=5, radius=30)
+    bumped, top = still.copy(), still.vertices[5001]
+    near = np.linalg.norm(still.vertices - top, axis=1) < 1.5
+    bumped.vertices[near] *= 1.2
+    still.export(tmp_path / "still.stl")
+    bumped.export(tmp_path / "bumped.stl")
+    part = moving(tmp_path, files=["still.stl", "bumped.stl"])
+    assert isinstance(part.shape, Phases)
+    assert part.shape.apart_m() == pytest.approx(np.abs(part.shape.shapes[0].distance(bumped.vertices / 1e3)).max())
+    assert part.shape.apart_m() == pytest.approx(6e-3, rel=0.01)
+
+
+def test_a_beat_that_goes_on_from_its_last_phase_is_told_and_can_be_said(tmp_path: Path) -> None:
+    files = written(tmp_path)
+    (note,) = moving(tmp_path, files=files).shape.notes  # 5 mm back, of which 1.5 mm are kept
+    assert note.endswith("as in a beat, name the first again as the last") and "5 mm away" in note
+    (note,) = moving(tmp_path, files=[*files, files[0]]).shape.notes
+    assert "moves up to 5 mm from phase to phase" in note
+    assert not moving(tmp_path, files=files, motion_margin_mm=2.5).shape.notes
 
 
 @pytest.mark.parametrize(

@@ -330,6 +330,16 @@ def test_a_target_outside_all_images_is_refused_and_a_flip_is_suspected(tmp_path
         scenario(tmp_path, goal=None, target=[{"tip_mm": (CENTRE * TO_RAS).tolist()}, {"tip_mm": away}])
 
 
+def test_a_target_within_the_image_of_any_phase_is_within_the_images(tmp_path: Path) -> None:
+    axis = OBLIQUE[:, 2] * TO_RAS
+    target = CENTRE * TO_RAS + 22 * axis
+    written(image(hand, CENTRE + 10 * OBLIQUE[:, 2], 30, 1.5), tmp_path / "b.nii.gz")
+    moving = {"kind": "volume", "files": ["a.nii.gz", "b.nii.gz"], "label": 3, "motion_margin_mm": 5}
+    scenario(tmp_path, goal={"tip_mm": target.tolist()}, anatomy=[moving])
+    with pytest.raises(InputError, match="mm outside all images"):
+        scenario(tmp_path, goal={"tip_mm": target.tolist()})
+
+
 def test_without_the_extra_package_a_sentence_names_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     written(image(hand, CENTRE, 18, 2.0), tmp_path / "a.nrrd")
     monkeypatch.setitem(sys.modules, "SimpleITK", None)

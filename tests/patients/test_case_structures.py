@@ -117,6 +117,10 @@ def test_phases_of_a_structure_are_kept_clear_of_together(image: Path, tmp_path:
     said, _ = scenario_of(tmp_path / "said", image, **keys, motion_margin_mm=2.0)
     assert said.anatomy[2].margin_m == pytest.approx(2.5e-3)
     still, other = tmp_path / "heart_in.stl", tmp_path / "heart_out.stl"
+    third = tmp_path / "heart_back.stl"
+    third.write_bytes(still.read_bytes())
+    beat, _ = scenario_of(tmp_path / "beat", image, **keys | {"phases": [[still, other, third, still]]})
+    assert isinstance(beat.anatomy[2].shape, Phases) and len(beat.anatomy[2].shape.shapes) == 4
     for files, rule in (
         ([still], "two files at least"),
         ([still, other, still], "said twice"),
