@@ -63,9 +63,12 @@ from ctrplan.patients.work import (
     Record,
     Work,
     bases_text,
+    file_of,
     patch_radius_m,
     raw_files,
     read_bases,
+    renamed,
+    sources,
     stamp_of,
 )
 from ctrplan.planning.base_pose import BasePose
@@ -92,11 +95,11 @@ class ScenarioStep(CaseStep):
 
     def made_from(self, work: Work) -> object:
         request = work.request
-        options = part(request, Inputs, ScenarioOptions)
-        stamps = [stamp_of(Path(name)) for name in request.get("inputs", ())] + [
-            stamp_of(robot_file(request.get("robot")))
-        ]
-        return [options, stamps]
+        places = [file_of(place)[0] for place in (*request.get("targets", ()), *request.get("entries", ()))]
+        read = [*sources(request.get("inputs", ()), work.folder), *(Path(file) for file in places if file)]
+        read.append(robot_file(request.get("robot")))
+        said = renamed(request, lambda name: str(Path(name).resolve()))
+        return [part(said, Inputs, ScenarioOptions), [stamp_of(path) for path in read]]
 
     def make(self, work: Work) -> str:
         request = work.request

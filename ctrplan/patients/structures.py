@@ -163,7 +163,7 @@ def content_of(
     structures, markups, grey, notes = list[Structure](), list["PlacedMarkup"](), list[Path](), list[str]()
     later, named = later_phases(phases), [Path(name) for name in inputs]
     others = {file.resolve() for files in later.values() for file in files} - set(later)
-    for path in dict.fromkeys(_files(inputs, output)):
+    for path in dict.fromkeys(case_files(inputs, output)):
         if path.resolve() in others:
             continue
         if is_markups(path):
@@ -181,7 +181,8 @@ def content_of(
     return CaseContent(tuple(moving), tuple(markups), tuple(grey), tuple(notes), series)
 
 
-def _files(inputs: Sequence[str], output: Path) -> Iterator[Path]:
+def case_files(inputs: Sequence[str], output: Path) -> Iterator[Path]:
+    """Images, meshes and markups that the inputs name or hold, and folders of others. Raises InputError."""
     for name in inputs:
         path = Path(name)
         try:
@@ -303,10 +304,10 @@ def matching(content: CaseContent, option: str, text: str) -> Structure | None:
     matches = matches or [structure for structure in content.structures if text.lower() == structure.name.lower()]
     file, colon, name = text.partition(":")
     if not matches and colon:
-        grey = (path for path in content.grey if file in (path.name, str(path), stem(path)))
+        grey = (path for path in content.grey if file == stem(path) or _is_named(path, file))
         if (image := next(grey, None)) is not None:
             return _range(content, image, option, text, name)
-        within = [structure for structure in content.structures if file in (structure.file.name, str(structure.file))]
+        within = [structure for structure in content.structures if _is_named(structure.file, file)]
         # A label map of one label is called by its file, its label is still a name.
         matches = [s for s in within if name in (s.name, str(s.entry.get("label")))]
         if not matches and within and within[0].entry["kind"] == "mesh":
@@ -319,6 +320,10 @@ def matching(content: CaseContent, option: str, text: str) -> Structure | None:
         rule = f"names several structures: the files hold {content.listed}{_grey(content)}"
         raise InputError(rule, key=option, value=text)
     return matches[0] if matches else None
+
+
+def _is_named(path: Path, file: str) -> bool:
+    return file == path.name or os.path.normpath(file) == os.path.normpath(path)
 
 
 def _range(content: CaseContent, image: Path, option: str, text: str, ranges: str) -> Structure:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import os
 import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
@@ -15,11 +16,14 @@ from typing import Any, ClassVar
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from ctrplan.anatomy.image import ImageRefusal, data_files
 from ctrplan.base.arrays import LONGEST_MM, MM_DIGITS, MM_PER_M, NORM_TOLERANCE
 from ctrplan.base.long_work import StageProgress
 from ctrplan.errors import InputError
 from ctrplan.files.scenario_file import load_scenario
+from ctrplan.files.slicer_markups import is_markups
 from ctrplan.patients.request import RADIUS_MM, Request, request_of
+from ctrplan.patients.structures import case_files
 from ctrplan.planning.base_pose import DIGITS, BaseFrame, BasePose, as_written
 from ctrplan.plans.plan import Plan
 from ctrplan.scenario.scenario import Scenario
@@ -59,7 +63,8 @@ class Record:
         text = file_bytes(str(folder / FILE), LARGEST_FILE_BYTES, "JSON", "record of a case")
         try:
             content = json.loads(text)
-            self.request = request_of(content["request"])
+            said_in = folder / content.get("said_in", os.path.relpath(".", folder))
+            self.request = renamed(request_of(content["request"]), lambda name: seen_from(said_in, name))
             self.steps = {name: MadeFile(**made) for name, made in content["steps"].items()}
         except (ValueError, KeyError, TypeError, AttributeError):
             raise InputError("is no record of a case: begin anew in another folder", file=folder / FILE) from None
@@ -67,7 +72,9 @@ class Record:
     def write(self) -> None:
         """Writes the file, whole."""
         steps = {name: vars(made) for name, made in self.steps.items()}
-        write_atomically(self.folder / FILE, json.dumps({"request": self.request, "steps": steps}, indent=1) + "\n")
+        said_in = Path(os.path.relpath(".", self.folder)).as_posix()  # where the names of files begin
+        content = {"request": self.request, "said_in": said_in, "steps": steps}
+        write_atomically(self.folder / FILE, json.dumps(content, indent=1) + "\n")
 
     def edited(self, name: str) -> list[str]:
         """Files of a step that are not as it wrote them."""
@@ -101,14 +108,61 @@ def key_of(*parts: Any) -> str:
 
 
 def stamp_of(path: Path) -> list[Any]:
-    """What changes when a file does that is too large to be hashed each time; of folders what their files say."""
+    """What changes when a file does that is too large to be hashed each time, or one with its voxels beside it; of
+    folders what their files say.
+    """
     if path.is_dir():
         return [stamp_of(each) for each in sorted(path.iterdir()) if each.is_file()]
     try:
         stat = path.stat()
-        return [str(path.resolve()), stat.st_size, stat.st_mtime_ns]
-    except OSError:
+        return [str(path.resolve()), stat.st_size, stat.st_mtime_ns, *map(stamp_of, data_files(path))]
+    except (OSError, ImageRefusal):
         return [str(path), 0, 0]
+
+
+def sources(inputs: Sequence[str], output: Path) -> list[Path]:
+    """What a case reads of its inputs, and of folders also what lies below; as they are said where they are gone."""
+    try:
+        return [*map(Path, inputs), *case_files(inputs, output)]
+    except InputError:
+        return [*map(Path, inputs)]
+
+
+def renamed(request: Request, name_of: Callable[[str], str]) -> Request:
+    """The request with other names of its files; names of structures and points stay."""
+
+    def part_of(said: Any) -> Any:
+        file, rest = file_of(said)
+        return f"{new}{rest}" if file and Path(new := name_of(file)).exists() else said
+
+    result: dict[str, Any] = {**request}
+    for key in NAMING & set(result):
+        result[key] = tuple(map(part_of, result[key]))
+    if "inputs" in result:
+        result["inputs"] = tuple(map(name_of, result["inputs"]))
+    if "phases" in result:
+        result["phases"] = tuple(tuple(map(name_of, group)) for group in result["phases"])
+    if "robot" in result:
+        result["robot"] = name_of(result["robot"])
+    return request_of(result)
+
+
+NAMING = {"targets", "entries", "lumens", "avoids", "ignored"}  # of which some may begin with a file's name
+
+
+def file_of(said: Any) -> tuple[str, str]:
+    """The file of "FILE" or "FILE:NAME", and what follows it; no file of other names and of numbers."""
+    file, colon, name = said.partition(":") if isinstance(said, str) and not is_markups(said) else (said, "", "")
+    is_file = isinstance(file, str) and (is_markups(file) or "/" in file)
+    return (file, f"{colon}{name}") if is_file else ("", "")
+
+
+def seen_from(folder: Path, name: str) -> str:
+    """A file's name as it is in the working folder, of one that was said in another folder; with a slash in it."""
+    if Path(name).is_absolute():
+        return name
+    result = Path(os.path.relpath(folder / name)).as_posix()
+    return result if "/" in result else f"./{result}"
 
 
 SCENARIO, BASES, PLACED, ENTRIES, ROBOT = "scenario.toml", "bases.csv", "placed.toml", "more_entries.csv", "robot.toml"

@@ -130,6 +130,58 @@ def test_phases_of_a_structure_are_kept_clear_of_together(image: Path, tmp_path:
             scenario_of(tmp_path / "refused", image, **keys | {"phases": [files]})
 
 
+def kept(output: Path, **keys: Any) -> tuple[bool, Any]:
+    """Whether a case that goes on keeps its scenario as it is, and where it goes."""
+    (step,) = case(output, until="scenario", **keys).steps
+    return not step.is_made, ctrplan.load_scenario(output / SCENARIO, allow_outside=True).goal.tip_m
+
+
+@pytest.mark.parametrize("where", ["apart", "below"])
+def test_a_target_that_was_moved_is_gone_to_wherever_its_file_lies(where: str, image: Path, tmp_path: Path) -> None:
+    """Once a case went on to the old target where the file was no input itself."""
+    (tmp_path / "patient" / "points").mkdir(parents=True)
+    (tmp_path / "patient" / "labels.nii.gz").symlink_to(image)
+    file = tmp_path / ("points" if where == "apart" else "patient/points") / "target.mrk.json"
+    file.parent.mkdir(exist_ok=True)
+    phantom.write_markups(file, "LPS", {"target": CLEAR})
+    targets = {"targets": [str(file)]} if where == "apart" else {}
+    scenario_of(tmp_path / "case", tmp_path / "patient", lumens=["1"], avoids=["2"], **targets)
+    assert kept(tmp_path / "case")[0]
+    phantom.write_markups(file, "LPS", {"target": CLEAR + (1.0, 0.0, 0.0)})
+    is_kept, tip_m = kept(tmp_path / "case")
+    assert not is_kept and tip_m == pytest.approx((CLEAR + (1.0, 0.0, 0.0)) / 1e3)
+
+
+def test_voxels_beside_their_header_count(image: Path, tmp_path: Path) -> None:
+    SimpleITK.WriteImage(SimpleITK.ReadImage(str(image)), str(tmp_path / "labels.mhd"))
+    scenario_of(tmp_path / "case", tmp_path / "labels.mhd", lumens=["1"], avoids=["2"], targets=[CLEAR])
+    assert kept(tmp_path / "case")[0]
+    other = SimpleITK.ReadImage(str(image))
+    other[other.GetSize()[0] // 2, 1, 1] = 2
+    SimpleITK.WriteImage(other, str(tmp_path / "b.mhd"))
+    (tmp_path / "labels.raw").write_bytes((tmp_path / "b.raw").read_bytes())
+    assert not kept(tmp_path / "case")[0]
+
+
+def test_a_case_goes_on_from_any_folder(image: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Names of files are as seen from where the case began; another patient's file of the same name is none of it."""
+    for name in ("one", "other"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "labels.nii.gz").symlink_to(image)
+        phantom.write_markups(
+            tmp_path / name / "a.mrk.json", "LPS", {"target": CLEAR + (5.0 * (name == "other"), 0, 0)}
+        )
+    monkeypatch.chdir(tmp_path / "one")
+    keys: dict[str, Any] = {"targets": ["a.mrk.json"], "avoids": ["./labels.nii.gz:2"], "lumens": ["1"]}
+    scenario_of(tmp_path / "case", Path("labels.nii.gz"), **keys)
+    for folder in ("other", "case", "one"):
+        monkeypatch.chdir(tmp_path / folder)
+        is_kept, tip_m = kept(Path("../case"))
+        assert is_kept and tip_m == pytest.approx(CLEAR / 1e3)
+        case("../case", until="scenario", from_step="scenario")
+        assert kept(Path("../case"))[1] == pytest.approx(CLEAR / 1e3)
+
+
 def test_an_image_is_read_once_for_all_that_is_taken_from_it(
     image: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
