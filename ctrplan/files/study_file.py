@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 from msgspec import Meta, Struct
 
+from ctrplan.anatomy.patient_frame import Frame
 from ctrplan.storage.toml_document import (
     Angle,
     Distance,
@@ -58,6 +59,7 @@ class TargetsEntry(Struct, forbid_unknown_fields=True, frozen=True):
     within: str | None = None  # "anatomy" (where margins leave room), "anatomy.2" or a mesh file
     on: str | None = None  # the surface of such a part or file
     unit: Literal["mm", "cm", "m", "in"] | None = None  # of a mesh file; by default mm, of glTF m
+    frame: Frame | None = None  # of a mesh file that does not say its own
     box_mm: tuple[Point, Point] | None = None  # what a volume is limited to; alone: all of it
     step_mm: Annotated[float, Meta(ge=1e-3, le=1000)] | None = None  # of a grid, or between points of a surface
     count: Count | None = None  # points drawn at random in the place of a grid
@@ -145,6 +147,8 @@ def _check_vary(entry: StudyEntry, document: Document, k: int) -> None:
     vary = entry.vary[k]
     if any(other.key == vary.key for other in entry.vary[:k]):
         raise document.fault("is varied twice", "vary", k, "key")
+    if table := _taken(vary.key, entry):
+        raise document.fault(f"is said by [{table}] already", "vary", k, "key")
     is_range = vary.count is not None
     ways = (vary.values is not None) + (vary.files is not None) + (vary.distribution is not None) + is_range
     if ways != 1:
@@ -164,6 +168,20 @@ def _check_vary(entry: StudyEntry, document: Document, k: int) -> None:
         raise document.fault(f"must be below high = {vary.high:g}", "vary", k, "low")
     if vary.mode is not None and not (vary.low or 0.0) <= vary.mode <= (vary.high or 0.0):
         raise document.fault("must lie from low to high", "vary", k, "mode")
+
+
+POSE_KEYS = ("", "position_mm", "quaternion_wxyz", "direction", "look_at", "roll_deg")
+GOAL_KEYS = ("tolerance_mm", "direction", "direction_tolerance_deg")
+
+
+def _taken(key: str, entry: StudyEntry) -> str:
+    """The table that says what a key of the scenario is for every task; empty where none does."""
+    root, _, rest = key.partition(".")
+    if root == "base" and entry.bases is not None and rest in POSE_KEYS:
+        return "bases"
+    is_free = root == "goal" and rest in GOAL_KEYS and getattr(entry.targets, rest, None) is None
+    is_used = is_free and entry.task.get("kind") != "ik"  # which has keys of its own for them
+    return "targets" if root in ("goal", "target") and entry.targets is not None and not is_used else ""
 
 
 def check_targets(targets: TargetsEntry, document: Document) -> None:

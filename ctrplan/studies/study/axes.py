@@ -16,7 +16,7 @@ import numpy as np
 
 from ctrplan.base.arrays import Array
 from ctrplan.errors import InputError
-from ctrplan.files.study_file import DrawsEntry, StudyEntry, VaryEntry
+from ctrplan.files.study_file import GOAL_KEYS, DrawsEntry, StudyEntry, VaryEntry
 from ctrplan.storage.toml_document import Document, read_document, toml_value
 from ctrplan.studies.study.points import base_poses, target_points
 from ctrplan.studies.study.sources import Sources, matching_files
@@ -259,7 +259,6 @@ def _quantile(vary: VaryEntry, share: Array) -> Array:
 
 ROBOT, SCENARIO = "robot", "scenario"
 POSE, OTHER_WAYS = ("position_mm", "quaternion_wxyz"), ("direction", "look_at", "roll_deg")  # of [base]
-GOAL_KEYS = ("tolerance_mm", "direction", "direction_tolerance_deg")
 
 
 def files_varied(entry: StudyEntry, document: Document) -> dict[str, list[Path]]:

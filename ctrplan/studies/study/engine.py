@@ -123,7 +123,9 @@ def _row(
 def _status(error: Exception) -> Status:
     if isinstance(error, NoAnswerError):
         return "no answer"
-    return "refused" if isinstance(error, InputError) else "failed"
+    if isinstance(error, InputError):
+        return "refused"
+    return "lost" if isinstance(error.__cause__ or error, (MemoryError, ImportError)) else "failed"  # of this worker
 
 
 def _sentence(error: Exception, job: Job) -> str:
@@ -243,6 +245,8 @@ def answer(future: Any, content: bytes, chunk: Chunk) -> Lines:
     except Exception as error:
         words = " ".join(str(error).split()).rstrip(".")
         sentence = f"{words}." if isinstance(error, ChildEnded) else f"{type(error).__name__}: {words}."
+        if type(error).__name__ == "KilledWorker":  # dask's, which speaks of its workers' logs
+            sentence = "every process that did it ended."
         return Lines.of([unanswered(task, "lost", sentence) for task in tasks_of(content, chunk)])
 
 

@@ -12,7 +12,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
+from ctrplan.anatomy.mesh_file import stated_frame
 from ctrplan.anatomy.parts import AnatomyPart, exact_clearance, lumens_box
+from ctrplan.anatomy.patient_frame import SAME, signs
 from ctrplan.anatomy.shape import PartShape
 from ctrplan.base.arrays import Array, shortest_rotation
 from ctrplan.base.surface import Surface
@@ -135,14 +137,29 @@ def _shape(
         from ctrplan.anatomy.mesh_file import load_mesh
         from ctrplan.anatomy.shapes.mesh import Mesh
 
-        file = str(check_file(folder, name, document, f"targets.{key}"))
-        return Mesh(*load_mesh(file, targets.unit, file=document.file, key=f"targets.{key}"), file)
+        file = check_file(folder, name, document, f"targets.{key}")
+        vertices, faces = load_mesh(file, targets.unit, file=document.file, key=f"targets.{key}")
+        return Mesh(vertices * _signs(file, targets, scenario, document, key), faces, str(file))
     parts: tuple[AnatomyPart, ...] = scenario.anatomy if scenario is not None else ()
     number = name.removeprefix("anatomy.")
     if not (number.isdecimal() and 1 <= int(number) <= len(parts)):
         known = f"the scenario has parts 1 to {len(parts)}" if parts else "there is no anatomy"
         raise document.fault(f"must be anatomy.K or a mesh file; {known}", "targets", key)
     return parts[int(number) - 1].shape
+
+
+def _signs(file: Path, targets: TargetsEntry, scenario: Scenario | None, document: Document, key: str) -> Array:
+    """(3,) that take places of a mesh file to the scenario's frame. Raises InputError where either is not said."""
+    stated, own = stated_frame(file), scenario and scenario.frame
+    if stated and targets.frame and stated != targets.frame:
+        raise document.fault(f"contradicts {file.name}, which says {stated}", "targets", "frame")
+    frame = stated or targets.frame
+    if frame and scenario and own is None:
+        raise document.fault(f"is in {frame}, and the scenario says no frame", "targets", key)
+    if own and frame is None:
+        rule = f"is missing: {file.name} does not say whether its coordinates are in RAS or in LPS"
+        raise document.fault(rule, "targets", "frame")
+    return signs(frame, own) if frame and own else SAME
 
 
 def check_file(folder: Path, name: str, document: Document, key: str) -> Path:
@@ -177,6 +194,13 @@ def _on_patch(patch: PatchEntry, document: Document) -> tuple[Array, Array]:
     if (patch.radius_mm or patch.along_mm is not None) and patch.step_mm is None:
         extent = "a radius" if patch.radius_mm else "along_mm"
         raise document.fault(f"is missing, a patch with {extent} needs it", "bases", "patch", "step_mm")
+    extent_mm = 2 * patch.radius_mm or float(
+        np.linalg.norm(np.subtract(patch.along_mm or patch.center_mm, patch.center_mm))
+    )
+    count = (1 + round(extent_mm / (patch.step_mm or 1.0))) ** (2 if patch.radius_mm else 1)
+    if count > MOST_CANDIDATES:
+        rule = f"makes {count:,} positions, more than {MOST_CANDIDATES:,} can be looked at"
+        raise document.fault(rule, "bases", "patch", "step_mm")
     inward = _turned_to(patch.normal)
     offsets = _disc(patch.radius_mm, patch.step_mm or 1.0)
     places = np.array(patch.center_mm) + inward.apply(np.column_stack([offsets, np.zeros(len(offsets))]))

@@ -11,9 +11,11 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from glob import glob
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
+from ctrplan.anatomy.image import ImageRefusal, data_files
 from ctrplan.errors import InputError
 from ctrplan.storage.csv_table import LARGEST_FILE_BYTES, file_bytes
 from ctrplan.storage.output_folder import temporary
@@ -56,9 +58,10 @@ class Sources:
         Layout and comments of TOML files make no difference. Keys that begin with "robot." are those of the robot that
         a scenario names.
         """
-        if not name.endswith(".toml"):
-            return hashlib.sha256(self.content[name]).hexdigest()
         original = os.path.join(self.folder, name)
+        if not name.endswith(".toml"):
+            files = (original, *_beside(original))
+            return hashlib.sha256(b"".join(self.content[self.name(file)] for file in files)).hexdigest()
         own = [key for key in varied if not key.startswith(ROBOT_PREFIX)]
         inner = [key.removeprefix(ROBOT_PREFIX) for key in varied if key.startswith(ROBOT_PREFIX)]
         document = read_document(original).with_overrides([f"{key}={VARIED}" for key in own])
@@ -118,31 +121,48 @@ def _gather(file: str, results: dict[str, bytes]) -> None:
     if file in results:
         return
     results[file] = file_bytes(os.path.relpath(file), LARGEST_FILE_BYTES, "", "file of a study")
+    for other in _beside(file):
+        _gather(other, results)
     if file.endswith(".toml"):
         for named in _named_files(read_document(file), os.path.dirname(file)):
             _gather(named, results)
 
 
+def _beside(file: str) -> list[str]:
+    """Absolute names of files that a header has its voxels in."""
+    try:
+        return [os.path.abspath(other) for other in data_files(Path(file))]
+    except ImageRefusal:  # which whoever reads the image says
+        return []
+
+
 def _named_files(document: Document, folder: str) -> Iterator[str]:
-    """Absolute names of the files that stand in a document, each once, in its order."""
-    names = dict.fromkeys(os.path.normpath(os.path.join(folder, text)) for text in _texts(document.content))
-    for name in names:
+    """Absolute names of the files that stand in a document, each once, in its order; of a DICOM folder all in it."""
+    for key, text in dict.fromkeys(_texts(document.content)):
+        name = os.path.normpath(os.path.join(folder, text))
         try:
             if os.path.isfile(name):
                 yield name
+            elif key in FILE_KEYS and os.path.isdir(name):
+                yield from (entry.path for entry in sorted(os.scandir(name), key=by_name) if entry.is_file())
         except ValueError:  # a NUL
             continue
 
 
-def _texts(value: Any) -> Iterator[str]:
+FILE_KEYS = ("file", "files")
+by_name = attrgetter("name")
+
+
+def _texts(value: Any, key: str = "") -> Iterator[tuple[str, str]]:
+    """Texts of a document, each with its key."""
     if isinstance(value, str):
-        yield value
+        yield key, value
     elif isinstance(value, dict):
-        for item in value.values():
-            yield from _texts(item)
+        for name, item in value.items():
+            yield from _texts(item, name)
     elif isinstance(value, list):
         for item in value:
-            yield from _texts(item)
+            yield from _texts(item, key)
 
 
 def matching_files(patterns: Sequence[str], folder: str, key: str, file: str | None) -> list[Path]:

@@ -116,6 +116,7 @@ class TaskList:
             overrides += chosen.overrides
             settings |= chosen.settings
             digests.append(chosen.digest)
+        overrides.sort(key=lambda text: not text.startswith(OF_TARGET))  # what is varied of a goal comes after it
         return inputs, overrides, settings, digests
 
     def _choices(self, k: int) -> list[int]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import inspect
+import math
 import numbers
 import re
 import sys
@@ -53,9 +54,11 @@ class FunctionTask(TaskKind, frozen=True, kw_only=True):
             result = function(loaded.scenario, dict(task.inputs), task.settings["seed"], **self.options)
         except CtrplanError:
             raise
-        except (Exception, SystemExit) as error:
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:  # of whatever kind it is: workers end at some
             raise UserFunctionError(f"{self.function}: {_in_words(error)}.") from error
-        return _checked(result, self.function)
+        return _checked(result, self.function, task.inputs)
 
     def _imported(self, loaded: Loaded) -> Callable[..., Any]:
         module, _, name = self.function.partition(":")
@@ -89,7 +92,7 @@ def _module(file: Path) -> Any:
     return module
 
 
-def _checked(result: Any, name: str) -> Mapping[str, Any]:
+def _checked(result: Any, name: str, inputs: Mapping[str, Any]) -> Mapping[str, Any]:
     """What a function returned, as columns. Raises InputError for what no table could hold."""
     columns = result if isinstance(result, Mapping) else {"value": result}
     results = {}
@@ -100,8 +103,24 @@ def _checked(result: Any, name: str) -> Mapping[str, Any]:
         if not isinstance(key, str) or not key or not (isinstance(plain, (str, numbers.Real)) or plain is None):
             kind = type(value).__name__
             raise InputError(f"must return numbers or texts by name, not {kind} as {key!r}", key=name)
-        results[key] = plain
+        if key in inputs:
+            raise InputError(f"must return numbers by other names than {key!r}, which the study varies", key=name)
+        results[key] = _writable(plain, f"{name}, {key!r}")
     return results
+
+
+def _writable(value: Any, name: str) -> Any:
+    """A number or text as any table can hold it. Raises InputError for half a character."""
+    if isinstance(value, str):
+        if not value.isascii() and value.encode(errors="replace").decode() != value:
+            raise InputError("must be text that can be written", key=name, value=ascii(value))
+        return value
+    if value is None or isinstance(value, (bool, float)) or (isinstance(value, int) and abs(value) < 2**63):
+        return value
+    try:
+        return float(value)  # of fractions, and of whole numbers beyond the columns of tables
+    except OverflowError:
+        return math.inf if value > 0 else -math.inf
 
 
 def _in_words(error: BaseException) -> str:

@@ -40,6 +40,12 @@ class InverseKinematicsTask(TaskKind, frozen=True, kw_only=True):
     def expected_s(self, robot: Robot, scenario: Scenario | None) -> float:
         return SOLVE_S * 2.0 ** (robot.n - 3) * (0.5 + self.starts / 200)
 
+    def check(self, task: Task, loaded: Loaded) -> None:
+        count, is_said = len(loaded.place.targets), "tip_mm" in task.settings or self.tip_mm is not None
+        if count > 1 and loaded.target is None and not is_said:
+            rule = f"is missing: the scenario has {count} targets, say one here or all in [targets]"
+            raise InputError(rule, key="task.tip_mm")
+
     def numbers(self, task: Task, loaded: Loaded) -> Mapping[str, Any]:
         from ctrplan.planning.inverse_kinematics import inverse_kinematics  # slow to import, as OMPL is
 

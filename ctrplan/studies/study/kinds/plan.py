@@ -48,9 +48,9 @@ class PlanTask(TaskKind, frozen=True, kw_only=True):
 
 
 def _numbers(result: Plan) -> Mapping[str, Any]:
-    certificate, goal = result.certificate, result.scenario.goal
-    parameters_m = float(certificate.samples.parameter_bound_m[-1])
-    worst_m = certificate.goal_tip_error_m + certificate.goal_bound_m + certificate.goal_play_m + parameters_m
+    """Numbers of the certificate; "worst" and arrival of a tour are those of the target where they are worst."""
+    certificate = result.certificate
+    worst_m = max(target.tip_error_m + target.bound_m + target.play_m for target in certificate.targets)
     numbers = {
         "valid": bool(certificate.valid),
         "worst_mm": float(worst_m * 1e3),
@@ -67,9 +67,12 @@ def _numbers(result: Plan) -> Mapping[str, Any]:
         "legs": len(result.legs),
         "duration_s": result.trajectory.duration_s,
     }
-    if goal.tip_m is not None:
-        arrival_m = certificate.arrival.error_m if certificate.arrival else np.inf
-        numbers |= {"arrival_mm": arrival_m * 1e3, "within_tolerance": bool(arrival_m <= goal.tolerance_m)}
+    goals = result.scenario.targets[-len(certificate.targets) :]
+    tips = [(goal, at.arrival) for goal, at in zip(goals, certificate.targets, strict=True) if goal.tip_m is not None]
+    if tips:
+        arrival_m = max(arrival.error_m if arrival else np.inf for _, arrival in tips)
+        is_within = all(arrival is not None and arrival.keeps(goal) for goal, arrival in tips)
+        numbers |= {"arrival_mm": arrival_m * 1e3, "within_tolerance": is_within}
     return {name: value.item() if isinstance(value, np.generic) else value for name, value in numbers.items()}
 
 
