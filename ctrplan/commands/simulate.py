@@ -92,6 +92,9 @@ def _followed_summary(folder: Path, result: Following) -> str:
         lines.append(f"  {name:27} {values[-1, 0]:.4g} +- {1.96 * values[-1, 1]:.2g} in the end")
     inside = np.mean((result.low_m <= result.measured_m) & (result.measured_m <= result.high_m))
     lines.append(f"  {'within intervals of 95 %':27} {100 * inside:.0f} % of the measured coordinates")
+    if len(out := result.data.rows[result.set_aside] + 1):
+        rows = ", ".join(map(str, out[:5].tolist())) + (" ..." if len(out) > 5 else "")
+        lines.append(f"  {'set aside':27} {len(out)}, farther off than noise and friction explain: row {rows}")
     lines.append(f"  {'written to':27} {folder}/{', '.join(FOLLOWED_OUTPUTS)}")
     return "\n".join(lines)
 

@@ -63,6 +63,7 @@ class Observed:
     unexplained_m: float  # what measured tips are off beyond the stated noise, of a coordinate, rms of the last steps
     parameters: Mapping[str, ParameterEstimate]  # the slow ones
     started_anew: bool  # no history found an equilibrium on the way, all were begun again where the robot stands
+    set_aside: bool  # the measured tip is farther off than noise and friction explain, and was not taken
 
 
 def estimate(position_m: Array, tangent: Array, weight: Array, variance: Array) -> TipEstimate:
@@ -137,7 +138,7 @@ class ObserverState:
             raise InputError("stands at other joints than the scenario's start", key="start_state")
 
 
-GROSS = 4.0  # times the noise's variance, of a coordinate: beyond what chance does in one row of a hundred
+GROSS = 4.0  # times the noise's variance, of a coordinate: beyond chance in one row of a hundred; times sigma: in any
 SURPRISE = 3.0  # times the noise's variance unexplained, from which other friction states are tried
 
 
@@ -230,6 +231,7 @@ class Observer:
         self._bank = Histories(robot_with, accuracy, self._slow, members, self._rng)
         self._surprise = Surprise(noise.position_sigma_m, MEMORY)
         self._tries = 0
+        self._set_aside = False  # the tip measured last
 
     def observe(
         self,
@@ -240,7 +242,9 @@ class Observer:
     ) -> Observed:
         """Moves on to collars (n,) [rad], (n,) [m], and takes the tip (3,) [m] measured there, if any; tangent (3,).
 
-        Raises InputError, before anything moves, and SolverError where no friction state has an equilibrium.
+        A tip that is farther off than its noise and any friction state explain is set aside; where the next one is,
+        too, it is believed. Raises InputError, before anything moves, and SolverError where no friction state has an
+        equilibrium.
         """
         warn_of_degrees("theta_b", theta_b)
         theta_b, l_b = self._collars(theta_b, l_b)
@@ -255,9 +259,12 @@ class Observer:
             along = _unit(along)
         anew = self._bank.move(theta_b, l_b)
         expected = self._estimate()
+        is_out = False
         if seen is not None:
             self._bank.join_waiting()
-            self._weigh(seen, along)
+            is_out = self._set_aside = not self._set_aside and self._is_out(seen)
+            if not is_out:
+                self._weigh(seen, along)
         return Observed(
             expected=expected,
             tip=self._estimate(),
@@ -266,6 +273,7 @@ class Observer:
             unexplained_m=math.sqrt(self._surprise.unexplained_m2),
             parameters=self._parameters(),
             started_anew=anew,
+            set_aside=is_out,
         )
 
     def predict(self, theta_b: ArrayLike, l_b: ArrayLike) -> TipEstimate:
@@ -319,6 +327,22 @@ class Observer:
         sigma = np.sqrt(share @ (own + (means - mean) ** 2))
         rows = zip(self._slow.names, (self._values + mean).tolist(), sigma.tolist(), strict=True)
         return {name: ParameterEstimate(value, spread) for name, value, spread in rows}
+
+    def _is_out(self, seen: Array) -> bool:
+        """Whether a tip (3,) lies farther from every history, and from what friction may do, than errors known so far.
+
+        A history beyond the bound, on another branch, has as much more room.
+        """
+        off = [float(np.linalg.norm(seen - member.expected_m)) for member in self._bank.members]
+        nearest = self._bank.members[int(np.argmin(off))]
+        room = GROSS * math.sqrt(float(self._known_to(nearest.slow, nearest.slopes, ahead=0).max()))
+        if min(off) <= room:
+            return False
+        assert self._bank.at is not None
+        bound = self._bank.mechanics.bound(*self._bank.at, accuracy=self._accuracy)
+        moved, tip_m = nearest.expected_m - nearest.position_m, bound.frictionless.tip_m
+        beyond = max(0.0, float(np.linalg.norm(nearest.position_m - tip_m)) - bound.position_m)
+        return bool(min(off) > room + beyond and np.linalg.norm(seen - moved - tip_m) > bound.position_m + room)
 
     def _weigh(self, seen: Array, along: Array | None) -> None:
         """Probabilities, offsets, and what stays unexplained, after a tip seen at (3,)."""

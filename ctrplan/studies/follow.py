@@ -47,6 +47,7 @@ class Following:
     friction: Array  # (K, n - 1)
     histories: NDArray[np.int_]  # (K,) followed
     unexplained_m: Array  # (K,)
+    set_aside: NDArray[np.bool_]  # (K,) tips that were not taken: farther off than noise and friction explain
     parameters: Mapping[str, Array]  # (K, 2) value and standard deviation of each slow parameter, SI
 
     @property
@@ -134,6 +135,7 @@ def followed_csv(result: Following) -> str:
     columns |= {f"phi_{i + 1}": result.friction[:, i].tolist() for i in range(result.robot.n - 1)}
     columns["histories"] = result.histories.tolist()
     columns["unexplained_mm"] = (result.unexplained_m * 1e3).tolist()
+    columns["set_aside"] = result.set_aside.astype(int).tolist()
     for name, values in result.parameters.items():
         columns |= {name: values[:, 0].tolist(), f"{name}_sigma": values[:, 1].tolist()}
     return csv_text(columns, zip(*columns.values(), strict=True))
@@ -203,6 +205,7 @@ def _following(
         friction=np.array([step.friction for step in steps]).reshape(len(steps), robot.n - 1),
         histories=np.array([step.histories for step in steps]),
         unexplained_m=np.array([step.unexplained_m for step in steps]),
+        set_aside=np.array([step.set_aside for step in steps]),
         parameters={
             name: np.array([(step.parameters[name].value, step.parameters[name].sigma) for step in steps])
             for name in steps[0].parameters

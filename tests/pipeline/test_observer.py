@@ -112,6 +112,33 @@ def test_a_slow_offset_is_told_from_friction() -> None:
     assert np.linalg.norm(last.tip.position_m - truth.position_m[-1] - shift) < 2 * NOISE_M
 
 
+@pytest.mark.parametrize("first", [0, 15])
+def test_one_tip_that_is_far_off_is_told_and_not_followed(robot: Robot, first: int) -> None:
+    """Once an observer was 18 mm wide for 30 steps, and 2.5 times as far off, after one tip 50 mm beside the others."""
+    theta, l_b, truth = truth_of(robot)
+    seen = truth.position_m + NOISE_M * np.random.default_rng(2).standard_normal(truth.position_m.shape)
+    bad = seen.copy()
+    bad[first] += (0.03, -0.02, 0.035)
+    widths = []
+    for tips in (seen, bad):
+        observer = robot.observer(NOISE_M)
+        steps = [observer.observe(*row) for row in zip(theta, l_b, tips, strict=True)]
+        assert [k for k, step in enumerate(steps) if step.set_aside] == ([first] if tips is bad else [])
+        off = np.array([step.tip.position_m for step in steps]) - truth.position_m
+        widths.append(np.array([np.max(step.tip.high_m - step.tip.low_m) for step in steps]))
+        assert np.linalg.norm(off[first + 8 :], axis=1).max() < 10 * NOISE_M
+    assert np.all(widths[1][first + 8 :] < 1.5 * widths[0][first + 8 :].max())
+
+
+def test_tips_that_stay_far_off_are_believed_from_the_second_on() -> None:
+    """A tracker that was moved, or a robot that is another: what is said of it must not stay sure of itself."""
+    theta, l_b, truth = truth_of(PAIR)
+    observer, moved = PAIR.observer(NOISE_M), np.where(np.arange(len(theta)) < 10, 0.0, 0.05)[:, None] * [1.0, 0, 0]
+    steps = [observer.observe(*row) for row in zip(theta, l_b, truth.position_m + moved, strict=True)]
+    assert [k for k, step in enumerate(steps) if step.set_aside] == [10]
+    assert steps[9].unexplained_m < 1e-3 and steps[12].unexplained_m > 5e-3
+
+
 def test_the_same_seed_gives_the_same_answers() -> None:
     theta, l_b, truth = truth_of(THREE)
 

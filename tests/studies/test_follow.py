@@ -63,6 +63,20 @@ def test_the_command_says_what_the_observer_gains(tmp_path: Path, capsys: pytest
     assert off[~first][1:].max() < 2 * NOISE_MM
 
 
+def test_rows_that_are_set_aside_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = Path(log(load_robot(PAIR), tmp_path, 0.4))
+    lines = path.read_text(encoding="utf-8").splitlines()
+    cells = lines[12].split(",")
+    cells[5] = f"{float(cells[5]) + 0.05:.9g}"
+    lines[12] = ",".join(cells)
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    overrides = [word for key in NOISE for word in ("--set", key)]
+    assert main(["simulate", PAIR, str(path), "-o", str(tmp_path / "out"), "--measured", *overrides]) == 0
+    assert "1, farther off than noise and friction explain: row 12\n" in capsys.readouterr().out
+    table = list(csv.DictReader((tmp_path / "out" / "followed.csv").open()))
+    assert [k for k, row in enumerate(table, start=1) if row["set_aside"] == "1"] == [12]
+
+
 def test_what_the_sensor_does_is_taken_off(tmp_path: Path) -> None:
     shift = np.array([2e-3, -1e-3, 0.5e-3])
     robot = load_robot(PAIR, [*NOISE, "effects.base_misalignment={shift_x_mm=2,shift_y_mm=-1,shift_z_mm=0.5}"])
