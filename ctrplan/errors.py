@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 LONGEST_VALUE = 60  # characters of a value that a sentence shows
@@ -49,6 +51,31 @@ class NoAnswerError(CtrplanError):
 
 class SolverError(NoAnswerError):
     """The mechanics solver did not reach a solution it could check."""
+
+
+class UserFunctionError(CtrplanError):
+    """What a function of the user's raised; that error is its cause."""
+
+
+@contextmanager
+def of_the_user(called: str, file: str = "") -> Iterator[None]:
+    """Whatever a function of the user's raises as one sentence: what it is called, the error, the line in its file.
+
+    Errors of ctrplan stay what they are. Raises UserFunctionError.
+    """
+    try:
+        yield
+    except (CtrplanError, KeyboardInterrupt):
+        raise
+    except BaseException as error:  # of whatever kind it is: workers end at some
+        at, lines = error.__traceback__, list[tuple[str, int]]()
+        while at is not None:
+            lines.append((at.tb_frame.f_code.co_filename, at.tb_lineno))
+            at = at.tb_next
+        own = [place for place in lines[1:] if not file or place[0] == file]
+        where = f" (line {own[-1][1]} of {os.path.basename(own[-1][0])})" if own else ""
+        words = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+        raise UserFunctionError(_one_line(f"{called}: {words}{where}")) from error
 
 
 def _shown(value: Any, unit: str | None) -> str:

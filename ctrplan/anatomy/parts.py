@@ -62,8 +62,13 @@ class AnatomyPart:
 
     @cached_property
     def box(self) -> tuple[Array, Array]:
-        """Lower and upper corner (3,), (3,) [m] of what the shape lies within."""
-        return self.shape.box()
+        """Lower and upper corner (3,), (3,) [m] of what the shape lies within. Raises CtrplanError for what is none."""
+        box = self.shape.box()
+        if np.shape(box) != (2, 3) or not np.all(np.isfinite(box)) or np.any(box[0] > box[1]):
+            raise CtrplanError(
+                f"Anatomy of kind {self.shape.kind!r} must say the lower and the upper corner of its box."
+            )
+        return box
 
 
 def lumens_box(parts: Sequence[AnatomyPart]) -> tuple[Array, Array] | None:

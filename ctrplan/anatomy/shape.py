@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from ctrplan.base.arguments import Number, require
 from ctrplan.base.arrays import MM_PER_M, Array, numbers, read_only
-from ctrplan.base.catalogue import AbstractStruct, Catalogue
+from ctrplan.base.catalogue import AbstractStruct, Catalogue, guarded
 from ctrplan.base.surface import Surface
 from ctrplan.errors import InputError
 from ctrplan.storage.toml_document import Distance, TomlTable
@@ -90,6 +90,8 @@ def register(shape: type[PartShape]) -> Callable[[E_], E_]:
         if not is_dataclass(shape):
             raise InputError(f"{shape.__name__} must be a dataclass: its fields are the key of cached grids")
         CATALOGUE.require(entry, ())
+        for own in (shape, entry):
+            guarded(own, f"anatomy of kind {shape.kind}")
         CATALOGUE.add(shape.kind, entry, entry.__module__)
         return entry
 

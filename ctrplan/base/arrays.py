@@ -29,6 +29,13 @@ def read_only(values: ArrayLike) -> NDArray[Any]:
     return array
 
 
+def to_be_read(values: NDArray[Any]) -> NDArray[Any]:
+    """The same numbers for somebody who is not to change them."""
+    view = values.view()
+    view.setflags(write=False)
+    return view
+
+
 def frozen_content(value: Any) -> Any:
     """A copy of a file's content, tables and lists in one another, that nobody can change."""
     if isinstance(value, (FrozenTable, FrozenList)):

@@ -8,18 +8,23 @@ installed.
 
 from __future__ import annotations
 
+import functools
 import importlib
+import inspect
 import os
 import pkgutil
+import sys
 from abc import ABCMeta
-from collections.abc import Iterable, Iterator, MutableMapping
+from collections.abc import Callable, Iterable, Iterator, MutableMapping
 from pathlib import Path
 from threading import RLock
 from typing import Any, TypeVar
 
+import numpy as np
 from msgspec import StructMeta
 
-from ctrplan.errors import InputError
+from ctrplan.base.arrays import to_be_read
+from ctrplan.errors import InputError, of_the_user
 
 VARIABLE = "CTRPLAN_EXTENSIONS"  # folders, separated as in PATH
 PLACES = (
@@ -116,6 +121,37 @@ class Catalogue(MutableMapping[str, T]):
             place = {module: i for i, module in enumerate(order)}
             names = sorted(self._entries, key=lambda name: place.get(self.homes[name], len(order)))
             self._entries = {name: self._entries[name] for name in names}
+
+
+def guarded(kind: type[Any], called: str) -> None:
+    """Errors that methods of a class of one's own raise become sentences with its name, the method and the line.
+
+    Arrays are handed to them read-only: whoever asked goes on with them. A class of the package stays as it is.
+    """
+    if (file := file_of_ones_own(kind)) is None:
+        return
+    for name, value in list(vars(kind).items()):
+        if inspect.isfunction(value) and not name.startswith("__"):
+            setattr(kind, name, guarded_function(value, f"{called}: {name}", file))
+
+
+def guarded_function(function: Callable[..., Any], called: str, file: str) -> Callable[..., Any]:
+    """A function whose errors are sentences; a generator's too, which is gone through at once."""
+    is_generator = inspect.isgeneratorfunction(function)
+
+    @functools.wraps(function)
+    def asked(*arguments: Any, **keywords: Any) -> Any:
+        with of_the_user(called, file):
+            result = function(*(to_be_read(x) if isinstance(x, np.ndarray) else x for x in arguments), **keywords)
+            return iter(list(result)) if is_generator else result
+
+    return asked
+
+
+def file_of_ones_own(thing: Any) -> str | None:
+    """The file of a class or function that is none of the package's."""
+    file: str | None = getattr(sys.modules.get(thing.__module__), "__file__", None)
+    return file if file and not Path(file).is_relative_to(Path(__file__).parents[1]) else None
 
 
 def extension_folders() -> list[Path]:

@@ -17,7 +17,7 @@ import numpy as np
 from ctrplan.base.arrays import DEGREE as DEGREE
 from ctrplan.base.arrays import MILLIMETRE as MILLIMETRE
 from ctrplan.base.arrays import Array
-from ctrplan.base.catalogue import Catalogue
+from ctrplan.base.catalogue import Catalogue, guarded
 from ctrplan.drive.legs import Collars
 from ctrplan.errors import InputError
 from ctrplan.measurement.measurements import Measurements, Poses
@@ -25,6 +25,7 @@ from ctrplan.robot.robot import Robot
 
 Stage = Literal["clock", "drive", "mechanics", "sensor"]
 Values = Mapping[str, float]  # parameter -> value, SI
+Stood = TypeVar("Stood", Collars, Poses)
 
 
 @dataclass(frozen=True)
@@ -195,6 +196,19 @@ class Effect(ABC):
         """
         return {}
 
+    def alike(self, made: Stood, given: Stood) -> Stood:
+        """What `drive` or `sensor` made of what they were given. Raises InputError for another kind, shape, or NaN."""
+        key = f"effects.{self.name}"
+        if type(made) is not type(given):
+            raise InputError(f"must return {type(given).__name__}, not {type(made).__name__}", key=key)
+        for returned, before in zip(vars(made).values(), vars(given).values(), strict=True):
+            if np.shape(returned) != before.shape:
+                rule = f"returns an array of shape {np.shape(returned)} where it was given {before.shape}"
+                raise InputError(rule, key=key)
+            if np.any(~np.isfinite(returned) & np.isfinite(before)):
+                raise InputError("returns numbers that are not finite", key=key)
+        return made
+
     def overrides(self, method: str) -> bool:
         """Whether it has a `method` of its own."""
         return getattr(type(self), method) is not getattr(Effect, method)
@@ -214,6 +228,7 @@ def register(effect: E_) -> E_:
     if effect.stage not in get_args(Stage):
         rule = f"the stage of {effect.__name__} must be one of {', '.join(get_args(Stage))}"
         raise InputError(rule, value=effect.stage)
+    guarded(effect, f"effects.{effect.name}")
     CATALOGUE.add(effect.name, effect(), effect.__module__)
     return effect
 

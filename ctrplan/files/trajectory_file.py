@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from ctrplan.base.catalogue import Catalogue
+from ctrplan.base.catalogue import Catalogue, file_of_ones_own, guarded_function
 from ctrplan.drive.trajectory import Trajectory
 from ctrplan.errors import InputError
 from ctrplan.storage.output_folder import write_atomically
@@ -46,7 +46,9 @@ def register(name: str, *, suffix: str) -> Callable[[AsText], AsText]:
         same = [other.name for other in CATALOGUE.registered.values() if other.suffix == suffix and other.name != name]
         if same:
             raise InputError(f"is the suffix of format {same[0]} already", key="suffix", value=suffix)
-        CATALOGUE.add(name, TrajectoryFormat(name, suffix, text), text.__module__)
+        file = file_of_ones_own(text)
+        asked = text if file is None else guarded_function(text, f"trajectory format {name}", file)
+        CATALOGUE.add(name, TrajectoryFormat(name, suffix, asked), text.__module__)
         return text
 
     return registered
@@ -69,4 +71,8 @@ def left_over(folder: Path, formats: Sequence[TrajectoryFormat]) -> list[str]:
 def write_trajectory(folder: Path, trajectory: Trajectory, formats: Sequence[TrajectoryFormat]) -> None:
     """Writes a file per format into a folder. Raises InputError for joints that a format can't tell apart."""
     for chosen in formats:
-        write_atomically(folder / chosen.file_name, chosen.text(trajectory))
+        text = chosen.text(trajectory)
+        if not isinstance(text, str) or text.encode(errors="replace").decode() != text:
+            rule = f"must return text that can be written, not {type(text).__name__}"
+            raise InputError(rule, key=f"trajectory format {chosen.name}")
+        write_atomically(folder / chosen.file_name, text)

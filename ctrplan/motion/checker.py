@@ -22,7 +22,7 @@ from ctrplan.mechanics.gradients import Clearances, clearances
 from ctrplan.mechanics.walk import Field, KnownLegs, PathDensity, PathLimits, PathSamples
 from ctrplan.motion.limits import SEARCH_ROOM_M, TOO_CLOSE, breach, clearance_between, search_limits
 from ctrplan.robot.friction_calibration import friction_law
-from ctrplan.scenario.joint_space import JointSpace, MotionStyle, terms_mm
+from ctrplan.scenario.joint_space import JointSpace, MotionStyle, check_terms, terms_mm
 from ctrplan.scenario.scenario import anatomy_grid, path_cost_mm
 
 if TYPE_CHECKING:
@@ -92,6 +92,7 @@ class MotionChecker:
         self.density = PathDensity(rotation_rad=0.26, translation_m=8e-3, motion_m=15e-3, between_corners=True)
         self.reserve_m = reserve_m
         self.limits = search_limits(scenario, reserve_m)
+        check_terms(scenario)
         self.calls = 0  # into the core
         self.meter, self.watch = meter or WorkMeter(), SearchWatch()  # which is asked before anything is solved
         self.solved_ns = SHAPE_NS * (1 + 2 ** (scenario.robot.n - 1))

@@ -16,26 +16,24 @@ import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ctrplan.base.arguments import or_meant
-from ctrplan.base.arrays import Array
+from ctrplan.base.arrays import Array, to_be_read
 from ctrplan.drive.legs import Collars
 from ctrplan.effects.effect import CATALOGUE, Effect, Parameter, Stage, Values
 from ctrplan.effects.learned import learned as learned_table
 from ctrplan.effects.learned.inputs import Situation, unit
 from ctrplan.effects.learned.learned import COMMON_NOTES, FILE_NOTES, Learned, effect_of
-from ctrplan.errors import FEW, InputError
+from ctrplan.errors import FEW
 from ctrplan.measurement.approach import friction_state
 from ctrplan.measurement.measurements import Measurements, Poses, moved_rigidly
 from ctrplan.robot.named_numbers import with_values
 from ctrplan.robot.robot import Robot
 from ctrplan.storage.toml_document import Document, interval_fault
-
-Stood = TypeVar("Stood", Collars, Poses)
 
 
 @dataclass(frozen=True)
@@ -46,21 +44,14 @@ class Acting:
     values: Values
 
     def driven(self, collars: Collars, directions: Array) -> Collars:
-        """Collars (K, n) where an effect of the drive puts them. Raises InputError for arrays of another shape."""
-        moved = self.effect.drive(self.values, collars, directions)
-        return self._alike(moved, (moved.theta, collars.theta), (moved.l, collars.l))
+        """Collars (K, n) where an effect of the drive puts them. Raises InputError for what is none."""
+        given = Collars(to_be_read(collars.theta), to_be_read(collars.l))
+        return self.effect.alike(self.effect.drive(self.values, given, to_be_read(directions)), given)
 
     def seen(self, poses: Poses, data: Measurements) -> Poses:
-        """What an effect of the sensor makes of K poses. Raises InputError for arrays of another shape."""
-        made = self.effect.sensor(self.values, poses, data)
-        return self._alike(made, (made.position, poses.position), (made.frame, poses.frame))
-
-    def _alike(self, made: Stood, *pairs: tuple[Array, Array]) -> Stood:
-        for returned, given in pairs:
-            if np.shape(returned) != given.shape:
-                rule = f"returns an array of shape {np.shape(returned)} where it was given {given.shape}"
-                raise InputError(rule, key=f"effects.{self.effect.name}")
-        return made
+        """What an effect of the sensor makes of K poses. Raises InputError for what is none."""
+        given = Poses(to_be_read(poses.position), to_be_read(poses.frame))
+        return self.effect.alike(self.effect.sensor(self.values, given, data), given)
 
 
 @dataclass(frozen=True, eq=False)

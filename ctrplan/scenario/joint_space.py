@@ -16,12 +16,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ctrplan.base.arguments import Made, checked
-from ctrplan.base.arrays import MM_PER_M, ROUNDING_M, Array, numbers, read_only
+from ctrplan.base.arrays import MM_PER_M, ROUNDING_M, Array, numbers, read_only, to_be_read
 from ctrplan.drive.drive import JOINT_ROUNDING, STEP_M, STEP_RAD, Drive
-from ctrplan.errors import InputError
+from ctrplan.errors import InputError, of_the_user
 from ctrplan.mechanics.tube import reach_inequalities
 from ctrplan.robot.robot import Robot, nesting_sentence
-from ctrplan.scenario.scenario import CATALOGUE, DEFAULT, Goal, Margins, Scenario
+from ctrplan.scenario.scenario import CATALOGUE, DEFAULT, CostTerm, Goal, Margins, Scenario
 
 MotionStyle = Literal["rotations before translations", "simultaneous"]
 
@@ -300,7 +300,28 @@ def terms_mm(scenario: Scenario, corners: Array) -> tuple[float, ...]:
     at = np.arange(corner[-1] + 1)
     states = np.column_stack([np.interp(at, corner, joint) for joint in corners.T])
     travelled = np.interp(at, corner, np.concatenate([[0.0], np.cumsum(lengths)]))
-    return tuple(term.cost_mm(states, travelled, mm_per_rad) for term in terms)
+    return tuple(term.weight * float(np.trapezoid(_values_of(term, states), travelled)) / mm_per_rad for term in terms)
+
+
+def _values_of(term: CostTerm, states: Array) -> Array:
+    """(K,) of a term at states (K, m), which it may read. Raises InputError for wrong values, UserFunctionError."""
+    file = getattr(getattr(term.of_states, "__code__", None), "co_filename", "")
+    with of_the_user(f"term {term.name}", file):
+        given = term.of_states(to_be_read(states))
+    values = numbers(given, f"term {term.name}")
+    if values.shape != (len(states),) or not np.isfinite(values).all() or values.min(initial=0.0) < 0:
+        rule = f"must be {len(states)} finite numbers, one a state, zero or more"
+        raise InputError(rule, key=f"term {term.name}", value=values if values.size else ...)
+    return values
+
+
+def check_terms(scenario: Scenario) -> None:
+    """Raises InputError for a term of the cost that says another thing of the same state when it is asked again."""
+    for term in scenario.terms:
+        first, again = (_values_of(term, scenario.start[None])[0] for _ in range(2))
+        if first != again:
+            rule = f"must be a function of the states: of one state it says {first:g}, then {again:g}"
+            raise InputError(rule, key=f"term {term.name}")
 
 
 def _combinations(drive: Drive) -> Array:

@@ -43,7 +43,7 @@ from ctrplan.base.arrays import (
     unit,
     vector,
 )
-from ctrplan.base.catalogue import AbstractStruct, Catalogue
+from ctrplan.base.catalogue import AbstractStruct, Catalogue, guarded
 from ctrplan.base.package import shown
 from ctrplan.errors import InputError
 from ctrplan.robot.robot import Robot, changed, warn_of_doubts
@@ -92,6 +92,7 @@ def register(planner: P) -> P:
         name = planner().name  # type: ignore[call-arg]  # every setting has a default
     except TypeError as error:
         raise InputError(f"{planner.__name__} lacks a default: {error}") from error
+    guarded(planner, f"planner {name}")
     CATALOGUE.add(name, planner, planner.__module__)
     return planner
 
@@ -213,14 +214,6 @@ class CostTerm:
         require("name", self.name, Text())
         require(f"weight of {self.name}", self.weight, WEIGHT)
         require(f"of_states of {self.name}", self.of_states, PROGRESS)
-
-    def cost_mm(self, states: Array, travelled_mm: Array, mm_per_rad: float) -> float:
-        """What a motion through states (K, m), each so far along it (K,), costs. Raises InputError for wrong values."""
-        values = numbers(self.of_states(states), f"term {self.name}")
-        if values.shape != (len(states),) or not np.isfinite(values).all() or values.min(initial=0.0) < 0:
-            rule = f"must be {len(states)} finite numbers, one a state, zero or more"
-            raise InputError(rule, key=f"term {self.name}", value=values if values.size else ...)
-        return self.weight * float(np.trapezoid(values, travelled_mm)) / mm_per_rad
 
 
 # What is known of friction before a plan: nothing; Section V-A's oscillation released it; there is none; what an

@@ -152,7 +152,7 @@ def part_doubts(
         if part.role == "avoid" and tips_m and part.shape.kind != "surface" and _hold([part], tips_m):
             rule = 'holds every goal, which nothing may enter: is it a lumen (role = "inside"), or the target itself?'
             yield k, SizeDoubt(rule, False, "role")
-        low, high = part.shape.box()
+        low, high = part.box
         size, far = float((high - low).max()), _away_from(base_m, low, high)[0]
         said = f"is {size * 1e3:.3g} mm across, the robot {length * 1e3:.3g} mm long"
         small, large = size < thinnest / 2, size > LARGEST_PART * length
@@ -190,7 +190,7 @@ def scene_doubts(
     length, thinnest = reach_m(robot), robot.tubes[-1].outer_diameter_m
     way = max((float(np.linalg.norm(tip - base_m)) for tip in tips_m), default=length)
     obstacles = [k for k, part in enumerate(parts) if part.role == "avoid"]
-    boxes = [parts[k].shape.box() for k in obstacles]
+    boxes = [parts[k].box for k in obstacles]
 
     def on_the_way(factor: float) -> bool:
         """Whether any of the obstacles is where the robot may be, their numbers multiplied by a factor."""
@@ -280,7 +280,7 @@ def _hold(parts: Sequence[AnatomyPart], tips_m: Sequence[Array], room_m: float =
 
 def _holds(part: AnatomyPart, tip_m: Array, room_m: float = 0.0) -> bool:
     """Whether a place (3,) [m] is in a part, so far from its surface."""
-    low, high = part.shape.box()
+    low, high = part.box
     if not (np.all(low <= tip_m) and np.all(tip_m <= high)):
         return False
     return float(part.shape.distance(tip_m[None])[0]) <= -room_m

@@ -123,3 +123,98 @@ def test_an_effect_that_returns_another_shape_is_named(tmp_path: Path) -> None:
     )
     said = sentence(tmp_path, BOUND)
     assert said.endswith("effects.guide_twist: returns an array of shape (1, 1) where it was given (1, 2)."), said
+
+
+DISTANCE = "return Box(self.lower_m, self.upper_m).distance(self.turned(points_m, -self.turn_rad))"
+BOX = "return corners.min(axis=0), corners.max(axis=0)"
+TWIST = "theta = with_column(theta, tube, k * collars.l[:, tube - 1])"
+FORMATS = "ctrplan plan first.toml -o out --formats csv jsonl --set planner.time_s=0.2"
+RRT = "ctrplan plan first.toml --set planner.name=RRT --set planner.time_s=0.2"
+BOXED = "ctrplan plan boxed.toml --set planner.time_s=0.2"
+ODD = [  # section, what its file says, what a broken one says instead, a command, and what is said then
+    (
+        "An effect",
+        TWIST,
+        "1 / 0",
+        BOUND,
+        r"effects.guide_twist: drive: ZeroDivisionError: division by zero (line 30 of",
+    ),
+    (
+        "An effect",
+        TWIST,
+        "collars.theta[:, 0] += 1",
+        BOUND,
+        "effects.guide_twist: drive: ValueError: output array is read",
+    ),
+    (
+        "An effect",
+        TWIST,
+        "theta = theta * np.nan",
+        BOUND,
+        "guide_twist: drive: NameError: name 'np' is not defined (line 30",
+    ),
+    (
+        "An effect",
+        TWIST,
+        "theta = theta * float('nan')",
+        BOUND,
+        "effects.guide_twist: returns numbers that are not finite.",
+    ),
+    ("An effect", "return Collars(theta, collars.l)", "return theta", BOUND, "must return Collars, not ndarray."),
+    (
+        "An obstacle",
+        DISTANCE,
+        "return 1 / 0",
+        BOXED,
+        "anatomy of kind turned_box: distance: ZeroDivisionError: division by",
+    ),
+    (
+        "An obstacle",
+        DISTANCE,
+        "points_m *= 0",
+        BOXED,
+        "turned_box: distance: ValueError: output array is read-only (line 30",
+    ),
+    ("An obstacle", BOX, "return None", BOXED, "'turned_box' must say the lower and the upper corner of its box."),
+    (
+        "A planner",
+        "return planner",
+        "return 7",
+        RRT,
+        "planner RRT: ompl_planner: must return a planner of OMPL, not int.",
+    ),
+    (
+        "A planner",
+        "planner = og",
+        "planner = ag",
+        RRT,
+        "planner RRT: ompl_planner: NameError: name 'ag' is not defined (l",
+    ),
+    (
+        "An output format",
+        'return ""',
+        'return None or b""',
+        FORMATS,
+        "trajectory format jsonl: TypeError: sequence item 0",
+    ),
+    (
+        "An output format",
+        'return "".join',
+        'return 7 or "".join',
+        FORMATS,
+        "jsonl: must return text that can be written, not int.",
+    ),
+]
+ASKED = [case for case in ODD if FUZZ or case[2] in ("1 / 0", "collars.theta[:, 0] += 1", "return None", "return 7")]
+
+
+@pytest.mark.parametrize(("heading", "old", "new", "command", "said"), ASKED, ids=[case[2] for case in ASKED])
+def test_what_functions_of_ones_own_do_wrong_is_one_sentence(
+    heading: str, old: str, new: str, command: str, said: str, tmp_path: Path
+) -> None:
+    """Once a traceback out of the middle of a plan; arrays that they changed in place were changed for everybody."""
+    assert old in source(heading)
+    write_inputs(tmp_path)
+    write_extension(tmp_path, PLACES[heading], source(heading).replace(old, new))
+    done = run(tmp_path, command)
+    assert done.returncode in (1, 2) and done.stderr.count("\n") == 1 and said in done.stderr, done.stderr

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,11 +13,55 @@ from places import SCENARIOS
 
 import ctrplan
 from ctrplan.base.arrays import Array
-from ctrplan.errors import InputError
+from ctrplan.errors import InputError, UserFunctionError
 from ctrplan.plans.plan import plan_to_json
 
 FREE = ctrplan.load_scenario(SCENARIOS / "pair_free.toml")
 TURNING = FREE.robot.drive.is_rotation
+
+
+def broken(states: Array) -> Array:
+    return states[:, 99]
+
+
+def changing(states: Array) -> Array:
+    states[:, 0] = 0.0
+    return np.ones(len(states))
+
+
+def late(states: Array) -> Array:
+    """Broken beside the start, where a search comes by its planner's own way: through OMPL."""
+    if np.any(np.abs(states - FREE.start) > 0.2):
+        raise KeyError("mine")
+    return np.zeros(len(states))
+
+
+@pytest.mark.parametrize(
+    ("function", "cause", "said"),
+    [
+        (
+            broken,
+            IndexError,
+            r"term mine: IndexError: index 99 is out of bounds .* \(line \d+ of test_cost_terms\.py\)\.",
+        ),
+        (changing, ValueError, r"term mine: ValueError: assignment destination is read-only \(line"),
+        (late, KeyError, r"term mine: KeyError: 'mine' \(line"),
+        (lambda: 0.0, TypeError, r"term mine: TypeError: .*takes 0 positional arguments but 1 was given\.$"),
+    ],
+)
+def test_what_a_function_of_ones_own_raises_is_said_with_its_name(function: Any, cause: type, said: str) -> None:
+    with pytest.raises(UserFunctionError, match=said) as caught:
+        ctrplan.plan(FREE, time_s=0.2, terms=[ctrplan.CostTerm("mine", 1.0, function)])
+    assert isinstance(caught.value.__cause__, cause)
+
+
+def test_a_term_that_changes_its_mind_is_refused() -> None:
+    rng = np.random.default_rng(0)
+    term = ctrplan.CostTerm("mine", 1.0, lambda states: rng.random(len(states)))
+    with pytest.raises(
+        InputError, match=r"term mine: must be a function of the states: of one state it says 0\.\d+, then"
+    ):
+        ctrplan.plan(FREE, time_s=0.2, terms=[term])
 
 
 def one(states: Array) -> Array:

@@ -15,6 +15,7 @@ from ompl import util as ou
 from ctrplan.base.arrays import Array
 from ctrplan.base.long_work import ASKED_NS, HEURISTIC_NS, SearchOver
 from ctrplan.drive.drive import JOINT_ROUNDING
+from ctrplan.errors import InputError
 from ctrplan.motion.checker import MotionChecker
 from ctrplan.scenario.joint_space import JointSpace
 from ctrplan.scenario.tip_solver import GoalState
@@ -187,6 +188,9 @@ class SearchProblem:
         self.objective = BoundObjective(self.information, checker.scenario, goals=targets, checker=checker)
         self.definition.setOptimizationObjective(self.objective)
         self.planner: Any = checker.scenario.planner.ompl_planner(self.information)
+        if not isinstance(self.planner, ob.Planner):
+            rule = f"must return a planner of OMPL, not {type(self.planner).__name__}"
+            raise InputError(rule, key=f"planner {checker.scenario.planner.name}: ompl_planner")
         self.planner.setProblemDefinition(self.definition)
         self.planner.setup()
         self.cut_short: tuple[float, list[Array]] | None = None  # cost and states of the best path, ended by a question

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
-import inspect
 import math
 import numbers
 import re
-import sys
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
@@ -16,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ctrplan.errors import CtrplanError, InputError
+from ctrplan.errors import InputError, UserFunctionError, of_the_user
 from ctrplan.studies.study.table import FIRST, LAST, TIMING
 from ctrplan.studies.study.task import Loaded, TaskKind, register
 
@@ -50,36 +48,28 @@ class FunctionTask(TaskKind, frozen=True, kw_only=True):
 
     def numbers(self, task: Task, loaded: Loaded) -> Mapping[str, Any]:
         function = self._imported(loaded)
-        try:
+        with of_the_user(self.function):
             result = function(loaded.scenario, dict(task.inputs), task.settings["seed"], **self.options)
-        except CtrplanError:
-            raise
-        except KeyboardInterrupt:
-            raise
-        except BaseException as error:  # of whatever kind it is: workers end at some
-            raise UserFunctionError(f"{self.function}: {_in_words(error)}.") from error
         return _checked(result, self.function, task.inputs)
 
     def _imported(self, loaded: Loaded) -> Callable[..., Any]:
         module, _, name = self.function.partition(":")
         beside = loaded.job.sources.here / loaded.job.study_folder / self.files()[0]
         try:
-            result = _module(beside) if beside.is_file() else importlib.import_module(module)
-        except ModuleNotFoundError as error:
+            with of_the_user(f"{module}: can't be imported"):
+                result = _module(beside) if beside.is_file() else importlib.import_module(module)
+        except UserFunctionError as failure:
+            error = failure.__cause__
+            if not isinstance(error, ModuleNotFoundError):
+                raise
             if error.name != module.partition(".")[0]:
                 raise UserFunctionError(f"{module}: needs the module {error.name}, which is not installed.") from error
             where = f"neither {self.files()[0]} beside the study nor installed where the task is done"
             raise UserFunctionError(f"{module}: is {where}.") from error
-        except Exception as error:
-            raise UserFunctionError(f"{module}: can't be imported: {_in_words(error)}.") from error
         function = getattr(result, name, None)
         if not callable(function):
             raise InputError(f"is no function of the module {module}", key="task.function", value=self.function)
         return function  # type: ignore[no-any-return]
-
-
-class UserFunctionError(CtrplanError):
-    """What a function of the user's raised."""
 
 
 @lru_cache(maxsize=8)
@@ -121,10 +111,3 @@ def _writable(value: Any, name: str) -> Any:
         return float(value)  # of fractions, and of whole numbers beyond the columns of tables
     except OverflowError:
         return math.inf if value > 0 else -math.inf
-
-
-def _in_words(error: BaseException) -> str:
-    """The error and where in the function it came from."""
-    trace = inspect.trace() if sys.exc_info()[1] is error else []
-    where = f" (line {trace[-1].lineno} of {Path(trace[-1].filename).name})" if trace else ""
-    return f"{type(error).__name__}: {error}{where}".rstrip(".")
