@@ -134,7 +134,8 @@ def joint_path(source: Source, robot: Robot, needed: Sequence[str] = (), known: 
         notes += (f"{table.file}: rotations go to {largest:g} rad{whole}: are these degrees?",)
     check_joints(table, theta, l, robot, of_collars=source.of_collars)
     read = {"sequence", "time_s", *rotations, *translations, *needed, *known}
-    others = table.others(read)
+    others, unread = table.others(read)
+    notes += tuple(unread)
     return JointPath(theta, l, sequence.astype(int), time_s, table.file, others, notes, source.of_collars)
 
 

@@ -74,7 +74,9 @@ def tube_choice(text: str) -> TubeChoice:
     if len(numbers) != 5 or not all(math.isfinite(x) and x >= 0 for x in numbers):
         rule = "must be OUTERxINNER,STRAIGHT,BENT,RADIUS in mm, such as 2.64x2.39,0,150,265"
         raise InputError(rule, key="--tube", value=text)
-    return TubeChoice(*numbers)
+    if not (tube := TubeChoice(*numbers)).length_mm:
+        raise InputError("has no length: one of STRAIGHT and BENT must be above 0", key="--tube", value=text)
+    return tube
 
 
 def robot_text(tubes: Sequence[TubeChoice] = USUAL, name: str = "my robot") -> str:
@@ -98,7 +100,9 @@ def robot_text(tubes: Sequence[TubeChoice] = USUAL, name: str = "my robot") -> s
         if tube.straight_mm:
             lines += ["[[tube.section]]                # from the base: straight", f"length_mm = {tube.straight_mm:g}"]
         if tube.bent_mm:
-            lines += ["[[tube.section]]                # then bent", f"length_mm = {tube.bent_mm:g}"]
+            after = "then " if tube.straight_mm else "from the base: "
+            shape = "bent" if tube.radius_mm else "straight, for want of a radius_mm"
+            lines += [f"[[tube.section]]                # {after}{shape}", f"length_mm = {tube.bent_mm:g}"]
             lines += [f"radius_mm = {tube.radius_mm:g}"] if tube.radius_mm else []
     for i in range(len(tubes) - 1):
         lines += ["", f"[[contact]]                     # of tubes {i + 1} and {i + 2}"]

@@ -10,7 +10,6 @@ import os
 import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -173,14 +172,29 @@ class CsvTable:
                 raise self.fault("is missing in the header", column=name)
         return np.column_stack([self.numbers(name) for name in names])
 
-    def others(self, known: set[str]) -> dict[str, Array]:
-        """Numeric columns besides the known ones; notes and names are none."""
-        results = {}
+    def others(self, known: set[str]) -> tuple[dict[str, Array], list[str]]:
+        """Numeric columns besides the known ones; and sentences about those that hold text and are none."""
+        results, texts, notes = dict[str, Array](), list[str](), list[str]()
         for name in self.header:
-            if name not in known:
-                with suppress(InputError):
-                    results[name] = self.numbers(name, blanks=True)
-        return {name: values for name, values in results.items() if np.isfinite(values).any()}
+            if name in known:
+                continue
+            try:
+                results[name] = self.numbers(name, blanks=True)
+            except InputError as error:
+                cells = [cells[self.header.index(name)].strip() for cells in self.rows]
+                numbers = [in_plain_digits(cell) is not None for cell in cells if cell.lower() not in ("", *MISSING)]
+                if sum(numbers) > len(numbers) / 2:
+                    notes.append(f"{self.file}: column {name} is not read: {error.key} = {error.value!r} {error.rule}.")
+                else:
+                    texts.append(self.names.get(name, name))
+        if texts:
+            what = (
+                f"columns {', '.join(texts)} hold text and are"
+                if len(texts) > 1
+                else f"column {texts[0]} holds text and is"
+            )
+            notes.append(f"{self.file}: {what} not read.")
+        return {name: values for name, values in results.items() if np.isfinite(values).any()}, notes
 
     def _number(self, row: int, name: str, text: str, blanks: bool) -> float:
         if blanks and not text:

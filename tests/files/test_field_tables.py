@@ -104,3 +104,26 @@ def test_check_says_how_long_measurements_took_and_that_tangents_point_back(tmp_
     assert [flag for flag in result.flags if "hold them as (-tx, -ty, -tz) (tx, ty, tz): read so" in flag]
     write_csv(tmp_path / "b.csv", DATA)
     assert ctrplan.check(tmp_path / "b.csv", robot=ROBOT).flags == ()
+
+
+def with_columns(path: Path, text: str, **columns: list[str]) -> tuple[list[str], list[str]]:
+    """Columns beside the joints that are read of a table with more of them, and what is said of those that are not."""
+    header, *rows = text.splitlines()
+    lines = [",".join([header, *columns])]
+    cells = zip(*([values[k % len(values)] for k in range(len(rows))] for values in columns.values()), strict=True)
+    lines += [",".join([row, *more]) for row, more in zip(rows, cells, strict=True)]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    data = load_measurements(path, ROBOT)
+    return list(data.more), [note.partition(": ")[2] for note in data.warnings if "not read" in note]
+
+
+def test_a_column_that_is_not_read_is_said(text: str, tmp_path: Path) -> None:
+    """Notes are none of the data's; a typing error in a temperature once made the whole column vanish."""
+    path = tmp_path / "a.csv"
+    assert with_columns(path, text, note=["calm", ""], n=["1"]) == (["n"], ["column note holds text and is not read."])
+    both = with_columns(path, text, note=["calm"], who=["I", "you"])
+    assert both == ([], ["columns note, who hold text and are not read."])
+    typo = ["21", "21", "warm", *["22"] * 100]
+    (said,) = with_columns(path, text, temperature_C=typo)[1]
+    assert said == "column temperature_C is not read: row 3, temperature_C = 'warm' must be a number."
+    assert with_columns(path, text, temperature_C=["21", "", "n/a"], empty=[""]) == (["temperature_C"], [])

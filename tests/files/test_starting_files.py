@@ -68,6 +68,26 @@ def test_what_is_no_tube_is_refused(text: str) -> None:
         tube_choice(text)
 
 
+@pytest.mark.parametrize(
+    ("tube", "said"),
+    [
+        ("2.64x2.39,10,150,265", ["from the base: straight", "then bent"]),
+        ("2.64x2.39,0,150,265", ["from the base: bent"]),
+        ("2.64x2.39,10,150,0", ["from the base: straight", "then straight, for want of a radius_mm"]),
+        ("2.64x2.39,0,150,0", ["from the base: straight, for want of a radius_mm"]),
+    ],
+)
+def test_what_is_said_of_a_section_is_what_it_is(tube: str, said: list[str]) -> None:
+    """A section without a radius was "then bent", also where nothing came before it."""
+    lines = robot_text([tube_choice(tube)]).splitlines()
+    assert [line.partition("# ")[2] for line in lines if line.startswith("[[tube.section]]")] == said
+
+
+def test_a_tube_without_length_is_refused_by_its_option(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["init", "robot", str(tmp_path / "a.toml"), "--tube", "2.64x2.39,0,0,265"]) == 2
+    assert "--tube = '2.64x2.39,0,0,265': has no length" in capsys.readouterr().err and not list(tmp_path.iterdir())
+
+
 def test_tubes_in_metres_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["init", "robot", str(tmp_path / "r.toml"), "--tube", "0.0026x0.0024,0,0.15,0.265"]) == 2
     assert "are the diameters in metres?" in capsys.readouterr().err and not (tmp_path / "r.toml").exists()
