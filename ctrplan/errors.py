@@ -53,6 +53,15 @@ class SolverError(NoAnswerError):
     """The mechanics solver did not reach a solution it could check."""
 
 
+@contextmanager
+def said_of(key: str) -> Iterator[None]:
+    """What is refused below is said of an argument by the name that whoever asked knows it by."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(error.rule, file=error.file, key=key, value=error.value, unit=error.unit) from error.__cause__
+
+
 class UserFunctionError(CtrplanError):
     """What a function of the user's raised; that error is its cause."""
 

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from ctrplan.base.arguments import DIRECTION_TOLERANCE_DEG, MOST_STARTS, SEED, Number, Whole, checked, require
 from ctrplan.base.arrays import LONGEST_MM, MM_PER_M, UNITS_M, Array, numbers
 from ctrplan.base.package import of_this_process, shown, warn_caller
-from ctrplan.errors import InputError
+from ctrplan.errors import InputError, said_of
 from ctrplan.mechanics.core_arrays import TipMemory
 from ctrplan.motion.checker import MotionChecker
 from ctrplan.motion.limits import breach, path_limits
@@ -283,12 +283,12 @@ class TipTracker:
         """(m,) where it stands."""
         return self._here.tip.joints.copy()
 
+    @said_of("friction")
     def know(self, friction: FrictionStart | ObserverState | None) -> None:
         """What is known of friction at the joints where it stands, of which the tip is expected from there on.
 
         "released", "oscillated", a share of each pair, or a state of a history or observer, whose likeliest history is
-        followed; None: nothing, and the expected tip is the frictionless one. Raises InputError for an observer's state
-        at other joints, and where there is no equilibrium.
+        followed; None: nothing, and the expected tip is the frictionless one. Raises InputError for what can't be here.
         """
         q, samples, offset_m = self._here.tip.joints, self._here.at, np.zeros(3)
         if isinstance(friction, ObserverState):

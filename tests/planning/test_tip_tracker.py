@@ -159,7 +159,7 @@ def test_friction_may_be_told_later_by_a_history_or_an_observer(robot: Robot) ->
     state = observer.state()
     tracker = TipTracker(robot, BEGIN, friction=state)
     np.testing.assert_allclose(tracker.step(tip(robot, BEGIN), dt_s=1e-4).joints, BEGIN, atol=2e-4)
-    with pytest.raises(InputError, match="start_state"):
+    with pytest.raises(InputError, match="^friction: stands at other joints"):
         TipTracker(robot, BEGIN + 0.01, friction=state)
 
 
@@ -239,3 +239,10 @@ def test_a_point_in_millimetres_is_refused_as_by_inverse_kinematics(robot: Robot
     with pytest.raises(InputError, match="tip_m .*are these in millimetres"):
         tracker.step(1e3 * tip(robot, BEGIN) / 5)
     np.testing.assert_array_equal(tracker.joints, BEGIN)
+
+
+@pytest.mark.parametrize("friction", ["slack", (2.0, 3.0), [0.1], float("nan"), {"a": 1}])
+def test_friction_that_is_none_is_refused_by_its_own_name(friction: object) -> None:
+    robot = ctrplan.load_robot(SCENARIOS / "robots" / "three_tube.toml")
+    with pytest.raises(InputError, match=r"^friction( = 'slack')?: must be"):
+        TipTracker(robot, [0.3, -0.4, 0.9, -0.04], friction=friction)  # type: ignore[arg-type]

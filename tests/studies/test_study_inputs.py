@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -210,3 +212,17 @@ def test_more_base_poses_than_could_be_looked_at_are_refused() -> None:
     content = {"scenario": str(SCENARIOS / "ventricle.toml"), "task": {"kind": "bound"}, "bases": {"patch": patch}}
     with pytest.raises(InputError, match=r"bases\.patch\.step_mm = 0\.01 mm: makes 1,000,002,000,001 positions"):
         Study.of(content)
+
+
+LEAVES = """
+from ctrplan.studies.study.study import Study
+made = Study.of({"scenario": SCENARIO, "task": {"kind": "ik"}, "targets": {"within": "anatomy", "step_mm": 25}})
+print([abs(value) for k in range(made.count) for value in made.tasks[k].inputs.values() if str(value) == "-0.0"])
+"""
+
+
+def test_a_study_of_an_anatomy_ends_without_a_word() -> None:
+    """Trees that outlived the interpreter were told of in nine lines by their library; zeros had signs."""
+    script = LEAVES.replace("SCENARIO", repr(str(SCENARIOS / "ventricle.toml")))
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert (done.stdout, done.stderr) == ("[]\n", "")

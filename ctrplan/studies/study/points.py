@@ -44,7 +44,7 @@ def target_points(targets: TargetsEntry, scenario: Scenario | None, document: Do
         points = _within(targets, scenario, document, folder)
     if not len(points):
         raise document.fault("has no points", "targets")
-    rounded: Array = np.round(points * 1e3, 6)
+    rounded: Array = np.round(points * 1e3, 6) + 0.0  # no minus zero
     return rounded
 
 

@@ -4,6 +4,7 @@ kinds.
 
 from __future__ import annotations
 
+import atexit
 import hashlib
 import json
 import math
@@ -247,6 +248,8 @@ def _scenario(path: str, overrides: tuple[str, ...], allow_outside: bool) -> Sce
     return load_robot_or_scenario(path, overrides, allow_outside=allow_outside)
 
 
+for _kept in (_robot, _scenario):
+    atexit.register(_kept.cache_clear)  # what lives on when the interpreter has ended counts as leaked
 Start = Literal["robot", "scenario"]
 T = TypeVar("T", bound="type[TaskKind]")
 
