@@ -12,9 +12,11 @@ from ctrplan.anatomy.parts import AnatomyPart, exact_clearance
 from ctrplan.anatomy.shape import PartShape
 from ctrplan.anatomy.shapes.capsule import Capsule
 from ctrplan.anatomy.shapes.sphere import Sphere
-from ctrplan.base.arrays import Array
+from ctrplan.base.arguments import Flag, Made, Number, Text, require
+from ctrplan.base.arrays import LONGEST_MM, MM_PER_M, Array
 from ctrplan.base.package import shown
 
+MARGIN = Number(0, LONGEST_MM / MM_PER_M, "m")
 WITHIN_M = 0.05e-3  # of the truth, from below
 MOST = 200_000  # pieces of a surface looked at together
 SAMPLED = 20_000  # vertices of a part that may lie within a fixture
@@ -26,6 +28,7 @@ class Fixture:
     """A body in the robot's frame, fixed to its base.
 
     stays_inside: whether it stands in the lumens, too, and has to stay there; else only parts to avoid count.
+    Raises InputError for another name, shape or margin.
     """
 
     name: str
@@ -33,6 +36,13 @@ class Fixture:
     margin_m: float = 0.0
     stays_inside: bool = False
     source_table: Mapping[str, Any] | None = None  # the table of a scenario file that it was read from, files as paths
+
+    def __post_init__(self) -> None:
+        """Checks what was given; the shape has checked itself."""
+        require("name", self.name, Text())
+        require("shape", self.shape, Made("PartShape"))
+        require("margin_m", self.margin_m, MARGIN)
+        require("stays_inside", self.stays_inside, Flag())
 
     def clearance(self, parts: Sequence[AnatomyPart], position_m: Array, R: Array) -> tuple[float, Array]:
         """What parts leave it beyond its margin and theirs [m], and where (3,); its base at position (3,), R (3, 3).

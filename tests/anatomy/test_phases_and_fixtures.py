@@ -128,6 +128,21 @@ def test_a_structure_within_a_fixture_and_a_lumen_around_one_are_seen() -> None:
     )
 
 
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (("a", Sphere(np.zeros(3), 0.1), np.nan), "margin_m = nan m: must be a number"),
+        (("a", Sphere(np.zeros(3), 0.1), -1e-3), "margin_m = -0.001 m: must be a number"),
+        (("a", 3), "shape = 3: must be"),
+        ((3, Sphere(np.zeros(3), 0.1)), "name = 3: must be"),
+    ],
+)
+def test_what_is_no_fixture_is_refused(given: Any, said: str) -> None:
+    """A sheath was "nan mm nearer to the anatomy than margins allow"."""
+    with pytest.raises(InputError, match=said):
+        Fixture(*given)
+
+
 SCENARIO = """
 robot = "robots/table_5_pair.toml"
 [base]
