@@ -28,7 +28,7 @@ from ctrplan.effects.effect import CATALOGUE, Effect, Parameter, Stage, Values
 from ctrplan.effects.learned import learned as learned_table
 from ctrplan.effects.learned.inputs import Situation, unit
 from ctrplan.effects.learned.learned import COMMON_NOTES, FILE_NOTES, Learned, effect_of
-from ctrplan.errors import FEW
+from ctrplan.errors import FEW, InputError
 from ctrplan.measurement.approach import friction_state
 from ctrplan.measurement.measurements import Measurements, Poses, moved_rigidly
 from ctrplan.robot.named_numbers import with_values
@@ -120,8 +120,13 @@ class Chain:
         """The tubes, contacts and loads with every effect of the mechanics in them; its drive is ideal."""
         robot = self.ideal
         for given in self.of_stage("mechanics"):
-            if named := given.effect.mechanics(given.values, robot):
-                robot = with_values(robot, named)
+            named, key = given.effect.mechanics(given.values, robot), f"effects.{given.effect.name}"
+            if not isinstance(named, Mapping):
+                raise InputError(f"must return numbers by name, not {type(named).__name__}", key=key)
+            try:
+                robot = with_values(robot, named) if named else robot
+            except InputError as error:
+                raise InputError(f"makes another robot, of which {error}", key=key) from error
         return robot
 
     def sensor(self, poses: Poses, data: Measurements, first: int = 0) -> Poses:

@@ -218,3 +218,38 @@ def test_what_functions_of_ones_own_do_wrong_is_one_sentence(
     write_extension(tmp_path, PLACES[heading], source(heading).replace(old, new))
     done = run(tmp_path, command)
     assert done.returncode in (1, 2) and done.stderr.count("\n") == 1 and said in done.stderr, done.stderr
+
+
+SOFT = """
+from ctrplan.effects.effect import Effect, Parameter, register
+
+@register
+class Soft(Effect):
+    name, stage, equation, signature, experiment = "soft", "mechanics", "E = E", "soft", "press"
+
+    def parameters(self, robot):
+        return (Parameter("percent", prior=1),)
+
+    def mechanics(self, values, robot):
+        return NUMBERS
+"""
+
+
+@pytest.mark.parametrize(
+    ("numbers", "said"),
+    [
+        (
+            "{'contact.1.friction': 1.0}",
+            "effects.soft: makes another robot, of which contact.1.friction: no such parameter",
+        ),
+        (
+            "{'contact.1.friction_coefficient': float('nan')}",
+            "effects.soft: makes another robot, of which friction_coeff",
+        ),
+        ("[1]", "effects.soft: must return numbers by name, not list."),
+    ][: 3 if FUZZ else 1],
+)
+def test_numbers_that_no_robot_has_are_those_of_the_effect(numbers: str, said: str, tmp_path: Path) -> None:
+    write_inputs(tmp_path)
+    write_extension(tmp_path, "effects/mechanics/soft.py", SOFT.replace("NUMBERS", numbers))
+    assert said in sentence(tmp_path, BOUND.replace("guide_twist.theta_2_deg_per_mm", "soft.percent"))
