@@ -9,6 +9,7 @@ installed.
 from __future__ import annotations
 
 import functools
+import hashlib
 import importlib
 import inspect
 import os
@@ -24,6 +25,7 @@ import numpy as np
 from msgspec import StructMeta
 
 from ctrplan.base.arrays import to_be_read
+from ctrplan.base.package import __version__
 from ctrplan.errors import InputError, of_the_user
 
 VARIABLE = "CTRPLAN_EXTENSIONS"  # folders, separated as in PATH
@@ -140,12 +142,12 @@ def guarded_function(function: Callable[..., Any], called: str, file: str) -> Ca
     is_generator = inspect.isgeneratorfunction(function)
 
     @functools.wraps(function)
-    def asked(*arguments: Any, **keywords: Any) -> Any:
+    def call(*arguments: Any, **keywords: Any) -> Any:
         with of_the_user(called, file):
             result = function(*(to_be_read(x) if isinstance(x, np.ndarray) else x for x in arguments), **keywords)
             return iter(list(result)) if is_generator else result
 
-    return asked
+    return call
 
 
 def file_of_ones_own(thing: Any) -> str | None:
@@ -166,6 +168,14 @@ def extension_folders() -> list[Path]:
         for file in _misplaced(folder):
             raise InputError(f"is read by nothing: must lie in one of {', '.join(PLACES)}", file=str(file))
     return folders
+
+
+@functools.lru_cache
+def code_version() -> str:
+    """What this process computes with: the package's version, and a hash of files of one's own where there are any."""
+    own = [file for folder in extension_folders() for place in PLACES for file in sorted((folder / place).glob("*.py"))]
+    content = b"".join(file.read_bytes() for file in own)
+    return f"{__version__} with extensions {hashlib.sha256(content).hexdigest()[:8]}" if own else __version__
 
 
 def _misplaced(folder: Path) -> list[Path]:

@@ -47,8 +47,8 @@ def register(name: str, *, suffix: str) -> Callable[[AsText], AsText]:
         if same:
             raise InputError(f"is the suffix of format {same[0]} already", key="suffix", value=suffix)
         file = file_of_ones_own(text)
-        asked = text if file is None else guarded_function(text, f"trajectory format {name}", file)
-        CATALOGUE.add(name, TrajectoryFormat(name, suffix, asked), text.__module__)
+        write = text if file is None else guarded_function(text, f"trajectory format {name}", file)
+        CATALOGUE.add(name, TrajectoryFormat(name, suffix, write), text.__module__)
         return text
 
     return registered

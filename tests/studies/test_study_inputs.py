@@ -17,6 +17,7 @@ from here import Here
 from places import ROBOTS, SCENARIOS
 
 import ctrplan
+from ctrplan.base.catalogue import code_version
 from ctrplan.errors import InputError
 from ctrplan.studies.study.study import Study
 
@@ -77,6 +78,24 @@ def mesh(path: Path, frame: str | None) -> Path:
     head = f"SPACE={frame}" if frame else "made by hand"
     path.write_bytes(head.encode().ljust(80) + data[80:])
     return path
+
+
+def test_rows_that_other_code_of_ones_own_made_are_made_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rows stayed where a file of an effect or shape of one's own was edited."""
+    own = tmp_path / "EXTENSIONS" / "effects" / "drive" / "mine.py"
+    own.parent.mkdir(parents=True)
+    monkeypatch.setenv("CTRPLAN_EXTENSIONS", str(tmp_path / "EXTENSIONS"))
+    content, solved = {"scenario": scenario(tmp_path), "task": {"kind": "bound"}}, list[int]()
+    for text in ("x = 1", "x = 1", "x = 2"):
+        own.write_text(text, encoding="utf-8")
+        code_version.cache_clear()
+        here = Here()
+        run(tmp_path, content, here)
+        solved.append(here.done)
+    monkeypatch.undo()
+    code_version.cache_clear()
+    assert solved == [1, 0, 1]
+    assert code_version() == ctrplan.__version__
 
 
 @pytest.mark.parametrize("frame", ["LPS", "RAS"])

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from ctrplan.base.arrays import Array
-from ctrplan.base.package import __version__
+from ctrplan.base.catalogue import code_version
 from ctrplan.errors import InputError
 from ctrplan.files.design_file import DesignEntry, MadeEntry, ParameterEntry, StockEntry, checked_design
 from ctrplan.files.scenario_file import load_scenario
@@ -112,7 +112,11 @@ class DesignDefinition:
     @cached_property
     def base(self) -> str:
         """Hash of what all designs share."""
-        content = {"version": __version__, "task": dict(self.job.task), "start": self.job.sources.digest(self.job.main)}
+        content = {
+            "version": code_version(),
+            "task": dict(self.job.task),
+            "start": self.job.sources.digest(self.job.main),
+        }
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
     def task(self, index: int, design: Design, stage: str, front: list[dict[str, float]]) -> Task:

@@ -19,8 +19,8 @@ from typing import Any
 
 import numpy as np
 
+from ctrplan.base.catalogue import code_version
 from ctrplan.base.long_work import one_core
-from ctrplan.base.package import __version__
 from ctrplan.errors import CtrplanError, InputError, NoAnswerError
 from ctrplan.storage.toml_document import Document, TomlTable, chosen
 from ctrplan.studies.child_process import ChildEnded, ChildExecutor, in_child
@@ -37,8 +37,8 @@ class VersionError(InputError):
 
 def check_version(theirs: str) -> None:
     """Raises VersionError, with both, unless this process has the version of whoever sends tasks."""
-    if theirs != __version__:
-        differ = f"has ctrplan {__version__}, the study is run by {theirs}: install the same"
+    if theirs != code_version():
+        differ = f"has ctrplan {code_version()}, the study is run by {theirs}: install the same"
         raise VersionError(f"the worker {worker_name()} {differ}")
 
 

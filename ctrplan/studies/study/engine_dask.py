@@ -18,8 +18,8 @@ from functools import cached_property
 from types import ModuleType
 from typing import Any
 
+from ctrplan.base.catalogue import code_version
 from ctrplan.base.long_work import cores
-from ctrplan.base.package import __version__
 from ctrplan.errors import CtrplanError, InputError
 from ctrplan.studies.study.engine import (
     AHEAD,
@@ -133,7 +133,7 @@ class DaskEngine(Engine):
         from ctrplan.studies.study.engine import VersionError
 
         try:
-            self.client.run(check_version, __version__)
+            self.client.run(check_version, code_version())
         except VersionError:
             raise
         except ModuleNotFoundError as error:

@@ -11,7 +11,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
-from ctrplan.base.package import __version__
+from ctrplan.base.catalogue import code_version
 from ctrplan.errors import InputError
 from ctrplan.files.study_file import StudyEntry, VaryEntry, checked_study
 from ctrplan.storage.toml_document import Document, TomlTable, chosen, read_document
@@ -163,7 +163,7 @@ def _base(entry: StudyEntry, job: Job, kind: TaskKind, axes: Sequence[Axis]) -> 
     varied = [key for axis in axes for key in axis.keys]
     of_task = {key: value for key, value in job.task.items() if key != "time_limit_s"}
     content = {
-        "version": __version__,
+        "version": code_version(),
         "task": of_task,
         "start": "" if main_varies else job.sources.digest(job.main, varied),
         "files": [job.sources.digest(job.sources.name(Path(job.sources.folder, job.study_folder, name)))

@@ -19,8 +19,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeVar
 import msgspec
 from msgspec import Meta, Struct
 
-from ctrplan.base.catalogue import AbstractStruct, Catalogue
-from ctrplan.base.package import __version__
+from ctrplan.base.catalogue import AbstractStruct, Catalogue, code_version
 from ctrplan.errors import InputError
 from ctrplan.storage.toml_document import Document
 from ctrplan.studies.study.axes import Axis
@@ -57,7 +56,7 @@ class Job:
     task: Mapping[str, Any]  # the content of [task]
     study_folder: str = "."  # which files of the task are named relative to
     allow_outside: bool = False
-    version: str = __version__
+    version: str = field(default_factory=code_version)
     numbers: tuple[str, ...] = ()  # to record; none named: all
     keep: tuple[str, ...] = ()  # files of a plan that come back with its row
     tasks: TaskList | None = None  # those that workers are told by their numbers
@@ -73,7 +72,7 @@ class TaskRow:
     status: Status
     reason: str = ""  # a sentence; empty where it is done
     numbers: Mapping[str, Any] = field(default_factory=dict)  # finite or not, or texts
-    version: str = __version__
+    version: str = field(default_factory=code_version)
     seconds: float = 0.0  # of the processor's time; no result
     elapsed_s: float = 0.0  # likewise by the clock
     worker: str = ""  # where; no result
