@@ -77,7 +77,7 @@ def run(arguments: argparse.Namespace) -> int:
         print("\n".join(_report(result)))
         if result.is_kept:
             plan_file = typed(arguments.plan)
-            frame = "" if result.plan.scenario.frame else " --frame, RAS or LPS"
+            frame = "" if result.plan.scenario.frame else " --frame RAS (or LPS, if the anatomy is in that)"
             tell_next(
                 f"ctrplan render {plan_file} -o motion.gif; ctrplan export {plan_file} --to slicer -o scene{frame}"
             )
