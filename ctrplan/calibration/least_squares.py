@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from ctrplan.base.arrays import Array
 from ctrplan.base.package import shown
@@ -136,3 +137,38 @@ def _step(here: Fit, damping: float) -> tuple[Array, float, float]:
     limit = LONGEST_STEP * chain.prior
     stepped: Array = np.clip(here.p + np.clip(step, -limit, limit), chain.lower, chain.upper)
     return stepped, float(gradient @ (stepped - here.p)), float(gradient @ step)
+
+
+def error_beside(measured: Array, model: Array, turn: float, moves: Array, least: float, worth: int) -> float:
+    """Size of the errors of what was measured (M, 3) beside a turn of the model and moves of it, none below `least`.
+
+    The turn about the origin [rad] and `moves` (M, B, 3) are those of the size of their priors. What they take is held
+    against them as an error that is as improbable, errors being worth so many numbers; what they may fit of errors is
+    left out of their count.
+    """
+    by, turned, error = np.zeros(3), model, np.inf
+    for _ in range(2):  # the second time from where the first one turned the model to
+        turns = turn * np.cross(np.eye(3)[None], turned[:, None])
+        J = np.concatenate([turns, moves], axis=1).transpose(0, 2, 1).reshape(measured.size, -1)
+        off = (measured - turned).ravel()
+        by, error = _explained(J, off + J[:, :3] @ by[:3], float(np.sqrt(3 * np.mean(off**2))), least, worth)
+        turned = Rotation.from_rotvec(turn * by[:3]).apply(model)
+    return error
+
+
+def _explained(J: Array, off: Array, size: float, least: float, worth: int) -> tuple[Array, float]:
+    """Parameters (P,) with priors of 1 by which J (3 M, P) explains `off`, and the size of errors beside them.
+
+    Each time least squares beside errors of the size that the last ones left, taken as `size` first.
+    """
+    strength, axes = np.linalg.eigh(J.T @ J)
+    strength, pull, count, error = np.maximum(strength, 0.0), axes.T @ (J.T @ off), len(off) / 3, np.inf
+    while True:
+        kept = strength + count * max(size, least) ** 2 / worth
+        by, before = pull / kept, error
+        left = max(float(off @ off - by @ (2 * pull - strength * by)), 0.0)
+        size = max(float(np.sqrt(left / (count - (strength / kept).sum() / 3))), least)
+        with np.errstate(over="ignore"):  # what is improbable beyond numbers
+            error = size * float(np.exp(by @ by / 2 / worth))
+        if not error < before or 2 * worth * np.log(before / error) < ENOUGH:
+            return axes @ by, min(before, error)

@@ -3,8 +3,9 @@
 Every gross fault that laboratories make leaves the uncalibrated robot centimetres off, and one other reading of the
 columns a few millimetres. Residuals of an uncalibrated robot are smooth: they are worth about a dozen independent
 numbers, whatever the count of poses. With the prior that one file in a hundred is misread, shared among some forty
-readings, another reading is believed where it leaves less than half of the error, half of what tips that heed no joint
-would leave, and half of what ordinary calibration leaves. Tangents are asked alike where positions are explained.
+readings, another reading is believed where it leaves less than half of the error, and half of what tips that heed no
+joint would leave: each beside a base that is off and calibrated as their priors have it. Tangents are asked alike where
+positions are explained.
 """
 
 from __future__ import annotations
@@ -20,7 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
+from ctrplan.calibration.least_squares import error_beside
 from ctrplan.calibration.parameters import calibrated_moves
+from ctrplan.calibration.residuals import MODEL_POSITION_M, MODEL_TANGENT_RAD
 from ctrplan.errors import InputError, NoAnswerError
 from ctrplan.measurement.approach import clock
 from ctrplan.measurement.measurements import POSITION, TANGENT, Measurements, joint_columns
@@ -45,6 +48,7 @@ SHIFTS = {1: "one row late", -1: "one row early", 2: "two rows late", -2: "two r
 
 Joints = tuple[Array, Array]
 Pair = tuple[Array, Array]  # measured and predicted
+Stood = tuple[Pair, tuple[Robot, Array, Array]]  # poses, and the robot and its collars there
 
 
 @dataclass(frozen=True)
@@ -105,17 +109,15 @@ def read_again(robot: Robot, data: Measurements) -> tuple[Reading, ...]:
     """
     tips = data.of_tips()
     tips = tips.subset(np.flatnonzero(np.isfinite(tips.position_m).all(axis=1)))
-    if tips.count < 3:
+    if tips.count < 4:  # a base that is off takes nine numbers
         return ()
     kept = np.unique(np.linspace(0, tips.count - 1, min(tips.count, MOST_POSES)).round().astype(int))
     file, results = _File(robot, tips, kept, ()), list[Reading]()
     for _ in range(2):
-        before = file.rms_m(AS_READ)
-        if (fault := _best(file, before)) is None:
+        if (way := _best(file)) is None:
             break
-        way, after = fault
-        file = replace(file, done=(*file.done, way))
-        results.append(Reading(way.what + _as_lag(way, tips), way.columns, 1e3 * before, 1e3 * after))
+        before, file = file, file.after(way)
+        results.append(Reading(way.what + _as_lag(way, tips), way.columns, 1e3 * before.rms_m(), 1e3 * file.rms_m()))
     if not results and (unrelated := _unrelated(file)):
         return (unrelated,)
     if file.are_tangents_alike:
@@ -141,9 +143,10 @@ def _unrelated(file: _File) -> Reading | None:
     measured, model = file.pairs(AS_READ)
     if not file.suffices(model) or _spread(model) * BETTER < _spread(measured):
         return None
-    rng = np.random.default_rng(SEED)
-    own = _registered_m(measured, model)
-    if own < min(_registered_m(measured, model[rng.permutation(len(model))]) for _ in range(ORDERS)):
+    own, rng = _registered_m(measured, model), np.random.default_rng(SEED)
+    orders = (model[rng.permutation(len(model))] for _ in range(ORDERS))
+    others = [_registered_m(measured, other) for other in orders if (other != model).any()]
+    if own < min(others, default=np.inf):
         return None
     as_well = f"put in any other order they fit the robot as well, {1e3 * own:.3g} mm off (rms) in the best frame"
     what = f"the tips heed no joint: {as_well}. These are not the joints of these poses"
@@ -156,19 +159,20 @@ def _misdirected(file: _File) -> tuple[Reading, ...]:
     Tangents that are none, as another axis of the sensor, have less than half of their length along the tube's.
     """
     measured, model = file.tangents()
-    if len(model) < 3 or file.rms_m(AS_READ) * BETTER > _spread(file.pairs(AS_READ)[0]):
+    if len(model) < 3 or file.based_m(AS_READ) * BETTER > _spread(file.pairs(AS_READ)[0]):
         return ()
-    u, _, v = np.linalg.svd(measured.T @ model)
-    best = u @ np.diag([1.0, 1.0, np.linalg.det(u @ v)]) @ v
+
+    def based(turn: Array) -> float:
+        return error_beside(measured @ turn, model, BASE_RAD, np.empty((len(model), 0, 3)), MODEL_TANGENT_RAD, NUMBERS)
+
     shown, axes = min(_axes(), key=lambda one: _rms(measured @ one[1] - model))
     before = _rms(measured - model)
-    for what, turn in (
-        (f"the columns of tangents are not tx, ty, tz but hold them as {shown}", axes),
-        ("tangents are in another frame than positions", best),
-    ):
-        after = _rms(measured @ turn - model) if turn is axes or file.suffices(model) else np.inf
-        if after * BETTER < min(_spread(measured), _displaced(measured - model, after, _turns(model))):
-            told = np.degrees(2 * np.arcsin(np.array([before, after]) / 2)).tolist()  # of chords
+    framed = _rms(measured @ _turn(measured, model) - model) if file.suffices(model) else np.inf
+    ways = [(f"the columns of tangents are not tx, ty, tz but hold them as {shown}", based(axes))]
+    ways.append(("tangents are in another frame than positions", framed))
+    for what, after in ways:
+        if after <= ALIKE * framed and after * BETTER < min(_spread(measured), based(AS_IS)):
+            told = np.degrees(2 * np.arcsin(np.clip([before / 2, after / 2], 0, 1))).tolist()  # of chords
             return (Reading(what, TANGENT, told[0], told[1], "deg"),)
     if (along := float(np.mean(np.sum(measured * model, axis=1)))) * BETTER > 1.0:
         return ()
@@ -192,22 +196,6 @@ def _registered_m(measured: Array, model: Array) -> float:
     return _rms(measured @ turn.T + shift - model)
 
 
-def _turns(model: Array) -> Array:
-    """(M, axis, 3) by which a turn of the base about each axis, as large as an effect's prior, moves what is there."""
-    return np.asarray(BASE_RAD * np.cross(np.eye(3)[None], model[:, None]))
-
-
-def _displaced(off: Array, error: float, moves: Array) -> float:
-    """Rms of errors `off` (M, 3) beside what effects do to the base, `moves` (M, B, 3) of the size of their priors.
-
-    What that takes is held against it as an error that is as improbable; `error` is the size of those that remain.
-    """
-    J, r = moves.transpose(0, 2, 1).reshape(-1, moves.shape[1]), off.ravel()
-    by = np.linalg.solve(J.T @ J + np.diag(np.full(moves.shape[1], len(off) * error**2 / NUMBERS)), J.T @ r)
-    with np.errstate(over="ignore"):  # what no effect does
-        return _rms((r - J @ by).reshape(-1, 3)) * float(np.exp(by @ by / 2 / NUMBERS))
-
-
 def told_again(robot: Robot, data: Measurements, *, as_read: bool) -> tuple[Reading, ...]:
     """What is misread. Raises MisreadError, which says it, unless such data are to be fitted as they stand."""
     if (readings := read_again(robot, data)) and not as_read:
@@ -226,23 +214,24 @@ class MisreadError(NoAnswerError):
         super().__init__(" ".join([f"{data.file or 'measurements'}:", *said, rule]))
 
 
-def _best(file: _File, before: float) -> tuple[_Again, float] | None:
-    """The plainest of the readings that explain what is not explained so far, where `before` is left [m]."""
-    errors = [(way, e) for way in _readings(file.robot) if (e := file.rms_m(way, before)) < np.inf]
-    least = min((e for _, e in errors), default=np.inf)
+def _best(file: _File) -> _Again | None:
+    """The plainest of the readings that explain what is not explained so far."""
+    own, where = file.registered()
+    errors = [
+        (way, e) for way in _readings(file.robot) if (e := file.based_m(way)) * BETTER < _spread(file.pairs(way)[0])
+    ]
+    least = min([own, *(e for _, e in errors)])
     alike = [(way, e) for way, e in errors if e <= ALIKE * least]
-    if alike and file.displaced_m(least, alike[0][0]) * BETTER < file.displaced_m(least):
-        same = [way.what for way, e in alike[1:] if abs(e - alike[0][1]) < SAME * least][:2]
-        return replace(alike[0][0], what=", or ".join([alike[0][0].what, *same])), alike[0][1]
-    own, where = file.registered(AS_READ)
-    if own < np.inf and own * BETTER < min(before, _spread(file.pairs(AS_READ)[0]), file.displaced_m(own)):
-        framed = [own, *(file.registered(way)[0] for way in _readings(file.robot))]
-        least = min(framed)
-        if least * BETTER < own:  # both: another frame and another reading, of which the frame is told first
-            own = next(e for e in framed if e <= ALIKE * least)
+    if alike and least < file.based_m(AS_READ):
+        way, error = alike[0]
+        enough = BETTER ** (NUMBERS / min(NUMBERS, 3 * len(file.kept) - 9))  # from the numbers that a base leaves
+        if file.based_m(way, calibrated=True) * enough < file.based_m(AS_READ, calibrated=True):
+            same = [other.what for other, e in alike[1:] if abs(e - error) < SAME * least][:2]
+            return replace(way, what=", or ".join([way.what, *same]))
+    if own * BETTER < min(file.based_m(AS_READ, calibrated=True), _spread(file.pairs(AS_READ)[0])):
         turn, shift = _motion(*file.pairs(AS_READ))
         what = f"positions are in another frame than the robot's, {where}"
-        return _Again(what, POSITION, turn=turn.T, shift=shift), own
+        return _Again(what, POSITION, turn=turn.T, shift=shift)
     return None
 
 
@@ -346,11 +335,16 @@ class _File:
     kept: NDArray[np.int_]
     done: tuple[_Again, ...]
     solved: dict[tuple[bytes, bytes], Array] = field(default_factory=dict)  # of the robot as the file has it
-    stood: dict[_Again, tuple[Robot, Array, Array]] = field(default_factory=dict)  # collars (M, n) in each way
+    stood: dict[_Again, Stood] = field(default_factory=dict)  # in each way
+
+    def after(self, way: _Again) -> _File:
+        """The file read so."""
+        read = way.robot(self.robot)
+        return _File(read, self.data, self.kept, (*self.done, way), self.solved if read is self.robot else {})
 
     def pairs(self, way: _Again) -> Pair:
         """(M, 3) [m] measured and predicted tips, read in one more way, where there is an equilibrium."""
-        measured, model = self._poses(way)
+        measured, model = self._standing(way)[0]
         return measured[:, :3], model[:, :3]
 
     def tangents(self) -> Pair:
@@ -370,18 +364,20 @@ class _File:
 
     @cached_property
     def _tangents(self) -> Pair:
-        measured, model = (pose[:, 3:] for pose in self._poses(AS_READ))
+        measured, model = (pose[:, 3:] for pose in self._standing(AS_READ)[0])
         whole = np.isfinite(measured).all(axis=1)
         return measured[whole], model[whole]
 
-    def _poses(self, way: _Again) -> Pair:
-        """(M, 6) measured and predicted tips [m] and tangents, these as the file has them."""
-        data, read = self.data, self.robot
+    def _standing(self, way: _Again) -> Stood:
+        """(M, 6) measured and predicted tips [m] and tangents, and the robot and its collars (M, n) there."""
+        if way in self.stood:
+            return self.stood[way]
+        data, read = self.data, way.robot(self.robot)
         theta, l = data.theta_commanded[data.rows], data.l_commanded[data.rows]  # noqa: E741
         position, tangent = data.position_m, data.tangent
         for step in (*self.done, way):
             theta, l = step.joints(theta, l)  # noqa: E741 (as in the equations)
-            position, read = step.scale * position @ step.turn + step.shift, step.robot(read)
+            position = step.scale * position @ step.turn + step.shift
             late, early = max(step.rows, 0), max(-step.rows, 0)
             theta, l = (part[early : len(part) - late] for part in (theta, l))  # noqa: E741 (as in the equations)
             position, tangent = (part[late : len(part) - early] for part in (position, tangent))
@@ -392,10 +388,10 @@ class _File:
         try:
             model = self._solved(read, theta_b, inside)
         except InputError:  # no tube stands there
-            return measured[:0], measured[:0]
+            model = np.full_like(measured, np.nan)
         good = np.isfinite(model).all(axis=1) & (np.abs(l_b - inside).max(axis=1) < BASE_M)
-        self.stood[way] = read, theta_b[good], inside[good]
-        return measured[good], model[good]
+        self.stood[way] = (measured[good], model[good]), (read, theta_b[good], inside[good])
+        return self.stood[way]
 
     def _solved(self, read: Robot, theta_b: Array, l_b: Array) -> Array:
         """(K, 6); those of the robot as the file has it once for all readings that leave its joints alone."""
@@ -408,16 +404,13 @@ class _File:
         """Whether so many predictions tell something of the file."""
         return len(model) >= max(LEAST_POSES, 0.8 * len(self.kept))
 
-    def rms_m(self, way: _Again, before: float = np.inf) -> float:
-        """Distance [m] of the tips from the measured ones; infinite where most poses have no equilibrium, or where it
-        is not small beside that `before` and beside the spread of what is read so.
-        """
-        measured, model = self.pairs(way)
-        after = _rms(measured - model) if len(model) >= 0.8 * len(self.kept) else np.inf
-        return after if way is AS_READ or after * BETTER < min(before, _spread(measured)) else np.inf
+    def rms_m(self) -> float:
+        """Distance [m] of the tips from the measured ones; infinite where most poses have no equilibrium."""
+        measured, model = self.pairs(AS_READ)
+        return _rms(measured - model) if len(model) >= 0.8 * len(self.kept) else np.inf
 
-    def displaced_m(self, error_m: float, way: _Again = AS_READ) -> float:
-        """Rms error [m] beside what calibration does, and effects to the base; infinite where most poses do not stand.
+    def based_m(self, way: _Again, *, calibrated: bool = False) -> float:
+        """Size of errors [m] beside what effects do to the base; infinite where most poses do not stand.
 
         Effects turn the base, shift it, and shift it by more and more with time.
         """
@@ -427,13 +420,14 @@ class _File:
         time = clock(self.data)[self.kept[: len(model)]] if len(model) == len(self.kept) else np.zeros(len(model))
         late = (time - time.min()) / (np.ptp(time) or 1.0)
         shift = np.broadcast_to(np.eye(3), (len(model), 3, 3))
-        moves = [_turns(model), BASE_M * shift, BASE_M * late[:, None, None] * shift]
-        moves.append(calibrated_moves(*self.stood[way]))
-        return _displaced(measured - model, error_m, np.concatenate(moves, axis=1))
+        moves = [BASE_M * shift, BASE_M * late[:, None, None] * shift]
+        if calibrated:
+            moves.append(calibrated_moves(*self._standing(way)[1]))
+        return error_beside(measured, model, BASE_RAD, np.concatenate(moves, axis=1), MODEL_POSITION_M, NUMBERS)
 
-    def registered(self, way: _Again) -> tuple[float, str]:
+    def registered(self) -> tuple[float, str]:
         """Rms error [m] in the best frame, and where that is."""
-        measured, model = self.pairs(way)
+        measured, model = self.pairs(AS_READ)
         if not self.suffices(model):
             return np.inf, ""
         turn, shift = _motion(measured, model)
@@ -445,6 +439,12 @@ class _File:
 def _motion(measured: Array, model: Array) -> tuple[Array, Array]:
     """Rotation (3, 3) and shift (3,) [m] that bring measured positions to those of the model."""
     middle, aim = measured.mean(axis=0), model.mean(axis=0)
-    u, _, v = np.linalg.svd((measured - middle).T @ (model - aim))
-    turn = v.T @ np.diag([1.0, 1.0, np.sign(np.linalg.det(v.T @ u.T))]) @ u.T
+    turn = _turn(measured - middle, model - aim).T
     return turn, aim - turn @ middle
+
+
+def _turn(measured: Array, model: Array) -> Array:
+    """(3, 3) by which rows have to be multiplied to come nearest to those of the model (Kabsch 1976)."""
+    u, _, v = np.linalg.svd(measured.T @ model)
+    turn: Array = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ v))]) @ v
+    return turn

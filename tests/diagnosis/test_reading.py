@@ -142,6 +142,49 @@ def test_what_ordinary_calibration_explains_is_no_fault_of_reading(seed: int) ->
     assert read_again(ROBOT, measured(ROBOT, near, {"calibration": base}, seed=seed)) == ()
 
 
+def near(seed: int) -> Measurements:
+    """A motion whose tips move 15 mm (rms), and a base that is shifted by 15 mm and turned by 14 deg."""
+    gone = np.linspace(0, 1, len(THETA))[:, None]
+    short = joints(np.hstack([1.6 + gone, -1.0 + 0.6 * gone + np.sin(4 * gone)]), L.mean(axis=0) - 9e-3 * gone)
+    told = measured(ROBOT, short, BASE, seed=seed)
+    turn, shift = (v / np.linalg.norm(v) for v in np.random.default_rng(seed).normal(size=(2, 3)))
+    off = Rotation.from_rotvec(np.radians(14.0) * turn)
+    return replace(told, position_m=off.apply(told.position_m) + 15e-3 * shift, tangent=off.apply(told.tangent))
+
+
+NEAR_FAULTS: dict[str, Callable[[Measurements], Measurements]] = {
+    "(y, x, z)": lambda data: replace(data, position_m=data.position_m[:, [1, 0, 2]]),
+    "(x, y, -z)": lambda data: replace(data, position_m=data.position_m * [1, 1, -1]),
+    "positions are in millimetres": lambda data: replace(data, position_m=1e3 * data.position_m),
+    "rotation 2 has the other sign": lambda data: replace(data, theta_commanded=data.theta_commanded * [1, -1]),
+    "rotations are in degrees": lambda data: replace(data, theta_commanded=np.degrees(data.theta_commanded)),
+    "translations are in millimetres": lambda data: replace(data, l_commanded=1e3 * data.l_commanded),
+    "(-tx, -ty, -tz)": lambda data: replace(data, tangent=-data.tangent),
+}
+
+
+@pytest.mark.parametrize("fault", NEAR_FAULTS)
+def test_faults_are_told_where_the_base_is_off_as_far_as_tips_move(fault: str) -> None:
+    """The base is off in every reading alike: none is asked without one."""
+    for seed in range(4):
+        told = read_again(ROBOT, NEAR_FAULTS[fault](near(seed)))
+        assert told and fault in told[0].what
+
+
+def test_a_base_that_is_off_is_no_fault_of_a_short_motion() -> None:
+    for seed in range(8):
+        assert read_again(ROBOT, near(seed)) == ()
+
+
+@pytest.mark.parametrize("count", [4, 5, 6, 8])
+def test_few_poses_that_mean_what_they_say_raise_no_alarm(count: int) -> None:
+    """Orders of the rows that put every tip where it was are no other orders."""
+    for seed in range(12):
+        few = np.sort(np.random.default_rng(seed).permutation(CLEAN.count)[:count])
+        assert read_again(ROBOT, CLEAN.subset(few)) == ()
+        assert "positions are in millimetres" in read_again(ROBOT, places(1e3 * P).subset(few))[0].what
+
+
 def test_tips_that_heed_no_joint_are_told_and_read_in_no_other_way() -> None:
     rng = np.random.default_rng(3)
     spread = np.sqrt(np.mean(np.sum((P - P.mean(axis=0)) ** 2, axis=1)) / 3)
