@@ -4,8 +4,8 @@ Every gross fault that laboratories make leaves the uncalibrated robot centimetr
 columns a few millimetres. Residuals of an uncalibrated robot are smooth: they are worth about a dozen independent
 numbers, whatever the count of poses. With the prior that one file in a hundred is misread, shared among some forty
 readings, another reading is believed where it leaves less than half of the error, and half of what tips that heed no
-joint would leave: each beside a base that is off and calibrated as their priors have it. Tangents are asked alike where
-positions are explained.
+joint would leave: each beside a base that is off, as its prior has it, and as well where ordinary calibration helps
+both. Tangents are asked alike where positions are explained.
 """
 
 from __future__ import annotations
@@ -217,17 +217,17 @@ class MisreadError(NoAnswerError):
 def _best(file: _File) -> _Again | None:
     """The plainest of the readings that explain what is not explained so far."""
     own, where = file.registered()
-    errors = [
-        (way, e) for way in _readings(file.robot) if (e := file.based_m(way)) * BETTER < _spread(file.pairs(way)[0])
-    ]
+    asked = ((way, file.based_m(way)) for way in _readings(file.robot))
+    errors = [(way, e) for way, e in asked if e * BETTER < _spread(file.pairs(way)[0])]
     least = min([own, *(e for _, e in errors)])
     alike = [(way, e) for way, e in errors if e <= ALIKE * least]
-    if alike and least < file.based_m(AS_READ):
-        way, error = alike[0]
-        enough = BETTER ** (NUMBERS / min(NUMBERS, 3 * len(file.kept) - 9))  # from the numbers that a base leaves
-        if file.based_m(way, calibrated=True) * enough < file.based_m(AS_READ, calibrated=True):
-            same = [other.what for other, e in alike[1:] if abs(e - error) < SAME * least][:2]
-            return replace(way, what=", or ".join([way.what, *same]))
+    enough = BETTER ** (NUMBERS / min(NUMBERS, 3 * len(file.kept) - 9))  # from the numbers that a base leaves
+    if alike and all(
+        file.based_m(alike[0][0], calibrated=fits) * enough < file.based_m(AS_READ, calibrated=fits)
+        for fits in (False, True)
+    ):
+        same = [way.what for way, e in alike[1:] if abs(e - alike[0][1]) < SAME * least][:2]
+        return replace(alike[0][0], what=", or ".join([alike[0][0].what, *same]))
     if own * BETTER < min(file.based_m(AS_READ, calibrated=True), _spread(file.pairs(AS_READ)[0])):
         turn, shift = _motion(*file.pairs(AS_READ))
         what = f"positions are in another frame than the robot's, {where}"
