@@ -2,10 +2,10 @@
 
 Every gross fault that laboratories make leaves the uncalibrated robot centimetres off, and one other reading of the
 columns a few millimetres. Residuals of an uncalibrated robot are smooth: they are worth about a dozen independent
-numbers, whatever the count of poses. With the prior that one file in a hundred is misread, shared among some forty
-readings, another reading is believed where it leaves less than half of the error, and half of what tips that heed no
-joint would leave: each beside a base that is off, as its prior has it, and as well where ordinary calibration helps
-both. Tangents are asked alike where positions are explained.
+numbers, whatever the count of poses. With the prior that one file in a hundred is misread, shared among some hundred
+readings, another reading is believed where it leaves less than half of the error, about, and half of what tips that
+heed no joint would leave: each beside a base that is off, as its prior has it, and as well where ordinary calibration
+helps both. Tangents are asked alike where positions are explained.
 """
 
 from __future__ import annotations
@@ -31,12 +31,13 @@ from ctrplan.pipeline.tip_table import nested
 from ctrplan.robot.robot import Robot
 
 NUMBERS = 12  # independent ones that the residuals of an uncalibrated robot are worth
-BETTER = 2.0  # times the error as read over that of another reading: 12 log 2 = 8.3 against prior odds of 4000 to 1
+MISREAD = 0.01  # of files (prior), in any of the ways that there are
+BETTER = 2.0  # times the error of what explains nothing over that of what explains something
 MOST_POSES = 60  # that are read again: gross faults show in every one
 LEAST_POSES = 6  # of which a frame of six numbers leaves something
 BASE_RAD, BASE_M = np.radians(15.0), 15e-3  # by which a base is off, or drifts in an experiment, as an effect (prior)
 ALIKE = 1.3  # times the error of the best reading, with which a plainer one is told instead
-ORDERS, SEED = 100, 3  # of the rows, none of which fits as well where tips heed the joints: chance is 1 in 100
+SEED = 3  # of orders of the rows, so many that by chance none fits as well in MISREAD of files
 SAME = 0.02  # of the error, by which readings differ that no data tell apart, as mirrored tips and mirrored rotations
 POWERS = {10.0: "10 times too small", 0.1: "10 times too large"}
 POWERS |= {1e3: "1000 times too small", 1e-3: "1000 times too large"}
@@ -144,7 +145,7 @@ def _unrelated(file: _File) -> Reading | None:
     if not file.suffices(model) or _spread(model) * BETTER < _spread(measured):
         return None
     own, rng = _registered_m(measured, model), np.random.default_rng(SEED)
-    orders = (model[rng.permutation(len(model))] for _ in range(ORDERS))
+    orders = (model[rng.permutation(len(model))] for _ in range(round(1 / MISREAD)))
     others = [_registered_m(measured, other) for other in orders if (other != model).any()]
     if own < min(others, default=np.inf):
         return None
@@ -216,12 +217,11 @@ class MisreadError(NoAnswerError):
 
 def _best(file: _File) -> _Again | None:
     """The plainest of the readings that explain what is not explained so far."""
-    own, where = file.registered()
-    asked = ((way, file.based_m(way)) for way in _readings(file.robot))
-    errors = [(way, e) for way, e in asked if e * BETTER < _spread(file.pairs(way)[0])]
+    (own, where), each = file.registered(), [(way, file.based_m(way)) for way in _readings(file.robot)]
+    errors = [(way, e) for way, e in each if e * BETTER < _spread(file.pairs(way)[0])]
     least = min([own, *(e for _, e in errors)])
     alike = [(way, e) for way, e in errors if e <= ALIKE * least]
-    enough = BETTER ** (NUMBERS / min(NUMBERS, 3 * len(file.kept) - 9))  # from the numbers that a base leaves
+    enough = (len(each) / MISREAD) ** (1 / min(NUMBERS, 3 * len(file.kept) - 9))  # prior odds, of what a base leaves
     if alike and all(
         file.based_m(alike[0][0], calibrated=fits) * enough < file.based_m(AS_READ, calibrated=fits)
         for fits in (False, True)
