@@ -30,7 +30,7 @@ def read_only(values: ArrayLike) -> NDArray[Any]:
 
 
 def to_be_read(values: NDArray[Any]) -> NDArray[Any]:
-    """The same numbers for somebody who is not to change them."""
+    """A view of numbers for somebody who is not to change them."""
     view = values.view()
     view.setflags(write=False)
     return view

@@ -26,14 +26,8 @@ TUMOUR_RAS = np.array([-31.0, 17.0, 57.0])
 SCENARIO = f"""
 robot = '{PAIR}'
 frame = "RAS"
-[start]
-"rotate outer" = 0
-"rotate inner" = 0
-"translate inner" = -17
-[goal.joints]
-"rotate outer" = 0
-"rotate inner" = 20
-"translate inner" = -17
+start = {{ "rotate outer" = 0, "rotate inner" = 0, "translate inner" = -17 }}
+goal.joints = {{ "rotate outer" = 0, "rotate inner" = 20, "translate inner" = -17 }}
 """
 
 
