@@ -125,7 +125,7 @@ def _text(scenario: Scenario, reach: Reach, branches: list[int], shown: int) -> 
         return f"{scenario.name}: no configuration"
     units = [joint.unit for joint in scenario.robot.drive.joints]
     header = ["branch", *(f"{n} ({u})" for n, u in zip(names, units, strict=True))]
-    header += ["worst case (mm)", "(deg)", "stability", "clearance (mm)", "tip error (mm)"]
+    header += ["worst case (mm)", "(deg)", "stability", "clearance (mm)", "tip error (mm)", *_play_header(scenario)]
     chosen = _best(branches, shown)
     rows = [_row(scenario, reach.configurations[k], branches[k]) for k in chosen]
     left = count - len(chosen)
@@ -168,8 +168,14 @@ def _row(scenario: Scenario, c: Configuration, branch: int) -> list[str]:
         *joints,
         *figures,
         f"{c.tip_error_m * 1e3:.3f}",
+        *([f"{c.play_m * 1e3:.3f}"] if _play_header(scenario) else []),
         f"not valid: {c.reason}" if c.reason else "",
     ]
+
+
+def _play_header(scenario: Scenario) -> list[str]:
+    """Of a column that robots with play have: what it moves the tip by besides."""
+    return [] if scenario.robot.drive.play is None else ["play (mm)"]
 
 
 def _shown(scenario: Scenario, joints: Array) -> list[float]:
@@ -199,6 +205,7 @@ def _entry(scenario: Scenario, c: Configuration) -> dict[str, Any]:
         "direction_error_deg": math.degrees(c.turned_rad),
         "bound_position_mm": finite(c.bound_m * 1e3),
         "bound_tangent_deg": finite(math.degrees(c.bound_rad)),
+        "play_mm": finite(c.play_m * 1e3),
         "stability": finite(c.stability),
         "other_shape_mm": _other_shape_m(scenario, c) * 1e3 or None,
         "max_strain": finite(c.max_strain),

@@ -103,8 +103,10 @@ def _held(robot: Robot, theta: Array, l: Array, off: Array | None = None) -> tup
 
 def _farther(robot: Robot, here: Array, theta: Array, l: Array) -> Array:  # noqa: E741
     """(S,) [m] how far actuators by themselves move the first S shapes from here (S, N, 3), added up."""
-    moved = [[_shapes_apart(robot, here, *end) for end in ends] for ends in _ends(robot, theta, l)]
-    return np.asarray(np.max(moved, axis=1).sum(axis=0))
+    moved = np.zeros(len(here))  # of no actuator where all plays in the robot's file are 0
+    for ends in _ends(robot, theta, l):
+        moved += np.max([_shapes_apart(robot, here, *end) for end in ends], axis=0)
+    return moved
 
 
 def _shapes_apart(robot: Robot, here: Array, theta_b: Array, l_b: Array) -> Array:

@@ -120,18 +120,18 @@ class ReachedTarget:
     goal: Goal
     solutions: int  # configurations that reach it
     valid: int  # of them within all limits and margins
-    best: Configuration | None  # of the valid ones, the least error at worst
+    best: Configuration | None  # of the valid ones, the least error at worst beside its tolerance
     reason: str  # why there is none; empty if there is one
 
     @property
     def worst_m(self) -> float:
-        """[m] of the tip from the target at worst, whatever friction does; inf where it is not reached."""
-        return math.inf if self.best is None else self.best.tip_error_m + self.best.bound_m
+        """[m] of the tip from the target at worst, whatever friction and play do; inf where it is not reached."""
+        return math.inf if self.best is None else self.best.worst_m
 
     @property
     def share(self) -> float:
-        """`worst_m` in tolerances of the target: at most 1 where it is reached whatever friction does."""
-        return self.worst_m / self.goal.tolerance_m
+        """Error at worst in tolerances of the target, of its direction too: at most 1 where it is reached for sure."""
+        return math.inf if self.best is None else _share(self.best, self.goal)
 
 
 @shown
@@ -219,13 +219,19 @@ def _why_not(checker: MotionChecker, way: Configuration) -> str:
     return f"{way.reason}, tightest to {where}" if where else way.reason
 
 
+def _share(way: Configuration, goal: Goal) -> float:
+    """Errors at worst of a way to a target beside their tolerances, the larger one."""
+    turned = way.worst_rad / goal.direction_tolerance_rad if goal.direction_tolerance_rad else 0.0
+    return max(way.worst_m / goal.tolerance_m, turned)
+
+
 def _reached(checker: MotionChecker, goal: Goal, seed: int) -> ReachedTarget:
     target = tip_target(replace(checker.scenario, goal=goal, via=()))
     result = reach(checker, target, goal.tolerance_m, np.random.default_rng(seed), STARTS)
     ways = result.configurations
     valid = [way for way in ways if way.valid]
     if valid:
-        return ReachedTarget(goal, len(ways), len(valid), min(valid, key=lambda c: c.tip_error_m + c.bound_m), "")
+        return ReachedTarget(goal, len(ways), len(valid), min(valid, key=lambda way: _share(way, goal)), "")
     if ways:
         return ReachedTarget(goal, len(ways), 0, None, _why_not(checker, max(ways, key=lambda c: c.clearance_m)))
     near = result.nearest.tip_error_m

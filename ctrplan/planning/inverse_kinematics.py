@@ -19,16 +19,8 @@ from ctrplan.errors import InputError, said_of
 from ctrplan.mechanics.core_arrays import TipMemory
 from ctrplan.motion.checker import MotionChecker
 from ctrplan.motion.limits import breach, path_limits
-from ctrplan.planning.reach import (
-    REFINED_SHARE,
-    SHORTER,
-    Configuration,
-    Reach,
-    closer_by_joints,
-    reach,
-    rooms_on_stretches,
-    tips_by_joints,
-)
+from ctrplan.planning.reach import REFINED_SHARE, SHORTER, Configuration, Reach, reach, tips_by_joints
+from ctrplan.planning.room import closer_by_joints, rooms_on_stretches
 from ctrplan.robot.observer import ObserverState
 from ctrplan.robot.robot import Robot
 from ctrplan.scenario.joint_space import bare_scenario

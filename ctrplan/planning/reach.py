@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,12 +22,12 @@ from ctrplan.mechanics.gradients import collar_names
 from ctrplan.mechanics.shapes import Status, Tips
 from ctrplan.mechanics.walk import PathSamples
 from ctrplan.motion.checker import MotionChecker
-from ctrplan.scenario.scenario import anatomy_grid
+from ctrplan.motion.play import play_shift
 from ctrplan.scenario.tip_solver import TipSolver, TipTarget, angle_to, damped_steps, miss_of
 
 if TYPE_CHECKING:
-    from ctrplan.anatomy.clearance_grid import SignedDistanceField
     from ctrplan.mechanics.core_arrays import Near
+    from ctrplan.robot.robot import Robot
 
 
 def tips_by_joints(checker: MotionChecker, q: Array, phi: Array, near: Near | None = None) -> Tips:
@@ -70,84 +71,6 @@ def bound_slopes(checker: MotionChecker, q: Array) -> BoundSlopes:
     return BoundSlopes(bound_by, position[:, 0], by[:, 0], size[rows, farthest])
 
 
-HOLD_OFF_M = 0.1e-3  # room beyond the margins for what a straight motion leaves out: 1 mm along a wall of 5 mm radius
-STRETCHES = 24  # of the body, each with the point that has least room
-
-
-def closer_by_joints(
-    checker: MotionChecker, solver: TipSolver, q: Array, samples: PathSamples, most: Array
-) -> tuple[Array, Array, NDArray[np.intp]]:
-    """(R, m) how joints at q (m,) bring the body closer to the anatomy [m per rad or m], room (R,) [m], stretches (R,).
-
-    samples: a walk with bodies that ends at q. Of all points that motions up to `most` (m,) may bring too close, the
-    one with least room on each stretch. All shapes are taken to move as the zero-clearance one.
-    """
-    grid = anatomy_grid(checker.scenario)
-    if grid is None:
-        return np.zeros((0, len(q))), np.zeros(0), np.zeros(0, dtype=int)
-    points, share, room = _points_and_rooms(checker, grid, samples)
-    motion = _body_by_joints(solver, q, share)
-    near = np.flatnonzero(room < np.tile(np.linalg.norm(motion, axis=1) @ most, len(room) // len(share)))
-    stretch = _stretch(share)[near % len(share)]
-    order = np.lexsort((room[near], stretch))
-    stretch, first = np.unique(stretch[order], return_index=True)
-    near = near[order[first]]
-    shifts = grid.spacing_m / 2 * np.vstack([np.eye(3), -np.eye(3)])
-    beside = checker.scenario.located((points[near] + shifts[:, None]).reshape(-1, 3))
-    up, down = grid.sample(beside).reshape(2, 3, -1)
-    closer = -np.einsum("ir,rij->rj", (up - down) / grid.spacing_m, motion[near % len(share)])
-    return closer, room[near], stretch
-
-
-def rooms_on_stretches(checker: MotionChecker, samples: PathSamples) -> Array:
-    """(STRETCHES,) [m] least room of all shapes at the end of a walk with bodies on each stretch, plate to tip.
-
-    Beyond the limit of clearance and HOLD_OFF_M; inf in free space.
-    """
-    result, grid = np.full(STRETCHES, np.inf), anatomy_grid(checker.scenario)
-    if grid is not None:
-        _, share, room = _points_and_rooms(checker, grid, samples)
-        np.minimum.at(result, np.tile(_stretch(share), len(room) // len(share)), room)
-    return result
-
-
-def _stretch(share: Array) -> NDArray[np.intp]:
-    return np.asarray(np.minimum((share * STRETCHES).astype(int), STRETCHES - 1))
-
-
-def _points_and_rooms(
-    checker: MotionChecker, grid: SignedDistanceField, samples: PathSamples
-) -> tuple[Array, Array, Array]:
-    """(B, 3) points of all shapes at the end of a walk, shares (N,) of the body's length of each one's, rooms (B,)."""
-    body = samples.bodies[-1]
-    own = body[: len(body) // (len(samples.corner_tip_m[-1]) + 1), :3]
-    along = np.cumsum(np.linalg.norm(np.diff(own, axis=0, prepend=own[:1]), axis=1))
-    room = grid.sample(checker.scenario.located(body[:, :3])) - body[:, 3] - checker.limits.clearance_m - HOLD_OFF_M
-    return body[:, :3], along / max(float(along[-1]), 1e-9), room
-
-
-def _body_by_joints(solver: TipSolver, q: Array, share: Array) -> Array:
-    """(N, 3, m) derivatives by joints at q (m,) of points at shares (N,) of the zero-clearance body, plate to tip."""
-    drive, common = solver.space.drive, solver.common_rotation
-
-    def line(joints: Array) -> Array:
-        tube = solver.mechanics.zero_clearance(*drive.collars(joints), loads=False).tubes[-1]
-        s, points = tube.s_m / tube.s_m[-1], tube.centreline_m
-        return np.stack([np.interp(share, s, points[:, k]) for k in range(3)], axis=1)
-
-    here, result = line(q), np.zeros((len(share), 3, len(q)))
-    spared = None if common is None or drive.terms else int(np.argmax(np.abs(common)))
-    for j in range(len(q)):
-        moved = q.copy()
-        moved[j] = solver.beside(q[None], j)[0]
-        if j != spared and moved[j] != q[j]:
-            result[:, :, j] = (line(moved) - here) / (moved[j] - q[j])
-    if spared is not None and common is not None:
-        about_z = np.cross([0.0, 0.0, 1.0], here)
-        result[:, :, spared] = (about_z - result @ common) / common[spared]
-    return result
-
-
 SAMPLES = 1500  # random configurations whose tips are looked at
 STARTS = 300  # of them, the nearest ones after a common rotation: solves
 DISTINCT_MM = 5.0  # of joint length between configurations
@@ -168,6 +91,7 @@ SAME_SHARE = 0.35  # of their distance that the middle of two neighbours may lie
 class Configuration:
     """Joint values at a target, and what they are worth with clearance and friction."""
 
+    robot: Robot
     joints: Array  # (m,)
     tip_m: Array  # (3,) frictionless, robot's frame
     tangent: Array  # (3,)
@@ -184,6 +108,21 @@ class Configuration:
     def valid(self) -> bool:
         """Whether it keeps all limits and margins."""
         return not self.reason
+
+    @cached_property
+    def play_m(self) -> float:
+        """How far play of the drive may move the tip besides; inf where the robot has no equilibrium at its ends."""
+        return play_shift(self.robot, *self.robot.drive.commanded(self.joints))
+
+    @property
+    def worst_m(self) -> float:
+        """The tip from the target at worst, whatever friction and play do."""
+        return self.tip_error_m + self.bound_m + self.play_m
+
+    @property
+    def worst_rad(self) -> float:
+        """The tangent from the direction asked for at worst, whatever friction does."""
+        return self.turned_rad + self.bound_rad
 
 
 @shown
@@ -386,6 +325,7 @@ def configuration(checker: MotionChecker, target: TipTarget, joints: Array) -> C
     tip, tangent = samples.tip_m[-1], samples.tip_tangent[-1]
     failed = samples.status[-1] == Status.FAILED
     return Configuration(
+        robot=checker.scenario.robot,
         joints=joints,
         tip_m=tip,
         tangent=tangent,

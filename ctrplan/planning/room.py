@@ -3,7 +3,7 @@ it lets a search expect of states that are not solved.
 
 Friction and the clearance between tubes move shapes by millimetres, so that less clearance is left than the room around
 zero-clearance shapes. How much less changes slowly over joint space: it is a Gaussian process there, which every solved
-state teaches.
+state teaches. And how motions of the joints change it, for who leads a tip past walls.
 """
 
 from __future__ import annotations
@@ -23,7 +23,10 @@ from ctrplan.scenario.joint_space import JointSpace
 from ctrplan.scenario.scenario import anatomy_grid
 
 if TYPE_CHECKING:
+    from ctrplan.anatomy.clearance_grid import SignedDistanceField
+    from ctrplan.mechanics.walk import PathSamples
     from ctrplan.scenario.scenario import Scenario
+    from ctrplan.scenario.tip_solver import TipSolver
 
 
 def refuse_blocked_target(checker: MotionChecker) -> None:
@@ -300,3 +303,81 @@ def _covariance(a_mm: Array, b_mm: Array) -> Array:
 
 def _share_valid(room_m: Array, loss_m: Array, variance: Array) -> Array:
     return np.asarray(ndtr((room_m - loss_m) / np.sqrt(np.maximum(variance, 0.0) + SCATTER_M**2)))
+
+
+HOLD_OFF_M = 0.1e-3  # room beyond the margins for what a straight motion leaves out: 1 mm along a wall of 5 mm radius
+STRETCHES = 24  # of the body, each with the point that has least room
+
+
+def closer_by_joints(
+    checker: MotionChecker, solver: TipSolver, q: Array, samples: PathSamples, most: Array
+) -> tuple[Array, Array, NDArray[np.intp]]:
+    """(R, m) how joints at q (m,) bring the body closer to the anatomy [m per rad or m], room (R,) [m], stretches (R,).
+
+    samples: a walk with bodies that ends at q. Of all points that motions up to `most` (m,) may bring too close, the
+    one with least room on each stretch. All shapes are taken to move as the zero-clearance one.
+    """
+    grid = anatomy_grid(checker.scenario)
+    if grid is None:
+        return np.zeros((0, len(q))), np.zeros(0), np.zeros(0, dtype=int)
+    points, share, room = _points_and_rooms(checker, grid, samples)
+    motion = _body_by_joints(solver, q, share)
+    near = np.flatnonzero(room < np.tile(np.linalg.norm(motion, axis=1) @ most, len(room) // len(share)))
+    stretch = _stretch(share)[near % len(share)]
+    order = np.lexsort((room[near], stretch))
+    stretch, first = np.unique(stretch[order], return_index=True)
+    near = near[order[first]]
+    shifts = grid.spacing_m / 2 * np.vstack([np.eye(3), -np.eye(3)])
+    beside = checker.scenario.located((points[near] + shifts[:, None]).reshape(-1, 3))
+    up, down = grid.sample(beside).reshape(2, 3, -1)
+    closer = -np.einsum("ir,rij->rj", (up - down) / grid.spacing_m, motion[near % len(share)])
+    return closer, room[near], stretch
+
+
+def rooms_on_stretches(checker: MotionChecker, samples: PathSamples) -> Array:
+    """(STRETCHES,) [m] least room of all shapes at the end of a walk with bodies on each stretch, plate to tip.
+
+    Beyond the limit of clearance and HOLD_OFF_M; inf in free space.
+    """
+    result, grid = np.full(STRETCHES, np.inf), anatomy_grid(checker.scenario)
+    if grid is not None:
+        _, share, room = _points_and_rooms(checker, grid, samples)
+        np.minimum.at(result, np.tile(_stretch(share), len(room) // len(share)), room)
+    return result
+
+
+def _stretch(share: Array) -> NDArray[np.intp]:
+    return np.asarray(np.minimum((share * STRETCHES).astype(int), STRETCHES - 1))
+
+
+def _points_and_rooms(
+    checker: MotionChecker, grid: SignedDistanceField, samples: PathSamples
+) -> tuple[Array, Array, Array]:
+    """(B, 3) points of all shapes at the end of a walk, shares (N,) of the body's length of each one's, rooms (B,)."""
+    body = samples.bodies[-1]
+    own = body[: len(body) // (len(samples.corner_tip_m[-1]) + 1), :3]
+    along = np.cumsum(np.linalg.norm(np.diff(own, axis=0, prepend=own[:1]), axis=1))
+    room = grid.sample(checker.scenario.located(body[:, :3])) - body[:, 3] - checker.limits.clearance_m - HOLD_OFF_M
+    return body[:, :3], along / max(float(along[-1]), 1e-9), room
+
+
+def _body_by_joints(solver: TipSolver, q: Array, share: Array) -> Array:
+    """(N, 3, m) derivatives by joints at q (m,) of points at shares (N,) of the zero-clearance body, plate to tip."""
+    drive, common = solver.space.drive, solver.common_rotation
+
+    def line(joints: Array) -> Array:
+        tube = solver.mechanics.zero_clearance(*drive.collars(joints), loads=False).tubes[-1]
+        s, points = tube.s_m / tube.s_m[-1], tube.centreline_m
+        return np.stack([np.interp(share, s, points[:, k]) for k in range(3)], axis=1)
+
+    here, result = line(q), np.zeros((len(share), 3, len(q)))
+    spared = None if common is None or drive.terms else int(np.argmax(np.abs(common)))
+    for j in range(len(q)):
+        moved = q.copy()
+        moved[j] = solver.beside(q[None], j)[0]
+        if j != spared and moved[j] != q[j]:
+            result[:, :, j] = (line(moved) - here) / (moved[j] - q[j])
+    if spared is not None and common is not None:
+        about_z = np.cross([0.0, 0.0, 1.0], here)
+        result[:, :, spared] = (about_z - result @ common) / common[spared]
+    return result

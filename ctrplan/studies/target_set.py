@@ -110,12 +110,13 @@ class TargetValue:
     joints: Array  # (m,)
     tip_error_m: float
     bound_m: float
+    play_m: float  # how far play of the drive may move the tip besides
     clearance_m: float  # of all corners beyond the margins; inf in free space
 
     @property
     def error_m(self) -> float:
-        """How far friction may leave the tip from the target at worst."""
-        return self.tip_error_m + self.bound_m
+        """How far friction and play may leave the tip from the target at worst."""
+        return self.tip_error_m + self.bound_m + self.play_m
 
 
 def target_value(scenario: Scenario, starts: int, seed: int) -> TargetValue | None:
@@ -147,7 +148,7 @@ def _lowest_error(checker: MotionChecker, target: TipTarget, ways: Sequence[Conf
 
 
 def _error_m(way: Configuration) -> float:
-    return way.tip_error_m + way.bound_m
+    return way.worst_m
 
 
 def value_nearby(scenario: Scenario, near: TargetValue) -> TargetValue | None:
@@ -189,7 +190,7 @@ def with_target(scenario: Scenario, goal: Goal) -> Scenario:
 
 
 def _value(way: Configuration) -> TargetValue:
-    return TargetValue(way.joints, way.tip_error_m, way.bound_m, way.clearance_m)
+    return TargetValue(way.joints, way.tip_error_m, way.bound_m, way.play_m, way.clearance_m)
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,10 +19,12 @@ from ctrplan.files.scenario_file import load_scenario
 from ctrplan.motion.limits import search_limits
 from ctrplan.motion.play import play_reach, play_shift, play_turn
 from ctrplan.pipeline.chain import Chain
+from ctrplan.planning.inverse_kinematics import inverse_kinematics
 from ctrplan.plans.plan import Plan
 from ctrplan.reports.plan_words import certificate_in_words
 from ctrplan.robot.robot import Robot
 from ctrplan.scenario.scenario import Scenario
+from ctrplan.scenario.tip_solver import angle_to
 from ctrplan.uncertainty.tip_slopes import friction_states
 
 WIDTHS = {"theta_2_deg": 4.0, "theta_3_deg": 3.0, "l_3_mm": 1.0}
@@ -45,6 +47,35 @@ def test_a_drive_without_play_moves_nothing() -> None:
     robot = load_robot(SCENARIOS / "robots" / "three_tube.toml")
     assert robot.drive.play is None
     assert all(play_shift(robot, *q) == 0.0 for q in configurations(robot))
+
+
+def test_widths_of_zero_move_nothing() -> None:
+    """Once a robot file whose backlash was 0 ended every bound and plan in an error of a library."""
+    robot = three_tube(0.0)
+    assert robot.drive.play is not None and not robot.drive.play.any()
+    for q in configurations(robot):
+        assert play_shift(robot, *q) == play_reach(robot, *q) == play_turn(robot, *q) == 0.0
+
+
+def test_a_way_to_a_point_is_never_worse_than_it_says() -> None:
+    """Once play of the drive counted in plans and in the live view, and in no study, base pose or tube design."""
+    robot = three_tube()
+    there = robot.solve([0, 1, 2], [0, -0.017, -0.06])
+    target, along = there.tip_m, there.tubes[-1].frames[-1][:, 2]
+    assert robot.drive.play is not None
+    theta_off, l_off = np.split(robot.drive.play[0], 2)
+    ways = inverse_kinematics(robot, target, along, direction_tolerance_rad=0.3, starts=40).valid
+    rng = np.random.default_rng(4)
+    for way in ways[:3]:
+        theta, l = robot.drive.collars(way.joints)  # noqa: E741
+        off_m = list[float]()
+        for a, b in np.sign(rng.uniform(-1, 1, (8, 2, 3))):
+            corners = robot.bound(theta + a * theta_off, l + b * l_off).corners
+            off_m += [float(np.linalg.norm(corner.tip_m - target)) for corner in corners]
+        off_rad = [angle_to(c.tubes[-1].frames[-1][None, :, 2], along)[0] for c in robot.bound(theta, l).corners]
+        assert way.tip_error_m + way.bound_m < max(off_m) <= 1.02 * way.worst_m
+        assert max(off_rad) <= 1.001 * way.worst_rad
+    assert ways
 
 
 def test_no_place_within_the_play_is_farther_away() -> None:

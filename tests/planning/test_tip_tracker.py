@@ -13,7 +13,7 @@ from ctrplan.errors import InputError
 from ctrplan.motion.checker import MotionChecker
 from ctrplan.motion.limits import path_limits
 from ctrplan.planning.inverse_kinematics import TipTracker, TrackedStep
-from ctrplan.planning.reach import closer_by_joints, rooms_on_stretches
+from ctrplan.planning.room import closer_by_joints, rooms_on_stretches
 from ctrplan.robot.robot import Robot
 from ctrplan.scenario.joint_space import JointSpace
 from ctrplan.scenario.scenario import Scenario

@@ -21,7 +21,7 @@ from ctrplan.base.catalogue import code_version
 from ctrplan.errors import InputError
 from ctrplan.studies.study.study import Study
 
-PAIR = str(ROBOTS / "table_5_pair.toml")
+PAIR, THREE = str(ROBOTS / "table_5_pair.toml"), str(ROBOTS / "three_tube.toml")
 TUMOUR_RAS = np.array([-31.0, 17.0, 57.0])
 SCENARIO = f"""
 robot = '{PAIR}'
@@ -141,6 +141,28 @@ def test_a_tour_is_as_bad_as_its_worst_target(tmp_path: Path) -> None:
     assert table["arrival_mm"][0] == max(first.arrival.error_m, last.arrival.error_m) * 1e3
     with pytest.raises(InputError, match=r"task\.tip_mm: is missing: the scenario has 2 targets"):
         run(tmp_path, {"scenario": str(tmp_path / "tour.toml"), "task": {"kind": "ik"}})
+
+
+def test_a_target_is_kept_where_friction_and_play_leave_tip_and_direction_within_tolerance(tmp_path: Path) -> None:
+    """Once friction might turn the tip as far as it liked, and play move it."""
+    robot = ctrplan.load_robot(THREE)
+    there = robot.solve([0, 1, 2], [0, -0.017, -0.06])
+    along = there.tubes[-1].frames[-1][:, 2]
+    given: dict[str, Any] = {"kind": "ik", "starts": 40, "tip_mm": (there.tip_m * 1e3).tolist(), "tolerance_mm": 20}
+    given |= {"direction": along.tolist(), "direction_tolerance_deg": 25}
+    backlash: dict[str, Any] = {"key": "robot.effects.backlash.theta_3_deg", "values": [0, 12]}
+    table = run(tmp_path, {"robot": THREE, "task": given, "vary": [backlash]})
+    for k, width in enumerate(backlash["values"]):
+        own = ctrplan.load_robot(THREE, [f"effects.backlash.theta_3_deg={width}"])
+        limits: dict[str, Any] = {"tolerance_m": 0.02, "direction_tolerance_rad": np.radians(25), "starts": 40}
+        ways = ctrplan.inverse_kinematics(own, there.tip_m, along, **limits).valid
+        kept = [way for way in ways if way.worst_m <= 0.02 and way.worst_rad <= np.radians(25)]
+        assert table["within_tolerance"][k] == bool(kept)
+        best = min(way.worst_m for way in kept or ways)
+        assert table["worst_mm"][k] == pytest.approx(best * 1e3)
+    (tmp_path / "turned").mkdir()
+    turned = run(tmp_path / "turned", {"robot": THREE, "task": given | {"direction_tolerance_deg": 3}})
+    assert turned["status"][0] == "done" and not turned["within_tolerance"][0]
 
 
 @pytest.mark.parametrize(

@@ -62,7 +62,7 @@ class InverseKinematicsTask(TaskKind, frozen=True, kw_only=True):
             starts=self.starts,
             seed=task.settings["seed"],
         )
-        return _numbers(result, tolerance_mm)
+        return _numbers(result)
 
     def _goal(self, loaded: Loaded, scenario: Scenario) -> dict[str, Any]:
         """tip_mm, tolerance_mm and, where they are given, direction and direction_tolerance_deg."""
@@ -79,7 +79,7 @@ class InverseKinematicsTask(TaskKind, frozen=True, kw_only=True):
         return goal
 
 
-def _numbers(solutions: InverseKinematics, tolerance_mm: float) -> Mapping[str, Any]:
+def _numbers(solutions: InverseKinematics) -> Mapping[str, Any]:
     count, valid = len(solutions.configurations), solutions.valid
     known: dict[str, Any] = {
         "reached": bool(count),
@@ -92,9 +92,15 @@ def _numbers(solutions: InverseKinematics, tolerance_mm: float) -> Mapping[str, 
             raise NoAnswer(solutions.sentence, known)
         reason = f"{solutions.sentence} "
         raise NoAnswer(reason.strip(), known)
-    best = min(valid, key=lambda c: c.tip_error_m + c.bound_m)
-    worst_mm = (best.tip_error_m + best.bound_m) * 1e3
-    return {**known, **_figures(solutions, best), "worst_mm": worst_mm, "within_tolerance": worst_mm <= tolerance_mm}
+    best = min(valid, key=lambda c: (not _keeps(solutions, c), c.worst_m))
+    worst = {"worst_mm": best.worst_m * 1e3, "within_tolerance": _keeps(solutions, best)}
+    return {**known, **_figures(solutions, best), **worst}
+
+
+def _keeps(solutions: InverseKinematics, way: Configuration) -> bool:
+    """Whether a configuration keeps both tolerances whatever friction and play do."""
+    of = solutions.solutions
+    return way.worst_m <= of.tolerance_m and way.worst_rad <= of.direction_tolerance_rad
 
 
 def _figures(solutions: InverseKinematics, c: Configuration) -> dict[str, Any]:
