@@ -268,7 +268,7 @@ def _build(document: Document, for_robot: Sequence[str], allow_outside: bool, ma
     with images_kept():
         anatomy = made.anatomy if made is not None else tuple(map(anatomy_part, tables))
     refuse_targets_outside_images(anatomy, goals, document)
-    base_m = read_only(np.multiply(entry.base.position_mm, 1e-3))
+    base_m, base_R = read_only(np.multiply(entry.base.position_mm, 1e-3)), base_rotation(entry.base, document)
     doubts = _refuse_wrong_units((robot, goals, base_m, anatomy), document, in_code=made is not None)
     fixtures = (
         ()
@@ -279,7 +279,7 @@ def _build(document: Document, for_robot: Sequence[str], allow_outside: bool, ma
         name=entry.name or (Path(document.file).stem if document.file else "scenario"),
         robot=robot,
         base_position_m=base_m,
-        base_R=base_rotation(entry.base, document),
+        base_R=base_R,
         registration=Registration(entry.base.position_sigma_mm * 1e-3, math.radians(entry.base.rotation_sigma_deg)),
         start=joint_values(
             {k: v for k, v in entry.start.items() if k not in (FRICTION, WHOLE_TURNS)}, robot, document, "start"
@@ -296,7 +296,7 @@ def _build(document: Document, for_robot: Sequence[str], allow_outside: bool, ma
         planner=planner_settings(TomlTable(document, ("planner",))),
         path=document.file,
         content=document.content,
-        warnings=(*doubts, *robot.warnings, *anatomy_notes(anatomy)),
+        warnings=(*doubts, *robot.warnings, *anatomy_notes(anatomy), *sizes.load_notes(robot, base_R)),
     )
 
 

@@ -27,13 +27,13 @@ from ctrplan.base.arrays import LONGEST_MM, Array, numbers
 from ctrplan.base.long_work import StageProgress, interrupt_event
 from ctrplan.base.package import shown
 from ctrplan.errors import InputError, NoAnswerError
-from ctrplan.mechanics.tube import Loads
 from ctrplan.mechanics.walk import Field
 from ctrplan.motion.checker import DEFINITE_COLLISION_M
 from ctrplan.motion.limits import breach, search_limits
 from ctrplan.planning.base_pose import BaseFrame, BasePose, Patch, base_pose, middle_of, placed
 from ctrplan.scenario.joint_space import JointSpace
 from ctrplan.scenario.scenario import Scenario
+from ctrplan.scenario.sizes import refuse_loads
 from ctrplan.scenario.tip_solver import TipSolver, TipTarget, angle_to
 
 if TYPE_CHECKING:
@@ -310,11 +310,7 @@ def place(
     The same for the same seed. Ctrl-C, or setting `interrupted`, keeps what was found so far. Raises InputError for a
     goal of joints and for a robot with loads, NoAnswerError where no pose of the patch leaves room for the robot.
     """
-    if scenario.robot.loads != Loads():
-        rule = (
-            "has loads, which are stated in the robot's frame and would turn along with another base: place it without"
-        )
-        raise InputError(rule, file=scenario.robot.path, key="effects")
+    refuse_loads(scenario.robot, scenario.robot.path, "effects")
     for goal in scenario.targets:
         if goal.tip_m is None or goal.joints is not None:  # joints would lead elsewhere from another pose
             raise InputError("says nothing of a place: a tip is needed", file=scenario.path, key=goal.place)

@@ -1,7 +1,7 @@
 """Places and parts of a scenario that are most likely in another unit, by the robot's own length and by each other.
 
 A goal cannot be much nearer to the base than the robot is long, nor farther; lumens hold the goals. Where the same
-numbers in another unit are where they can be, that unit is named.
+numbers in another unit are where they can be, that unit is named. And loads, which are not in the anatomy's frame.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import numpy as np
 
 from ctrplan.anatomy.parts import AnatomyPart
 from ctrplan.base.arrays import UNITS_M, Array, are_degrees, are_radians, in_radians
+from ctrplan.errors import InputError
 from ctrplan.mechanics.tube import Loads
 from ctrplan.robot.magnitudes import in_words, reach_m
 from ctrplan.robot.robot import Robot
@@ -73,6 +74,20 @@ def place_doubt(
     sure = outside or units[0] in ("m", "mm", "um")
     where = " and outside all lumens" if outside else ""
     return SizeDoubt(_away(away, length, f"are these in {in_words(units)}?", where), sure)
+
+
+def load_notes(robot: Robot, base_R: Array) -> tuple[str, ...]:
+    """That loads of a robot are in its own frame, where a base turned by (3, 3) makes another one of the anatomy's."""
+    if robot.loads == Loads() or np.allclose(base_R, np.eye(3), atol=1e-6):
+        return ()
+    return (f"{robot.path or robot.name}: effects: has loads, which are in the robot's frame: the base turns them.",)
+
+
+def refuse_loads(robot: Robot, file: str | None, key: str) -> None:
+    """Raises InputError for loads where the base is looked for or varied, which would turn them along."""
+    if robot.loads != Loads():
+        rule = "has loads, which are stated in the robot's frame and would turn along with another base"
+        raise InputError(f"{rule}: place it without", file=file, key=key)
 
 
 def nearest_tip_m(robot: Robot) -> float:

@@ -266,6 +266,15 @@ def test_loads_would_turn_along_with_the_base(folder: Path) -> None:
         place(loaded)
 
 
+def test_a_turned_base_turns_loads_and_says_so(folder: Path) -> None:
+    """Once gravity down the anatomy pulled along the robot where [base] turned that, without a word."""
+    down, turned = "robot.effects.gravity.g_z_m_s2=-9.81", "base={direction = [1, 0, 0]}"
+    said = ctrplan.load_scenario(folder / "scenario.toml", [down, turned]).warnings
+    assert any("effects: has loads, which are in the robot's frame: the base turns them." in note for note in said)
+    for calm in ([down, "base={position_mm = [0, 0, 1]}"], [turned]):
+        assert not any("loads" in note for note in ctrplan.load_scenario(folder / "scenario.toml", calm).warnings)
+
+
 def test_arguments_are_checked(scenario: ctrplan.Scenario) -> None:
     for keys in ({"center_m": [0, 0]}, {"along_m": [0, 0, 1e9]}, {"radius_m": -1.0}, {"candidates": 0}):
         with pytest.raises(InputError):

@@ -143,6 +143,16 @@ def test_a_tour_is_as_bad_as_its_worst_target(tmp_path: Path) -> None:
         run(tmp_path, {"scenario": str(tmp_path / "tour.toml"), "task": {"kind": "ik"}})
 
 
+def test_bases_do_not_turn_loads(tmp_path: Path) -> None:
+    """Once tasks with other bases were done as if the world turned with the robot."""
+    load = {"key": "robot.effects.tip_load.force_x_N", "values": [0.0, 0.1]}
+    content: dict[str, Any] = {"scenario": scenario(tmp_path), "task": {"kind": "bound"}, "vary": [load]}
+    bases = {"bases": {"poses": [{"position_mm": [0, 0, 0], "direction": [0, 1, 9]}]}}
+    with pytest.raises(InputError, match="effects: has loads, which are stated in the robot's frame"):
+        Study.of(content | bases, tmp_path, allow_outside=True).run(tmp_path / "turned", executor=Here())
+    assert run(tmp_path, content)["status"].tolist() == ["done", "done"]
+
+
 def test_a_target_is_kept_where_friction_and_play_leave_tip_and_direction_within_tolerance(tmp_path: Path) -> None:
     """Once friction might turn the tip as far as it liked, and play move it."""
     robot = ctrplan.load_robot(THREE)

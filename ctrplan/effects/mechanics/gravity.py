@@ -12,12 +12,12 @@ NITINOL_KG_M3 = 6450.0  # where the robot file gives no density; a lining or a t
 
 @register
 class Gravity(Effect):
-    """The acceleration `g_x_m_s2` ... in the world frame, on every tube by its density."""
+    """The acceleration `g_x_m_s2` ... in the robot's frame, on every tube by its density."""
 
     name = "gravity"
     in_words = "weight of the robot"
     stage = "mechanics"
-    equation = "density times cross section times g along every tube, world frame"
+    equation = "density times cross section times g along every tube, robot's frame"
     signature = "tips sink in one world direction, most when everything is extended sideways"
     look_alikes = ("tip_load", "base_misalignment")
     experiment = "the robot mounted upright and on its side"

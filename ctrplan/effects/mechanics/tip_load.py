@@ -10,12 +10,12 @@ from ctrplan.robot.robot import Robot
 
 @register
 class TipLoad(Effect):
-    """A dead load on the innermost tip: `force_x_N` ... [N] in the world frame."""
+    """A dead load on the innermost tip: `force_x_N` ... [N] in the robot's frame."""
 
     name = "tip_load"
     in_words = "force on the tip"
     stage = "mechanics"
-    equation = "constant force on the innermost tip, world frame"
+    equation = "constant force on the innermost tip, robot's frame"
     signature = "tips are shifted in one world direction, more when the robot is extended"
     look_alikes = ("gravity", "base_misalignment")
     experiment = "fully retracted against fully extended, in several directions of bending"

@@ -22,7 +22,7 @@ from msgspec import Meta, Struct
 from ctrplan.base.catalogue import AbstractStruct, Catalogue, code_version
 from ctrplan.errors import InputError
 from ctrplan.storage.toml_document import Document
-from ctrplan.studies.study.axes import Axis
+from ctrplan.studies.study.axes import OTHER_WAYS, POSE, Axis
 from ctrplan.studies.study.sources import Sources
 
 if TYPE_CHECKING:
@@ -176,6 +176,7 @@ class TaskNumbers:
 
 
 OF_TARGET = ("goal=", "target=")  # overrides that change the goal and nothing else
+TURNS_BASE = ("base=", *(f"base.{way}=" for way in (POSE[1], *OTHER_WAYS, "rotation_matrix")))
 
 
 class Loaded:
@@ -230,7 +231,12 @@ class Loaded:
         return path
 
     def _read(self, overrides: Sequence[str]) -> Scenario:
-        return _scenario(str(self.main), tuple(overrides), self.job.allow_outside)
+        result = _scenario(str(self.main), tuple(overrides), self.job.allow_outside)
+        if any(text.startswith(TURNS_BASE) for text in overrides):
+            from ctrplan.scenario.sizes import refuse_loads  # with all of the anatomy behind it
+
+            refuse_loads(result.robot, result.robot.path, "effects")
+        return result
 
 
 @lru_cache(maxsize=2)
