@@ -30,7 +30,9 @@ def read_only(values: ArrayLike) -> NDArray[Any]:
 
 
 def to_be_read(values: NDArray[Any]) -> NDArray[Any]:
-    """A view of numbers for somebody who is not to change them."""
+    """A view of numbers for somebody who is not to change them; the same where nobody may."""
+    if not values.flags.writeable:
+        return values
     view = values.view()
     view.setflags(write=False)
     return view

@@ -8,6 +8,7 @@ installed.
 
 from __future__ import annotations
 
+import copy
 import functools
 import hashlib
 import importlib
@@ -17,6 +18,7 @@ import pkgutil
 import sys
 from abc import ABCMeta
 from collections.abc import Callable, Iterable, Iterator, MutableMapping
+from dataclasses import is_dataclass
 from pathlib import Path
 from threading import RLock
 from typing import Any, TypeVar
@@ -144,10 +146,26 @@ def guarded_function(function: Callable[..., Any], called: str, file: str) -> Ca
     @functools.wraps(function)
     def call(*arguments: Any, **keywords: Any) -> Any:
         with of_the_user(called, file):
-            result = function(*(to_be_read(x) if isinstance(x, np.ndarray) else x for x in arguments), **keywords)
+            result = function(*map(_handed, arguments), **keywords)
             return iter(list(result)) if is_generator else result
 
     return call
+
+
+def _handed(given: Any) -> Any:
+    """What a function of one's own is given: arrays, also as entries of tables and fields, that it can't write into."""
+    if isinstance(given, np.ndarray):
+        return to_be_read(given)
+    if isinstance(given, dict):
+        return {key: _handed(value) for key, value in given.items()}
+    held = vars(given) if is_dataclass(given) and hasattr(given, "__dict__") else {}
+    shown = {name: _handed(value) for name, value in held.items() if isinstance(value, (np.ndarray, dict))}
+    if all(shown[name] is held[name] for name in shown):
+        return given
+    result = copy.copy(given)
+    for name, value in shown.items():
+        object.__setattr__(result, name, value)
+    return result
 
 
 def file_of_ones_own(thing: Any) -> str | None:

@@ -17,7 +17,7 @@ import numpy as np
 from ctrplan.base.arrays import DEGREE as DEGREE
 from ctrplan.base.arrays import MILLIMETRE as MILLIMETRE
 from ctrplan.base.arrays import Array
-from ctrplan.base.catalogue import Catalogue, guarded
+from ctrplan.base.catalogue import Catalogue, file_of_ones_own, guarded
 from ctrplan.drive.legs import Collars
 from ctrplan.errors import InputError
 from ctrplan.measurement.measurements import Measurements, Poses
@@ -229,8 +229,22 @@ def register(effect: E_) -> E_:
         rule = f"the stage of {effect.__name__} must be one of {', '.join(get_args(Stage))}"
         raise InputError(rule, value=effect.stage)
     guarded(effect, f"effects.{effect.name}")
+    if file_of_ones_own(effect):
+        setattr(effect, "parameters", _stated(effect.parameters, f"effects.{effect.name}"))  # noqa: B010 (of a class)
     CATALOGUE.add(effect.name, effect(), effect.__module__)
     return effect
+
+
+def _stated(parameters: Callable[..., Any], key: str) -> Callable[..., tuple[Parameter, ...]]:
+    """A method `parameters`, asked for what it returns. Its result raises InputError for anything else."""
+
+    def call(effect: Effect, robot: Robot) -> tuple[Parameter, ...]:
+        made = parameters(effect, robot)
+        if not isinstance(made, (tuple, list)) or not all(isinstance(each, Parameter) for each in made):
+            raise InputError("parameters: must return a tuple of Parameter", key=key)
+        return tuple(made)
+
+    return call
 
 
 def two_digits(value: float) -> str:

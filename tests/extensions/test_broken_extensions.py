@@ -161,6 +161,7 @@ ODD = [  # section, what its file says, what a broken one says instead, a comman
         "effects.guide_twist: returns numbers that are not finite.",
     ),
     ("An effect", "return Collars(theta, collars.l)", "return theta", BOUND, "must return Collars, not ndarray."),
+    ("An effect", "return tuple(Param", "return 7 or tuple(Param", BOUND, "parameters: must return a tuple of Param"),
     (
         "An obstacle",
         DISTANCE,
@@ -205,7 +206,8 @@ ODD = [  # section, what its file says, what a broken one says instead, a comman
         "jsonl: must return text that can be written, not int.",
     ),
 ]
-ASKED = [case for case in ODD if FUZZ or case[2] in ("1 / 0", "collars.theta[:, 0] += 1", "return None", "return 7")]
+USUAL = ("1 / 0", "collars.theta[:, 0] += 1", "return None", "return 7", "return 7 or tuple(Param")
+ASKED = [case for case in ODD if FUZZ or case[2] in USUAL]
 
 
 @pytest.mark.parametrize(("heading", "old", "new", "command", "said"), ASKED, ids=[case[2] for case in ASKED])
@@ -253,3 +255,35 @@ def test_numbers_that_no_robot_has_are_those_of_the_effect(numbers: str, said: s
     write_inputs(tmp_path)
     write_extension(tmp_path, "effects/mechanics/soft.py", SOFT.replace("NUMBERS", numbers))
     assert said in sentence(tmp_path, BOUND.replace("guide_twist.theta_2_deg_per_mm", "soft.percent"))
+
+
+WARM = """
+from ctrplan.effects.effect import Effect, Parameter, register
+from ctrplan.measurement.measurements import Poses
+
+@register
+class Warm(Effect):
+    name, stage, equation, signature, experiment = "warm", "sensor", "p = p", "warm", "warm it"
+    needs_columns = ("temperature_C",)
+
+    def parameters(self, robot):
+        return (Parameter("percent", prior=1),)
+
+    def sensor(self, values, poses, data):
+        WRITES
+        return Poses(poses.position, poses.frame)
+"""
+WRITES = ("data.more['temperature_C'] -= 20", "data.position_m[:] = 0", "poses.position[:, 0] += 1e-3")
+
+
+@pytest.mark.parametrize("writes", WRITES if FUZZ else WRITES[:1])
+def test_an_effect_cannot_change_what_was_measured(writes: str, tmp_path: Path) -> None:
+    """Once a sensor's effect that wrote into a column changed it for whatever was asked next."""
+    write_inputs(tmp_path)
+    write_extension(tmp_path, "effects/sensor/warm.py", WARM.replace("WRITES", writes))
+    (tmp_path / "path.csv").write_text(
+        "theta_1_rad,theta_2_rad,l_1_m,l_2_m,temperature_C\n0,1,0,-0.015,20\n0,1,0,-0.03,25\n"
+    )
+    done = run(tmp_path, "ctrplan simulate my_pair.toml path.csv -o out --set effects.warm.percent=1")
+    assert done.returncode == 1 and "effects.warm: sensor: ValueError" in done.stderr, done.stderr
+    assert "read-only" in done.stderr and done.stderr.count("\n") == 1
