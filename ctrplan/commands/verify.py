@@ -100,6 +100,8 @@ def _report(result: Verification) -> Iterator[str]:
     yield f"{name}: {verdict}{', interrupted' if result.interrupted else ''}"
     if result.refusal:
         yield f"  {result.refusal}"
+    if result.unchecked:
+        yield f"  figures were not computed anew: {result.unchecked}"
     yield from (f"  {sentence}" for sentence in result.missed)
     for difference in result.differences:
         yield f"  {difference.sentence}"

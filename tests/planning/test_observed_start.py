@@ -10,10 +10,10 @@ import pytest
 from places import ROBOTS, SCENARIOS
 
 import ctrplan
-from ctrplan.audit.verify import recomputed_differences
+from ctrplan.audit.verify import broken_promises, recomputed_differences, verify
 from ctrplan.certificate.certify import certify
 from ctrplan.errors import CtrplanError, InputError
-from ctrplan.files.plan_file import load_plan
+from ctrplan.files.plan_file import WrittenPlan, load_plan
 from ctrplan.files.robot_file import load_robot
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.files.trajectory_file import trajectory_formats, write_trajectory
@@ -79,8 +79,28 @@ def test_plan_takes_the_state_and_its_files_say_that_they_lack_it(tmp_path: Path
     )
     write_plan_json(tmp_path / "plan.json", plan)
     write_trajectory(tmp_path, plan.trajectory, trajectory_formats(["csv"]))
+    written = load_plan(tmp_path / "plan.json", case.path, allow_outside=True)
     with pytest.raises(CtrplanError, match="an observer's state, which no file holds"):
-        recomputed_differences(load_plan(tmp_path / "plan.json", case.path, allow_outside=True))
+        recomputed_differences(written)
+    files, here = verify(written, work=2000), verify(plan, work=2000)
+    assert files.is_kept and "which no file holds" in files.unchecked  # once the certificate did not hold
+    assert here.is_kept and not here.unchecked and not recomputed_differences(WrittenPlan.of(plan))
+
+
+def test_what_friction_can_not_explain_is_missed_whatever_an_observer_knew() -> None:
+    """Where a plan's start is lost, its tip may be off by what it corrects for, which the bound limits."""
+    robot = load_robot(ROBOTS / "table_5_pair.toml")
+    case = load_scenario(SCENARIOS / "pair_free.toml", ["planner.time_s=0.3"])
+    tip_m = robot.solve(*robot.drive.collars(case.start + [0, 0.4, 0])).tip_m
+    case = case.with_(goal=ctrplan.Goal(tip_m=tip_m, tolerance_m=0.1e-3))
+    observer = case.robot.observer(NOISE_M)
+    observer.observe(*case.robot.drive.collars(case.start))
+    plan = ctrplan.plan(case, start_state=observer.state())
+    lost = replace(WrittenPlan.of(plan), scenario=case)
+    assert not broken_promises(lost)
+    moved = case.goal.tip_m + [0, 0, 2 * plan.certificate.goal_bound_m + 1e-3]
+    elsewhere = replace(case, goal=replace(case.goal, tip_m=moved))
+    assert "mm from the target" in broken_promises(replace(lost, scenario=elsewhere))[0]
 
 
 def test_a_scenario_file_can_not_name_what_it_does_not_hold() -> None:
