@@ -161,17 +161,27 @@ def leg_end_s(plan: PlannedMotion) -> Array:
     return _time_at(plan, _travelled(plan, plan.waypoints)[1:])
 
 
+def restarts(certificate: Certificate) -> tuple[int | None, ...]:
+    """Waypoints from which a run that was interrupted on its way to each target begins again, as of `Arrival.restart`.
+
+    Whoever begins again at that of a later target leaves out the targets before it.
+    """
+    arrivals = [*(target.arrival for target in certificate.targets[:-1]), certificate.arrival]
+    return tuple(None if arrival is None else arrival.restart for arrival in arrivals)
+
+
 def marked_trajectory(plan: PlannedMotion) -> Trajectory:
     """The trajectory with the leg of each sample, from 1, whether a pair of tubes forgets its friction on that leg, and
-    the sample from which an interrupted run begins again.
+    the sample from which an interrupted run begins again, of a tour one for each target.
     """
     trajectory, arrival, ends = plan.trajectory, plan.certificate.arrival, leg_end_s(plan)
     leg = np.minimum(np.searchsorted(ends, trajectory.time_s - BETWEEN_SAMPLES_S), len(ends) - 1)
     erasing = [pair.leg for pair in arrival.erased if pair.leg is not None] if arrival else []
     restart = np.zeros(len(leg), dtype=np.int_)
-    if arrival and arrival.restart is not None:
-        begins_s = ends[arrival.restart - 1] if arrival.restart else 0.0
-        restart[int(np.searchsorted(trajectory.time_s, begins_s - BETWEEN_SAMPLES_S))] = 1
+    for waypoint in restarts(plan.certificate):
+        if waypoint is not None:
+            begins_s = ends[waypoint - 1] if waypoint else 0.0
+            restart[int(np.searchsorted(trajectory.time_s, begins_s - BETWEEN_SAMPLES_S))] = 1
     return replace(
         trajectory, marks={"leg": leg + 1, "erases": np.isin(leg, erasing).astype(np.int_), "restart": restart}
     )

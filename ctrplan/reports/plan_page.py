@@ -16,7 +16,7 @@ from ctrplan.certificate.certificate import FIGURES
 from ctrplan.files.plan_inputs import INPUTS, SUFFIX, inputs_of, write_as_one
 from ctrplan.files.trajectory_file import TrajectoryFormat, trajectory_formats, write_trajectory
 from ctrplan.plans.plan import Plan, write_plan_json
-from ctrplan.plans.planned_motion import leg_end_s, marked_trajectory
+from ctrplan.plans.planned_motion import leg_end_s, marked_trajectory, restarts
 from ctrplan.reports.curves import (
     direction_panel,
     error_panel,
@@ -112,8 +112,9 @@ def _leg_remarks(plan: Plan, number: int) -> Iterator[str]:
     arrival = plan.certificate.arrival
     if arrival is None:
         return
-    if arrival.restart == number - 1:
-        yield "an interrupted run begins here again"
+    for target, waypoint in enumerate(found := restarts(plan.certificate), start=1):
+        if waypoint == number - 1:
+            yield f"an interrupted run{f' to target {target}' if len(found) > 1 else ''} begins here again"
     for pair, erased in enumerate(arrival.erased, start=1):
         if erased.leg == number - 1:
             yield f"tubes {pair} and {pair + 1} forget the friction before"

@@ -11,7 +11,7 @@ import numpy as np
 
 from ctrplan.certificate.certificate import FIGURES
 from ctrplan.motion.limits import path_limits
-from ctrplan.plans.planned_motion import place_time_s, sample_time_s, settling_duration_s
+from ctrplan.plans.planned_motion import place_time_s, restarts, sample_time_s, settling_duration_s
 from ctrplan.reports import looks
 from ctrplan.reports.words import VALUES, degrees, digits, millimetres
 
@@ -271,11 +271,10 @@ def _forgotten(arrival: Arrival) -> str:
 
 
 def restart_words(plan: Plan) -> str:
-    """From where, in words."""
-    arrival = plan.certificate.arrival
-    if arrival is None or arrival.restart is None:
-        return "from a start in the friction state that the scenario states"
-    return f"from the end of leg {arrival.restart}" if arrival.restart else "from the start"
+    """From where, in words; of a tour for every target."""
+    stated, found = "from a start in the friction state that the scenario states", restarts(plan.certificate)
+    each = [stated if k is None else f"from the end of leg {k}" if k else "from the start" for k in found]
+    return ", ".join(each if len(each) == 1 else [f"{words} for target {k}" for k, words in enumerate(each, start=1)])
 
 
 def _settling(plan: Plan) -> list[CertificateRow]:

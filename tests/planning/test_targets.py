@@ -25,6 +25,9 @@ from ctrplan.planning.endings import settle
 from ctrplan.planning.goal_states import follow_line, goal_states
 from ctrplan.planning.search.ompl_set_up import SearchProblem
 from ctrplan.planning.search.stage_search import Candidate, Progress, StageSearch
+from ctrplan.plans.planned_motion import marked_trajectory, restarts
+from ctrplan.reports.plan_words import restart_words
+from ctrplan.scenario.prediction import predict, start_states
 from ctrplan.scenario.scenario import Goal, Scenario
 
 START = {"rotate outer": 0, "rotate inner": 0, "translate inner": -30}
@@ -59,6 +62,23 @@ def test_every_target_is_reached_in_order(tour: ctrplan.Plan) -> None:
             assert np.linalg.norm(bound.frictionless.tip_m - goal.tip_m) <= goal.tolerance_m
             assert reached.tip_error_m <= goal.tolerance_m
     assert [t.leg for t in targets] == sorted(t.leg for t in targets) and targets[-1].leg == len(tour.legs) - 1
+
+
+def test_an_interrupted_tour_begins_again_for_the_target_that_it_was_on_its_way_to(tour: ctrplan.Plan) -> None:
+    """Once the place for the last target was said alone, and whoever began again there left the others out."""
+    robot, found = tour.scenario.robot, restarts(tour.certificate)
+    before, marks = -1, np.flatnonzero(marked_trajectory(tour).marks["restart"])
+    assert len(found) == 3 and len(marks) == len(set(found))
+    for number, (waypoint, target) in enumerate(zip(found, tour.certificate.targets, strict=True), start=1):
+        assert waypoint is not None and before < waypoint <= target.leg and target.arrival is not None
+        assert f"{waypoint} for target {number}" in restart_words(tour).replace("from the start", "0")
+        tips = predict(robot, tour.waypoints[waypoint : target.leg + 2], start_states(tour.scenario)).tip_m[:, -1]
+        there = tour.waypoints[waypoint] - tour.trajectory.position[marks]
+        assert (
+            np.linalg.norm(tips - target.arrival.middle_m, axis=1).max() < 1e-4
+            and np.abs(there).max(axis=1).min() < 1e-9
+        )
+        before = target.leg
 
 
 def test_joints_are_planned_to_for_the_tip_that_they_are_meant_for() -> None:
