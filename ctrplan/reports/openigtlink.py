@@ -5,7 +5,9 @@ from __future__ import annotations
 import contextlib
 import socket
 import threading
+import time
 from collections.abc import Callable
+from queue import SimpleQueue
 from types import ModuleType, TracebackType
 
 import numpy as np
@@ -69,6 +71,37 @@ def _points(name: str, points_m: Array, frame: Frame) -> bytes:
 
 ADDRESS = "127.0.0.1"
 SLOWEST_S = 1.0  # that a listener may take before it is let go
+LOOK_S = 0.05  # for a listener
+
+
+class Listener:
+    """Somebody at the other end of a connection, sent to by a thread of its own: who is slow holds up nobody else."""
+
+    def __init__(self, connection: socket.socket) -> None:
+        """Begins to send what is put."""
+        connection.settimeout(SLOWEST_S)
+        self._connection, self._waiting = connection, SimpleQueue[bytes]()
+        self._sending = threading.Thread(target=self._send, name="OpenIGTLink listener", daemon=True)
+        self._sending.start()
+
+    @property
+    def is_there(self) -> bool:
+        """False once it has gone, or was let go because it took nothing for SLOWEST_S."""
+        return self._sending.is_alive()
+
+    def put(self, content: bytes) -> None:
+        """Sends after all that was put before."""
+        self._waiting.put(content)
+
+    def let_go(self) -> None:
+        """Sends what is left and closes the connection."""
+        self._waiting.put(b"")
+        self._sending.join()
+
+    def _send(self) -> None:
+        with self._connection, contextlib.suppress(OSError):
+            while content := self._waiting.get():
+                self._connection.sendall(content)
 
 
 class Broadcast:
@@ -82,8 +115,8 @@ class Broadcast:
             reason = getattr(error, "strerror", None) or error
             raise InputError(f"can't be listened on ({reason})", key="--igtl", value=port) from None
         self.port: int = self.socket.getsockname()[1]
-        self._listeners: list[socket.socket] = []
-        self._last: list[bytes] = []
+        self._listeners: list[Listener] = []
+        self._last, self._is_open = b"", True
         self._lock = threading.Lock()
         self._accepting = threading.Thread(target=self._accept, name="OpenIGTLink", daemon=True)
 
@@ -96,50 +129,45 @@ class Broadcast:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         """Lets everybody go."""
+        self._is_open = False
         with contextlib.suppress(OSError):
             self.socket.shutdown(socket.SHUT_RDWR)  # closing alone would not wake who accepts
         self.socket.close()
         self._accepting.join()
         with self._lock:
             for listener in self._listeners:
-                listener.close()
+                listener.let_go()
             self._listeners.clear()
 
     @property
     def is_heard(self) -> bool:
         """Whether anybody listens."""
         with self._lock:
-            return bool(self._listeners)
+            return any(listener.is_there for listener in self._listeners)
 
     def send(self, messages: list[bytes]) -> None:
         """To all listeners; who has gone, or is too slow, is let go."""
         with self._lock:
-            self._last = messages
-            self._listeners = [listener for listener in self._listeners if _sent(listener, messages)]
+            self._last = b"".join(messages)
+            self._listeners = [listener for listener in self._listeners if listener.is_there]
+            for listener in self._listeners:
+                listener.put(self._last)
 
     def _accept(self) -> None:
-        while True:
+        while self._is_open:
             try:
-                listener, _ = self.socket.accept()
-            except OSError:  # closed
-                return
-            listener.settimeout(SLOWEST_S)
+                connection, _ = self.socket.accept()
+            except OSError:  # closed; or one that was given up, or no more files: the next may be had
+                time.sleep(LOOK_S)
+                continue
+            listener = Listener(connection)
             with self._lock:
-                if _sent(listener, self._last):
-                    self._listeners.append(listener)
-
-
-def _sent(listener: socket.socket, messages: list[bytes]) -> bool:
-    try:
-        listener.sendall(b"".join(messages))
-    except OSError:
-        listener.close()
-        return False
-    return True
+                if self._last:
+                    listener.put(self._last)
+                self._listeners.append(listener)
 
 
 ROW_S = 0.1  # where a path says no time
-LOOK_S = 0.05  # for a listener
 
 
 def play_tips(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 import sys
 import threading
 from collections.abc import Iterator
@@ -72,6 +73,47 @@ def test_a_listener_that_went_away_does_not_stop_the_others(broadcast: Broadcast
         assert stays.wait_for_message("tip", WAIT_S) is not None
     finally:
         stays.stop()
+
+
+def test_a_listener_that_does_not_read_holds_up_nobody(broadcast: Broadcast, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Once whoever sent waited for it, and so did all others, until it was let go."""
+    monkeypatch.setattr("ctrplan.reports.openigtlink.SLOWEST_S", 10 * WAIT_S)
+    deaf, content = socket.create_connection(("127.0.0.1", broadcast.port)), [bytes(64 * 1024)]
+    hears = socket.create_connection(("127.0.0.1", broadcast.port))
+    hears.settimeout(WAIT_S)
+    while len(broadcast._listeners) < 2:
+        threading.Event().wait(0.01)
+    with deaf, hears:
+        for _ in range(400):  # more than a connection keeps
+            broadcast.send(content)
+            left = len(content[0])
+            while left:
+                left -= len(hears.recv(left))
+
+
+def test_a_connection_that_fails_is_not_the_last(broadcast: Broadcast, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Once the first that was given up before it was accepted was the end of listening."""
+    given, faults = broadcast.socket.accept, [OSError("given up")] * 2
+
+    class Flaky:
+        """The socket, which fails twice."""
+
+        def accept(self) -> object:
+            if faults:
+                raise faults.pop()
+            return given()
+
+        def __getattr__(self, name: str) -> object:
+            return getattr(broadcast_socket, name)
+
+    broadcast_socket = broadcast.socket
+    monkeypatch.setattr(broadcast, "socket", Flaky())
+    broadcast.send([b"last"])
+    for _ in range(2):  # the first was accepted before
+        with socket.create_connection(("127.0.0.1", broadcast.port)) as hears:
+            hears.settimeout(WAIT_S)
+            assert hears.recv(4) == b"last"
+    assert not faults
 
 
 def test_simulated_tips_are_played_to_who_listens(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
