@@ -131,6 +131,9 @@ def _count_notes(order: Sequence[Slice]) -> Iterator[str]:
     stated = order[0].tags.get("ImagesInAcquisition")
     if stated is not None and str(stated).isdigit() and int(stated) != len(order):
         yield f"says {int(stated)} images (ImagesInAcquisition), and {len(order)} are read: are some missing?"
+    numbers = {number for part in order if isinstance(number := part.tags.get("InstanceNumber"), int)}
+    if len(numbers) == len(order) and (skipped := max(numbers) - min(numbers) + 1 - len(order)):
+        yield f"leaves out {skipped} numbers between those of its images (InstanceNumber): are slices missing?"
 
 
 def _is_dicom(path: Path) -> bool:

@@ -109,6 +109,17 @@ def test_places_of_slices_count_and_a_spacing_that_contradicts_them_is_said(tmp_
     assert image.notes == ("says slices are 5 mm apart, their places 1.1 mm: the places are taken",)
 
 
+def test_numbers_that_a_series_leaves_out_are_said(tmp_path: Path) -> None:
+    """Once a series of every second slice was read as if it were whole: its gaps are even."""
+    series(tmp_path, lambda k: {"InstanceNumber": str(7 + k)})
+    assert read_series(tmp_path, None).notes == ()
+    for file in tmp_path.iterdir():
+        if int(pydicom.dcmread(file).InstanceNumber) % 2:
+            file.unlink()
+    (note,) = read_series(tmp_path, None).notes
+    assert note == "leaves out 4 numbers between those of its images (InstanceNumber): are slices missing?"
+
+
 @pytest.mark.parametrize(
     ("change", "phrase"),
     [
