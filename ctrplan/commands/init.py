@@ -6,6 +6,7 @@ import argparse
 import os
 from pathlib import Path
 
+from ctrplan.commands.options import refuse_alone
 from ctrplan.commands.terminal import typed
 from ctrplan.errors import InputError
 
@@ -56,6 +57,8 @@ def run(arguments: argparse.Namespace) -> int:
         if getattr(arguments, name) is not None:
             kinds = " or ".join(kind for kind, names in OPTIONS.items() if name in names)
             raise InputError(f"goes with init {kinds}, not with {arguments.kind}", key=f"--{name}")
+    if arguments.mesh is None:
+        refuse_alone({"--unit": arguments.unit}, "--mesh")
     text, following = _text(arguments, path)
     write_atomically(path, text)
     print(f"written to {path}; next: {following}")

@@ -133,6 +133,13 @@ def add_igtl_option(parser: argparse.ArgumentParser, what: str) -> None:
 STEPS = Whole(2, 2000)
 
 
+def refuse_alone(given: Mapping[str, object], other: str) -> None:
+    """Raises InputError for options that say nothing without another one, and were given; None and [] were not."""
+    for option, value in given.items():
+        if value is not None and value != []:
+            raise InputError(f"goes with {other} only", key=option, value=value)
+
+
 def add_plan_arguments(parser: argparse.ArgumentParser) -> None:
     """Adds the plan, its scenario, and what it was planned with."""
     parser.add_argument("plan", metavar="PLAN.json", help="a plan that ctrplan plan wrote, trajectory.csv beside it")

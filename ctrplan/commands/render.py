@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from ctrplan.base.arguments import Number, in_plain_digits
-from ctrplan.commands.options import add_number, add_plan_arguments, read_plan, solved_motion
+from ctrplan.commands.options import add_number, add_plan_arguments, read_plan, refuse_alone, solved_motion
 from ctrplan.commands.terminal import PATIENCE_S, ProgressBar, tell_next, typed
 from ctrplan.errors import InputError
 
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 CAMERAS = ("side", "plate", "target", "inside")
 FPS = Number(1, 60, "pictures a second")
 SIZES = (64, 4096)  # pixels a side
+PICTURES_PER_S = 12
 MOST_PICTURES = 600  # of longer motions fewer, which play faster
 DESCRIPTION = (
     "Solve a written plan's robot at each picture of a film and draw it with its anatomy, off screen; "
@@ -40,7 +41,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add_plan_arguments(parser)
     parser.add_argument("-o", "--output", metavar="FILE", required=True, help="a .mp4, .gif or .png")
     parser.add_argument("--camera", choices=CAMERAS, default="side", help="from where (default: %(default)s)")
-    add_number(parser, "--fps", FPS, default=12, help="pictures a second (default: %(default)s)")
+    add_number(parser, "--fps", FPS, help="pictures a second (default: 12)")
     parser.add_argument("--size", default="960x720", metavar="WxH", help="in pixels (default: %(default)s)")
 
 
@@ -49,6 +50,9 @@ def run(arguments: argparse.Namespace) -> int:
     from ctrplan.reports.render.film import film, film_suffix, write_film
 
     suffix, (width, height) = film_suffix(arguments.output), _size(arguments.size)
+    if suffix == ".png":
+        refuse_alone({"--fps": arguments.fps}, "a film")
+    arguments.fps = arguments.fps or PICTURES_PER_S
     plan = read_plan(arguments)
     seconds = float(plan.time_s[-1])
     count = 2 if suffix == ".png" else min(max(2, round(seconds * arguments.fps) + 1), MOST_PICTURES)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import math
 import threading
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ctrplan.base.arguments import Number, Whole, in_plain_digits
 from ctrplan.base.long_work import INTERRUPTED, interrupt_event
-from ctrplan.commands.options import add_igtl_option, add_number, add_output_option, add_set_option
+from ctrplan.commands.options import add_igtl_option, add_number, add_output_option, add_set_option, refuse_alone
 from ctrplan.commands.terminal import PATIENCE_S, ProgressBar, tell_next, typed, warn
 from ctrplan.errors import InputError, NoAnswerError
 from ctrplan.storage.output_folder import output_folder, write_results
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from ctrplan.studies.simulate import Simulation
 
 FOLLOWED_OUTPUTS = ("followed.csv", "followed.png")
+HISTORIES = 9  # that an observer follows
 
 
 def run_simulate_measured(arguments: argparse.Namespace) -> int:
@@ -43,14 +45,14 @@ def run_simulate_measured(arguments: argparse.Namespace) -> int:
         data = load_measurements(arguments.path, robot)
         folder = output_folder(arguments.output, FOLLOWED_OUTPUTS, inputs=[arguments.path, data.file])
         warn([*robot.warnings, *data.warnings])
-        offset = SlowOffset(arguments.offset_mm * 1e-3, arguments.offset_steps)
+        offset = SlowOffset((arguments.offset_mm or 0.0) * 1e-3, arguments.offset_steps or math.inf)
         with ProgressBar(patience_s=PATIENCE_S) as bar:
             result = follow(
                 robot,
                 data,
                 offset=offset,
                 slow=[_slow(text) for text in arguments.slow],
-                members=arguments.histories,
+                members=arguments.histories or HISTORIES,
                 progress=lambda share: bar.show("following", share),
                 interrupted=interrupted,
             )
@@ -145,10 +147,10 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--measured", action="store_true", help="PATH.csv holds measured tips: follow the robot by them, as an observer"
     )
-    help_offset = "with --measured: what friction doesn't explain, as an offset of the tip (default: %(default)s)"
-    add_number(parser, "--offset-mm", Number(0, LARGEST_OFFSET_MM, "mm"), default=0.0, metavar="MM", help=help_offset)
-    help_steps = "rows over which that offset changes (default: never)"
-    add_number(parser, "--offset-steps", Number(1, 1e9), default=float("inf"), metavar="ROWS", help=help_steps)
+    help_offset = "with --measured: what friction doesn't explain, as an offset of the tip (default: 0)"
+    add_number(parser, "--offset-mm", Number(0, LARGEST_OFFSET_MM, "mm"), metavar="MM", help=help_offset)
+    help_steps = "with --offset-mm: rows over which that offset changes (default: never)"
+    add_number(parser, "--offset-steps", Number(1, 1e9), metavar="ROWS", help=help_steps)
     parser.add_argument(
         "--slow",
         action="append",
@@ -156,8 +158,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         metavar="NAME=SIGMA",
         help="with --measured: a number of the robot that is estimated besides, and how far its value may be off, SI",
     )
-    help_members = "with --measured: friction states that are followed (default: %(default)s)"
-    add_number(parser, "--histories", Whole(1, MOST_MEMBERS), default=9, metavar="N", help=help_members)
+    help_members = f"with --measured: friction states that are followed (default: {HISTORIES})"
+    add_number(parser, "--histories", Whole(1, MOST_MEMBERS), metavar="N", help=help_members)
     add_igtl_option(parser, "the simulated tip, row after row,")
     add_set_option(parser, "the robot's key")
 
@@ -170,8 +172,12 @@ def run(arguments: argparse.Namespace) -> int:
         if arguments.measured:
             raise InputError("goes without --measured", key="--igtl", value=arguments.igtl)
         pyigtl()
+    if arguments.offset_mm is None:
+        refuse_alone({"--offset-steps": arguments.offset_steps}, "--offset-mm")
     if arguments.measured:
         return run_simulate_measured(arguments)
+    options = {"--offset-mm": arguments.offset_mm, "--slow": arguments.slow, "--histories": arguments.histories}
+    refuse_alone(options, "--measured")
     with interrupt_event() as interrupted:
         from ctrplan.files.measurement_file import load_joint_path
         from ctrplan.files.robot_file import load_robot

@@ -9,7 +9,7 @@ from contextlib import AbstractContextManager, nullcontext
 from typing import TYPE_CHECKING, Any
 
 from ctrplan.base.arguments import Whole
-from ctrplan.commands.options import add_allow_outside_option, add_igtl_option, add_number, add_set_option
+from ctrplan.commands.options import add_allow_outside_option, add_igtl_option, add_number, add_set_option, refuse_alone
 from ctrplan.commands.terminal import warn
 
 if TYPE_CHECKING:
@@ -75,6 +75,7 @@ def loaded(arguments: argparse.Namespace) -> tuple[Scenario, WrittenPlan | None]
 def _sending(arguments: argparse.Namespace, state: LiveState) -> AbstractContextManager[Any]:
     """Sends every pose that is shown, the start first, if that was asked for."""
     if arguments.igtl is None:
+        refuse_alone({"--frame": arguments.frame}, "--igtl")
         return nullcontext()
     from ctrplan.files.slicer_markups import patient_frame
     from ctrplan.reports.openigtlink import Broadcast, pose_messages, pyigtl

@@ -92,6 +92,8 @@ def check(
     InputError for what is no such file, and where measurements lack their robot.
     """
     given = _read(subject, robot, allow_outside)
+    if robot is not None and not isinstance(given, Measurements):
+        raise InputError("goes with measurements only", key="robot", value=str(getattr(robot, "name", robot)))
     if isinstance(given, Robot):
         return _of_robot(given)
     if isinstance(given, Scenario):

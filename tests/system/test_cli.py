@@ -164,6 +164,44 @@ def test_failure_is_one_sentence(
     assert not list(tmp_path.rglob("*.*"))
 
 
+PAIR, PATH = str(SCENARIOS / "robots" / "table_1_pair.toml"), "path.csv"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (
+            ["simulate", PAIR, PATH, "--slow", "contact.1.friction_coefficient=0.1"],
+            "--slow = .*: goes with --measured o",
+        ),
+        (["simulate", PAIR, PATH, "--histories", "9"], "--histories = 9: goes with --measured only"),
+        (["simulate", PAIR, PATH, "--offset-mm", "0"], "--offset-mm = 0.0: goes with --measured only"),
+        (
+            ["simulate", PAIR, PATH, "--measured", "--offset-steps", "5"],
+            "--offset-steps = 5.0: goes with --offset-mm o",
+        ),
+        (["check", PAIR, "--robot", PAIR], "robot = .*table_1_pair.toml': goes with measurements only"),
+        (["init", "scenario", "new.toml", "--robot", PAIR, "--unit", "cm"], "--unit = 'cm': goes with --mesh only"),
+        (["view", PAIR, "--no-browser", "--frame", "RAS"], "--frame = 'RAS': goes with --igtl only"),
+        (["render", "plan.json", "-o", "x.png", "--fps", "5"], "--fps = 5.0: goes with a film only"),
+    ],
+)
+def test_an_option_that_would_say_nothing_is_refused(
+    arguments: list[str],
+    sentence: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Once it was passed over: who forgot --measured got a simulation without an observer."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / PATH).write_text("theta_1_rad,theta_2_rad,l_1_m,l_2_m\n0,0,0,-0.017\n", encoding="utf-8")
+    assert main(arguments) == 2
+    said = capsys.readouterr()
+    assert re.match(f"ctrplan: {sentence}", said.err) and said.err.count("\n") == 1, said.err
+    assert [file.name for file in tmp_path.iterdir()] == [PATH]
+
+
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
