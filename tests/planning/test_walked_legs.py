@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -11,10 +12,12 @@ from places import ROBOTS, SCENARIOS
 
 from ctrplan.base.arrays import Array
 from ctrplan.certificate import walked_piece
+from ctrplan.certificate.certify import certify
 from ctrplan.certificate.walked_legs import walk_legs
 from ctrplan.files.robot_file import load_robot
-from ctrplan.files.scenario_file import load_scenario
+from ctrplan.files.scenario_file import load_scenario, scenario_from_dict
 from ctrplan.scenario.joint_space import JointSpace, bare_scenario
+from ctrplan.scenario.scenario import Goal
 
 
 def test_pieces_of_a_failed_walk_are_not_walked_again(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -86,3 +89,46 @@ def test_what_leaps_on_both_meshes_is_refused_and_walked_once_on_each(monkeypatc
     assert not begun
     walk_legs(scenario, way, accuracy="certificate")
     assert begun == ["certificate"] * len(failed.pieces)
+
+
+def drawn(outer_mm: float, inner_mm: float, *section: dict[str, float], collar_mm: float = 0) -> dict[str, Any]:
+    sizes = {"outer_diameter_mm": outer_mm, "inner_diameter_mm": inner_mm, "collar_length_mm": collar_mm}
+    return {**sizes, "youngs_modulus_GPa": 60, "poisson_ratio": 0.3, "section": section}
+
+
+@pytest.mark.parametrize(("slide_mm", "turns"), [(-20, (0.5, 0.5)), (-45, (2.0, 0.0))])
+def test_rounding_changes_no_count_of_points(slide_mm: float, turns: tuple[float, float]) -> None:
+    """A helical tube in sections of 8 mm, and its carriage slides the tube around it along.
+
+    Once elements of whole millimetres had a point more or less from solve to solve, an error of a library.
+    """
+    way = [(math.sin(k / 4), math.cos(k / 4)) for k in range(8)]
+    helix = [{"length_mm": 8, "curvature_x_per_m": -11 * s, "curvature_y_per_m": 11 * c} for s, c in way]
+    tubes = (
+        drawn(2.9, 2.6, {"length_mm": 40}, {"length_mm": 50, "radius_mm": 150}),
+        drawn(2.5, 2.2, {"length_mm": 60}, *helix, collar_mm=10),
+    )
+    joints = [
+        {"name": "turn both", "moves": {"theta": [1, 1]}},
+        {"name": "turn inner", "moves": {"theta": [0, 1]}},
+        {"name": "carriage", "moves": {"l": [1, 1]}, "min_mm": -80, "max_mm": 0},
+    ]
+    for joint in joints:
+        unit = "mm" if joint["name"] == "carriage" else "deg"
+        joint |= {f"max_velocity_{unit}_s": 10, f"max_acceleration_{unit}_s2": 50, f"max_jerk_{unit}_s3": 500}
+    start = {"turn both": 20, "turn inner": 100, "carriage": 0}
+    content = {
+        "robot": {
+            "tube": tubes,
+            "contact": [{"friction_coefficient": 0.2}],
+            "home": {"l_mm": [0, -15]},
+            "joint": joints,
+        },
+        "start": start,
+        "goal": {"joints": start},
+        "anatomy": [{"kind": "sphere", "center_mm": [-15, 8, 70], "radius_mm": 6}],
+    }
+    case = scenario_from_dict(content)
+    corner = case.start + [*turns, 0.0]
+    end = corner + [0.0, 0.0, slide_mm * 1e-3]
+    assert certify(case.with_(goal=Goal(joints=end)), np.array([case.start, corner, end])).valid

@@ -29,7 +29,7 @@ void for_outer_points(const FrictionSolver& solver, const Backbone& shape, doubl
     const KernelProblem& pb = solver.mesh().problem();
     for_outer_elements(solver, shape, [&](int e, const Vec3& start, const Vec3& end) {
         const double radius = solver.robot().tubes[pb.tubes - pb.element_tubes[e]].outer_radius, h = pb.length[e];
-        const int count = std::max(1, static_cast<int>(std::ceil(lengths[e] / spacing)));
+        const int count = std::max(1, static_cast<int>(std::ceil(lengths[e] / spacing - 1e-9)));  // lengths of the same mesh differ in their last digit
         for (int k = 0; k <= count; ++k)
             visit(between(start, shape.frame[e].tangent(), end, shape.frame[e + 1].tangent(), h, static_cast<double>(k) / count), radius);
     });
