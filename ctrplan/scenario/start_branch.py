@@ -58,13 +58,14 @@ def followed(scenario: Scenario, joints: Array) -> Scenario:
 
 
 def led_on(scenario: Scenario, path: Array) -> Scenario:
-    """The scenario with its robot on the branch where waypoints (K, m) end that begin where it stands; itself where
-    that is the one solved at the joints by themselves.
+    """The scenario from where waypoints (K, m) end that begin where its robot stands, on the branch that they lead to.
+
+    What is stated of the start, of friction and turns, is no longer so there.
     """
-    guide = standing(scenario, path).robot.guide
-    if guide is None:
-        return replace(scenario, robot=scenario.robot.unguided) if scenario.robot.guide else scenario
-    return replace(scenario, robot=scenario.robot.guided(guide.at(-1)), start_turns="followed")
+    guide, robot = standing(scenario, path).robot.guide, scenario.robot
+    robot = robot.guided(guide.at(-1)) if guide else robot.unguided if robot.guide else robot
+    result = replace(scenario, robot=robot, start=path[-1])
+    return replace(result, start_friction="unknown", start_turns="followed", start_state=None)
 
 
 def start_guide(scenario: Scenario) -> Guide | None:

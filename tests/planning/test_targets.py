@@ -13,12 +13,14 @@ import pytest
 from places import SCENARIOS
 
 import ctrplan
+from ctrplan.audit.verify import recomputed_differences
 from ctrplan.base.long_work import SearchClock
 from ctrplan.certificate.certify import certify
 from ctrplan.certificate.friction_states import bound_allowance_m
 from ctrplan.drive.legs import distance_from_polyline
 from ctrplan.drive.trajectory import time_parameterise
 from ctrplan.errors import InputError, NoAnswerError
+from ctrplan.files.plan_file import WrittenPlan
 from ctrplan.files.scenario_file import load_robot_or_scenario, scenario_from_dict
 from ctrplan.motion.checker import MotionChecker
 from ctrplan.planning.endings import settle
@@ -79,6 +81,16 @@ def test_an_interrupted_tour_begins_again_for_the_target_that_it_was_on_its_way_
             and np.abs(there).max(axis=1).min() < 1e-9
         )
         before = target.leg
+
+
+def test_friction_known_before_a_tour_is_known_before_its_first_target_alone() -> None:
+    """Once whoever certified the way again took it for released at every target, and found the plan's figures wrong."""
+    there, back = {**START, "rotate inner": 40}, {**START, "friction": "released"}
+    case = pair(start=back, target=[{"joints": there}, {"joints": START}, {"joints": there}], planner={"time_s": 0.2})
+    plan = ctrplan.plan(case)
+    again = ctrplan.certify(case, plan.waypoints)
+    assert again.released_integral_mm == pytest.approx(plan.certificate.released_integral_mm)
+    assert not recomputed_differences(WrittenPlan.of(plan))
 
 
 def test_joints_are_planned_to_for_the_tip_that_they_are_meant_for() -> None:
