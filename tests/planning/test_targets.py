@@ -69,18 +69,14 @@ def test_every_target_is_reached_in_order(tour: ctrplan.Plan) -> None:
 def test_an_interrupted_tour_begins_again_for_the_target_that_it_was_on_its_way_to(tour: ctrplan.Plan) -> None:
     """Once the place for the last target was said alone, and whoever began again there left the others out."""
     robot, found = tour.scenario.robot, restarts(tour.certificate)
-    before, marks = -1, np.flatnonzero(marked_trajectory(tour).marks["restart"])
+    marks = np.flatnonzero(marked_trajectory(tour).marks["restart"])
     assert len(found) == 3 and len(marks) == len(set(found))
     for number, (waypoint, target) in enumerate(zip(found, tour.certificate.targets, strict=True), start=1):
-        assert waypoint is not None and before < waypoint <= target.leg and target.arrival is not None
+        assert waypoint is not None and waypoint <= target.leg and target.arrival is not None
         assert f"{waypoint} for target {number}" in restart_words(tour).replace("from the start", "0")
         tips = predict(robot, tour.waypoints[waypoint : target.leg + 2], start_states(tour.scenario)).tip_m[:, -1]
-        there = tour.waypoints[waypoint] - tour.trajectory.position[marks]
-        assert (
-            np.linalg.norm(tips - target.arrival.middle_m, axis=1).max() < 1e-4
-            and np.abs(there).max(axis=1).min() < 1e-9
-        )
-        before = target.leg
+        assert np.linalg.norm(tips - target.arrival.middle_m, axis=1).max() < 1e-4
+        assert np.abs(tour.waypoints[waypoint] - tour.trajectory.position[marks]).max(axis=1).min() < 1e-9
 
 
 def test_friction_known_before_a_tour_is_known_before_its_first_target_alone() -> None:
