@@ -71,3 +71,18 @@ def test_a_walk_that_goes_on_is_that_from_scratch() -> None:
         for mine, afresh in zip(warm.bodies, cold.bodies, strict=True):
             np.testing.assert_allclose(mine, afresh, rtol=0, atol=SAME_M)
         theta, l = (theta, l) if k % 3 == 1 else to  # noqa: E741
+
+
+@pytest.mark.parametrize(
+    "effect", ["", "effects.nonlinear_elasticity={strain_percent = 0.5, stiffness_fraction = 0.4}"]
+)
+def test_a_walk_is_strained_as_its_shapes_are(effect: str) -> None:
+    """Once walks, and all certificates, looked between the places where elements are strained most: 5 % too little."""
+    robot = ctrplan.load_robot(ROBOTS / "three_tube.toml", [effect] if effect else [])
+    rng = np.random.default_rng(8)
+    for theta, l_3 in zip(rng.uniform(-1, 1, (8, 3)), rng.uniform(-0.1, -0.04, 8), strict=True):
+        collars = np.array([theta]), np.array([[0, -0.017, l_3]])
+        walked = robot.mechanics.check_path(*collars, None)
+        bound = robot.bound(theta, collars[1][0], accuracy="search")
+        most = max(shape.max_strain for shape in (bound.frictionless, *bound.corners))
+        assert walked.max_strain[-1] == pytest.approx(most, rel=1e-4)

@@ -248,6 +248,7 @@ void bending(const KernelProblem& pb, const double* unknowns, double* innermost,
         el.x[1] = el.x[0] + pb.stride;
         Turned<V> turned;
         turn_precurvature<V>(M, pb, e, el, turned);
+        V bent[2][kMaxTubes][2];
         for (int g = 0; g < 2; ++g) {
             hermite_second(kGauss[g], pb.length[e], b);
             V against[kMaxTubes][2], common[2] = {zero_of(V{}), zero_of(V{})}, running[2] = {zero_of(V{}), zero_of(V{})};
@@ -258,12 +259,21 @@ void bending(const KernelProblem& pb, const double* unknowns, double* innermost,
                     against[t][plane] = running[plane] - turned.w[g][t][plane];
                     common[plane] -= (share * EI[t]) * against[t][plane];
                 }
-            for (int t = 0; t < M; ++t) {
-                const V bent[2] = {against[t][0] + common[0], against[t][1] + common[1]};
-                largest = larger(largest, (radius[t] * radius[t]) * (bent[0] * bent[0] + bent[1] * bent[1]));
-            }
+            for (int t = 0; t < M; ++t)
+                for (int plane = 0; plane < 2; ++plane) bent[g][t][plane] = against[t][plane] + common[plane];
             for (int plane = 0; plane < 2; ++plane) out[4 * e + 2 * g + plane] = running[plane] + common[plane];
         }
+        // linear along the element but for the twist, so that its ends are strained most
+        constexpr double kBeyond = kGauss[0] / (kGauss[1] - kGauss[0]);
+        for (int end = 0; end < 2; ++end)
+            for (int t = 0; t < M; ++t) {
+                V square = zero_of(V{});
+                for (int plane = 0; plane < 2; ++plane) {
+                    const V there = bent[end][t][plane] + kBeyond * (bent[end][t][plane] - bent[1 - end][t][plane]);
+                    square += there * there;
+                }
+                largest = larger(largest, (radius[t] * radius[t]) * square);
+            }
     }
     for (int lane = 0; lane < Lane<V>::count; ++lane) strain_square[lane] = Lane<V>::at(largest, lane);
 }

@@ -15,12 +15,13 @@ double innermost_bending(const FrictionSolver& solver, const LaneState& state, i
     const KernelProblem& pb = solver.mesh().problem();
     double kappa[kMaxTubes][2], rotated[kMaxTubes][2], square = 0;
     for (int g = 0; g < 2; ++g) {
-        element_curvature(solver, state, lane, e, kGauss[g], kappa, rotated);
+        element_curvature(solver, state, lane, e, g, kappa, rotated);  // an end of it, where it is strained most
         for (int t = 0; t < pb.element_tubes[e]; ++t) {
             const double x = kappa[t][0] - rotated[t][0], y = kappa[t][1] - rotated[t][1];
             const double radius = pb.outer_radius[pb.element_regime[e] / 2 * pb.tubes + t];
             square = std::max(square, radius * radius * (x * x + y * y));
         }
+        element_curvature(solver, state, lane, e, kGauss[g], kappa, rotated);
         for (int plane = 0; plane < 2; ++plane) innermost[g][plane] = kappa[0][plane];
     }
     return square;
