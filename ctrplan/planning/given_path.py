@@ -32,6 +32,7 @@ from ctrplan.planning.goal_states import nearest_turn
 from ctrplan.planning.reordering import assemble, least_error_order
 from ctrplan.plans.plan import Plan
 from ctrplan.scenario.joint_space import JointSpace
+from ctrplan.scenario.prediction import ball_centre, predict, start_states
 from ctrplan.scenario.scenario import Goal
 from ctrplan.scenario.start_branch import followed, led_on, standing
 from ctrplan.scenario.tip_solver import angle_to
@@ -157,11 +158,19 @@ def _refuse_joints(scenario: Scenario, where: str, off: Array) -> None:
 
 
 def _stages(scenario: Scenario, corners: Array) -> list[Array]:
-    """The path (K, m) from target to target. Raises InputError unless it passes all of them, and ends at the last."""
-    ways, begin = list[Array](), 0
+    """The path (K, m) from target to target. Raises InputError unless it passes all of them, and ends at the last.
+
+    A target is passed by the frictionless tip, or by the middle of those that friction moves.
+    """
+    ways, begin, driven = list[Array](), 0, list[tuple[Array, Array]]()
     for goal in scenario.via:
-        k = next((k for k in range(begin, len(corners)) if not _miss(scenario, goal, corners[k])), None)
-        if k is None:
+        for k in range(begin, len(corners)):
+            if not _miss(scenario, goal, corners[k]):
+                break
+            driven = driven or ([] if goal.joints is not None else _driven(scenario, corners))
+            if goal.joints is None and not _off(scenario, goal, *driven[k]):
+                break
+        else:
             rule = f"must pass the targets in their order, but no waypoint is at {goal.place} after those before it"
             raise InputError(rule, file=scenario.path, key="path")
         ways.append(merge_legs(corners[begin : k + 1]))
@@ -181,12 +190,25 @@ def _miss(scenario: Scenario, goal: Goal, joints: Array) -> str:
         off = np.abs(JointSpace.of(scenario).difference(goal.joints, joints)).max()
         return "" if off <= SAME_JOINTS else "other joint values"
     tips = robot.mechanics.tips_with_friction(*robot.drive.collars(joints[None]), np.zeros((1, robot.n - 1)))
+    return _off(scenario, goal, tips.position_m[0], tips.tangent[0])
+
+
+def _driven(scenario: Scenario, corners: Array) -> list[tuple[Array, Array]]:
+    """Middles (3,) [m] and mean tangents (3,) of tips at each waypoint (K, m), from any friction before the path."""
+    found = predict(scenario.robot, corners, start_states(scenario))
+    tips, known = found.tip_m.transpose(1, 0, 2), np.isfinite(found.tip_m).all(axis=(0, 2))
+    middles = [ball_centre(rows) if is_known else rows[0] * np.nan for rows, is_known in zip(tips, known, strict=True)]
+    return list(zip(middles, found.tangent.mean(axis=0), strict=True))
+
+
+def _off(scenario: Scenario, goal: Goal, tip_m: Array, tangent: Array) -> str:
+    """Why a tip (3,), robot's frame, is not at a goal in space; empty where it is."""
     if goal.direction is not None and goal.direction_tolerance_rad is not None:
-        angle = float(angle_to(tips.tangent, scenario.base_R.T @ goal.direction)[0])
+        angle = float(angle_to(tangent[None], scenario.base_R.T @ goal.direction)[0])
         if not angle <= goal.direction_tolerance_rad:
             most = f"{np.degrees(goal.direction_tolerance_rad):g}"
             return f"the tip is {np.degrees(angle):.3g} deg off that direction, tolerance {most} deg"
-    off_m = float(np.linalg.norm(scenario.located(tips.position_m)[0] - goal.tip_m))
+    off_m = float(np.linalg.norm(scenario.located(tip_m[None])[0] - goal.tip_m))
     return "" if off_m <= goal.tolerance_m else f"the tip is {off_m * MM_PER_M:.3g} mm from it"
 
 

@@ -89,6 +89,23 @@ def test_friction_known_before_a_tour_is_known_before_its_first_target_alone() -
     assert not recomputed_differences(WrittenPlan.of(plan))
 
 
+def test_a_target_is_passed_by_the_tip_that_friction_moves() -> None:
+    """Once friction had to be nothing there: waypoints of plans that were corrected for it passed no target."""
+    start = {**START, "friction": "released"}
+    path = pair(start=start, goal={"joints": START}).start + np.array([[0, 0, 0], [0, 1.2, 0], [0, 1.2, 5e-3]])
+    robot = pair(start=start, goal={"joints": START}).robot
+    moved_m = predict(robot, path[:2], ["released"]).tip_m[0, -1]
+    free_m = robot.solve(*robot.drive.collars(path[1])).tip_m
+    targets = [{"tip_mm": (moved_m * 1e3).tolist(), "tolerance_mm": 0.1}, {"joints": {**START, "rotate inner": 0}}]
+    case = pair(start=start, target=targets)
+    case = case.with_(goal=Goal(joints=path[-1]))
+    assert np.linalg.norm(moved_m - free_m) > 0.3e-3
+    found = ctrplan.certify(case, path)
+    assert found.valid and [target.leg for target in found.targets] == [0, 1]
+    with pytest.raises(InputError, match=r"no waypoint is at target\.1\.tip_mm"):
+        ctrplan.certify(case, path[[0, 2]])
+
+
 def test_joints_are_planned_to_for_the_tip_that_they_are_meant_for() -> None:
     joints = {"rotate outer": 5, "rotate inner": 10, "translate inner": -27}
     there = pair(goal={"joints": joints})
