@@ -170,7 +170,8 @@ def _limits(entry: JointEntry, kind: Kind, moves: Array, j: int, document: Docum
             reason = "a translation is limited" if kind == "translation" else "give both limits or neither"
             raise document.fault(f"is missing, {reason}", "joint", j, f"{key}_{unit}")
     if not lower < upper:
-        raise document.fault(f"must be smaller than max_{unit} = {upper:g} {unit}", "joint", j, f"min_{unit}")
+        locked = ": leave out a joint that does not move, [home] says where it stands" if lower == upper else ""
+        raise document.fault(f"must be smaller than max_{unit} = {upper:g} {unit}{locked}", "joint", j, f"min_{unit}")
     return lower, upper
 
 

@@ -165,7 +165,8 @@ moves = { theta = [0, 1] } -> moves = { theta = [0, 1] }\nmin_mm = -5
 moves = { theta = [0, 1] } -> moves = { theta = [0, 1] }\nmin_deg = -5
     joint.1.max_deg: is missing, give both limits or neither.
 moves = { theta = [0, 1] } -> moves = { theta = [0, 1] }\nmin_deg = 5\nmax_deg = 5
-    joint.1.min_deg = 5 deg: must be smaller than max_deg = 5 deg.
+    joint.1.min_deg = 5 deg: must be smaller than max_deg = 5 deg: leave out a joint that does not move, [home] says
+    where it stands.
 max_velocity_deg_s = 30 -> max_velocity_deg_s = 0
     joint.1.max_velocity_deg_s = 0 deg/s: must be from 0.001 to 1e+06.
 max_velocity_deg_s = 30 -> max_velocity_rad_s = 1
