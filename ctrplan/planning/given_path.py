@@ -196,8 +196,8 @@ def _miss(scenario: Scenario, goal: Goal, joints: Array) -> str:
 def _driven(scenario: Scenario, corners: Array) -> list[tuple[Array, Array]]:
     """Middles (3,) [m] and mean tangents (3,) of tips at each waypoint (K, m), from any friction before the path."""
     found = predict(scenario.robot, corners, start_states(scenario))
-    tips, known = found.tip_m.transpose(1, 0, 2), np.isfinite(found.tip_m).all(axis=(0, 2))
-    middles = [ball_centre(rows) if is_known else rows[0] * np.nan for rows, is_known in zip(tips, known, strict=True)]
+    tips = found.tip_m.transpose(1, 0, 2)  # (K, S, 3), NaN from where a history failed on
+    middles = [ball_centre(rows) if np.isfinite(rows).all() else np.full(3, np.nan) for rows in tips]
     return list(zip(middles, found.tangent.mean(axis=0), strict=True))
 
 
