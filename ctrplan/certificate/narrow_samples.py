@@ -1,4 +1,4 @@
-"""The narrowest samples of walked pieces, solved on the certificate mesh and at the ends of what is first order.
+"""Samples of walked pieces that decide, solved more closely: on finer meshes and at the ends of what is first order.
 
 Pieces are walked on the mesh of the search, whose allowance may take too much from a clearance; so may that of the
 certificate mesh, most of which is first order in the clearance between tubes, where little is left. Samples one after
@@ -169,6 +169,28 @@ def _solved_anew(
         least = distance.least(bodies.reshape(-1, 3), np.tile(shapes.radius_m, len(bodies)), owner, 1)[0]
         solved[at] = float(least) - float(offset[sample]), shapes
     return solved
+
+
+def strained_as_solved(scenario: Scenario, pieces: Sequence[Piece]) -> list[Piece]:
+    """The pieces with all strain larger by the share that the mesh misses of the largest, which exact geometry tells.
+
+    Twist that decays within an element of the search mesh takes some per cent. Nothing changes where the equilibrium
+    that was walked to is not solved again.
+    """
+    piece = max(pieces, key=lambda walked: float(walked.max_strain.max()))
+    k = int(np.argmax(piece.max_strain))
+    walk = _these(scenario.robot, piece.theta_b[[k]], piece.l_b[[k]], "exact")
+    solved = _rows_by_sample(walk)
+    if 0 not in solved or next(_apart_m(scenario, piece, [(walk, solved[0])], k)) > SAME_SHAPE_M:
+        return list(pieces)
+    least = float(piece.samples.max_strain[k])
+    more = max(1.0, float(walk.max_strain[solved[0]]) / least) if least > 0 else 1.0
+
+    def scaled(walked: Piece) -> Piece:
+        samples = replace(walked.samples, max_strain=walked.samples.max_strain * more)
+        return replace(walked, samples=samples, max_strain=walked.max_strain * more)
+
+    return list(map(scaled, pieces))
 
 
 def _these(robot: Robot, theta_b: Array, l_b: Array, accuracy: Accuracy) -> PathSamples:

@@ -17,7 +17,7 @@ from ctrplan.certificate.certificate import CertificateSamples
 from ctrplan.certificate.every_state import in_every_friction_state
 from ctrplan.certificate.friction_cube import WITHIN_M, refuse_many_tubes
 from ctrplan.certificate.friction_states import bound_allowance_m, mesh_allowance_m
-from ctrplan.certificate.narrow_samples import at_worst_ends, closely_solved
+from ctrplan.certificate.narrow_samples import at_worst_ends, closely_solved, strained_as_solved
 from ctrplan.certificate.other_equilibria import other_equilibrium, other_start, other_start_within
 from ctrplan.certificate.problems import (
     BRANCH_TOLERANCE_M,
@@ -212,6 +212,7 @@ def _judged(
 
     Friction states are asked for `more_m` of clearance beyond the scenario's.
     """
+    pieces = strained_as_solved(scenario, pieces)
     samples = joined_samples(scenario, space, pieces)
     with ThreadPoolExecutor(1) as beside:  # a few bounds and a few narrow samples leave half of the machine idle each
         stated = beside.submit(_bounds, scenario, samples, pieces)
