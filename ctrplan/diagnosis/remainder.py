@@ -277,7 +277,7 @@ def input_distances(data: Measurements) -> Iterator[tuple[str, Array]]:
     turns |= {f"turn_{i + 1}": theta[:, i] - theta[:, i - 1] for i in range(1, data.n) if np.ptp(theta[:, i - 1])}
     yield from ((name, 4 * np.sin((angle[:, None] - angle) / 2) ** 2) for name, angle in turns.items())
     for i in range(data.n):
-        yield f"l_{i + 1}", ((l[:, i, None] - l[:, i]) / ROOM_M) ** 2
+        yield f"l_{i + 1}", _square(l[:, i], is_angle=False)
 
 
 def kernel_modes(square: Array) -> Array:
