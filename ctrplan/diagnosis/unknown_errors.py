@@ -436,8 +436,9 @@ def _modes_of_one_size(B: Array) -> Array:
     """(5 K, m) of modes (K, 5, ...), with mean square 1, turned to where they are apart from each other."""
     flat = B.reshape(B.shape[0] * B.shape[1], -1)
     values, vectors = np.linalg.eigh(flat.T @ flat)
-    modes: Array = flat @ vectors[:, values > LEAST_MODE * values[-1]]
-    return modes / np.sqrt((modes**2).sum() / len(flat))
+    kept = values > LEAST_MODE * values[-1]
+    modes: Array = flat @ vectors[:, kept] / np.sqrt(values[kept].sum() / len(flat))
+    return modes
 
 
 def _since_each_configuration(data: Measurements) -> list[NDArray[np.bool_]]:
