@@ -273,9 +273,11 @@ def input_distances(data: Measurements) -> Iterator[tuple[str, Array]]:
     yield "history", joints + ((history[:, None] - history) ** 2).sum(axis=2)
     yield "time", (QUARTERS * (time[:, None] - time) / max(float(np.ptp(time)), 1e-9)) ** 2
     theta, l = data.theta_commanded[data.rows], data.l_commanded[data.rows]  # noqa: E741
+    turns = {f"theta_{i + 1}": theta[:, i] for i in range(data.n)}
+    turns |= {f"turn_{i + 1}": theta[:, i] - theta[:, i - 1] for i in range(1, data.n) if np.ptp(theta[:, i - 1])}
+    yield from ((name, 4 * np.sin((angle[:, None] - angle) / 2) ** 2) for name, angle in turns.items())
     for i in range(data.n):
-        yield f"theta_{i + 1}", 4 * np.sin((theta[:, i, None] - theta[:, i]) / 2) ** 2
-        yield f"l_{i + 1}", ((l[:, i, None] - l[:, i]) / ROOM_M) ** 2
+        yield f"l_{i + 1}", _square(l[:, i], is_angle=False)
 
 
 def kernel_modes(square: Array) -> Array:

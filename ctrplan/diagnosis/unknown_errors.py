@@ -49,18 +49,17 @@ from ctrplan.diagnosis.linear_fit import process_gains
 from ctrplan.diagnosis.remainder import LEAST_MODE, LENGTHS, QUARTERS, input_distances, kernel_modes, square_distances
 from ctrplan.diagnosis.term_pieces import HALF_WAVES, TermPiece, pieces, wide_linearisation
 from ctrplan.diagnosis.workbench import Scored, Workbench
+from ctrplan.effects.effect import CATALOGUE
 from ctrplan.effects.learned.inputs import Target
 from ctrplan.measurement.approach import clock
 from ctrplan.measurement.measurements import Measurements
+from ctrplan.pipeline.term import term
 
 SENSOR = Target("sensor")
+AMOUNTS = ("tip_load", "gravity", "sensor_offset", "base_misalignment")  # which something unknown may let vary
 SHORTEST = QUARTERS / (np.pi * HALF_WAVES)  # of time, in which what goes with it does what pieces in time do
 RECENT = 8  # peaks beside which processes are remembered, a budget of memory (5 MB each): like sets share theirs
-
-
 JOINT_LENGTHS = (0.3, 0.6, 1.0, 1.5, 2.5)  # [rad]; longer ones are what frames and offsets are
-
-
 SMOOTH = (0.7, 1.0)  # share of what configurations differ by that goes along with the joints
 MEMORIES = 6  # forgotten ones from a step of the poses to half of the motion, smooth ones from four to twice of it
 
@@ -404,32 +403,41 @@ def _processes(bench: Workbench, base: Scored, counts: Array) -> Iterator[tuple[
     plain = CorrelatedBench(bench.robot, data, replace(base.fit.noise, discrepancy=None), bench.group)
     table = wide_linearisation(plain, base, list(constants.values()))
     lengths = {"time": LENGTHS if data.is_stream else (*LENGTHS, SHORTEST)}  # where pieces in time are
-    modes = {
-        (name, length): kernel_modes(square / length**2)
+    modes = [
+        (name if name in ("history", "time") else "joints", kernel_modes(square / length**2))
         for name, square in input_distances(data)
+        if square.any()
         for length in lengths.get(name, LENGTHS)
-    }
+    ]
     seen = {on: table.whole.J[:, :, table.places[piece]] * counts[:, None, None] for on, piece in constants.items()}
     at_sensor = seen.pop(SENSOR)
     pushed = [at_sensor * later[:, None, None] for later in _since_each_configuration(data)]
     yield from (("time", _modes_of_one_size(B)) for B in pushed if B.any())
     rotations = [D for on, D in seen.items() if on.kind_name == "theta"]
-    parts = [(f"{on.kind_name}_{on.tube}", D) for on, D in seen.items()]
+    parts = [*seen.values(), *_amounts(plain, base, counts)]
     if len(rotations) > 1:
-        parts.append(("rotations", np.concatenate(rotations, axis=2)))  # a cause that all of them share
-    for own, D in parts:
-        for (name, _), phi in modes.items():
-            if name in ("joints", "history", "time", own):
-                B = D[..., None] * phi[:, None, None]
-                if B.any():
-                    yield ("joints" if name == own else name), _modes_of_one_size(B)
+        parts.append(np.concatenate(rotations, axis=2))  # a cause that all of them share
+    for D, (name, phi) in product(parts, modes):
+        B = D[..., None] * phi[:, None, None]
+        if B.any():
+            yield name, _modes_of_one_size(B)
+
+
+def _amounts(bench: CorrelatedBench, base: Scored, counts: Array) -> Iterator[Array]:
+    """(K, 5, P) by the amounts of effects that are neither a tube's nor a joint's, over the widths of their priors."""
+    effects = [CATALOGUE[name] for name in AMOUNTS if name not in bench.robot.effects]
+    terms = [term(effect, [q.name for q in effect.parameters(bench.robot)], bench.robot) for effect in effects]
+    panel = bench.panel(base, terms)
+    for places in map(panel.places, ([t] for t in terms)):
+        yield panel.whole.J[:, :, places] / np.sqrt(panel.whole.precision[places]) * counts[:, None, None]
 
 
 def _modes_of_one_size(B: Array) -> Array:
     """(5 K, m) of modes (K, 5, ...), with mean square 1, turned to where they are apart from each other."""
     flat = B.reshape(B.shape[0] * B.shape[1], -1)
-    flat = flat / np.sqrt((flat**2).sum() / len(flat))
-    modes: Array = flat @ np.linalg.eigh(flat.T @ flat)[1]
+    values, vectors = np.linalg.eigh(flat.T @ flat)
+    kept = values > LEAST_MODE * values[-1]
+    modes: Array = flat @ vectors[:, kept] / np.sqrt(values[kept].sum() / len(flat))
     return modes
 
 
