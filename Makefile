@@ -20,7 +20,7 @@ FIRST_BUILD = $(if $(wildcard $(VENV)/.installed),, The first time the environme
 demo-time:
 	@echo "Planning $(SCENARIO) takes half a minute or so.$(FIRST_BUILD)"
 test-time:
-	@echo "Lint, types and all tests take eight to eighteen minutes on two processors.$(FIRST_BUILD)"
+	@echo "Lint, types and all tests take six to eighteen minutes on two processors.$(FIRST_BUILD)"
 
 demo: demo-time install
 	$(BIN)/ctrplan plan $(SCENARIO) -o $(OUTPUT)
