@@ -271,10 +271,12 @@ def _forgotten(arrival: Arrival) -> str:
 
 
 def restart_words(plan: Plan) -> str:
-    """From where, in words; of a tour for every target."""
+    """From where, in words; for every target of a tour where these differ."""
     stated, found = "from a start in the friction state that the scenario states", restarts(plan.certificate)
     each = [stated if k is None else f"from the end of leg {k}" if k else "from the start" for k in found]
-    return ", ".join(each if len(each) == 1 else [f"{words} for target {k}" for k, words in enumerate(each, start=1)])
+    if len(set(each)) == 1:
+        return each[0]
+    return ", ".join(f"{words} for target {k}" for k, words in enumerate(each, start=1))
 
 
 def _settling(plan: Plan) -> list[CertificateRow]:
