@@ -174,7 +174,7 @@ def _row(scenario: Scenario, c: Configuration, branch: int) -> list[str]:
 
 
 def _play_header(scenario: Scenario) -> list[str]:
-    """Of a column that robots with play have: what it moves the tip by besides."""
+    """The column of what play moves the tip by besides, for robots that have play."""
     return [] if scenario.robot.drive.play is None else ["play (mm)"]
 
 
