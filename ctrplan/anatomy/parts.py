@@ -210,7 +210,7 @@ def _cells(parts: Sequence[AnatomyPart], points: Array) -> Iterator[tuple[NDArra
     yield from zip(rows, nearby(parts, (cells + 0.5) * CELL_M, float(radius)), strict=True)
 
 
-CELLS, FINER = 16, 4  # along a phase's longest side, where the way to the next one is looked at first; and then
+CELLS = 4  # along a phase's longest side where ways to the next are looked at first, then along each: a budget alone
 
 
 @dataclass(frozen=True, eq=False)
@@ -301,5 +301,5 @@ def _farthest_m(vertices_m: Array, shape: PartShape) -> float:
         largest, owner = max(largest, float(away.max())), owner.ravel()
         left = away[owner] + np.linalg.norm(vertices_m - vertices_m[first[owner]], axis=1) > largest
         left[first] = False
-        vertices_m, size_m = vertices_m[left], size_m / FINER
+        vertices_m, size_m = vertices_m[left], size_m / CELLS
     return largest

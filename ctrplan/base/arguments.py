@@ -227,6 +227,7 @@ class Interval(Kind):
         return is_pair and all(map(ends.fits, value)) and bool(value[0] <= value[1])
 
 
+MEMBERS = Whole(1, 1000)  # histories that an observer follows
 SEED = Whole(0, 2**31 - 10**5 - 1)  # searches add to it
 SEARCH_TIME = Number(0, 3600, "s", above=True)
 

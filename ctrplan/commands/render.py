@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 CAMERAS = ("side", "plate", "target", "inside")
 FPS = Number(1, 60, "pictures a second")
 SIZES = (64, 4096)  # pixels a side
-PICTURES_PER_S = 12
+PICTURES_PER_S = 12  # as few as still look like a motion: files of a GIF grow with them
 MOST_PICTURES = 600  # of longer motions fewer, which play faster
 DESCRIPTION = (
     "Solve a written plan's robot at each picture of a film and draw it with its anatomy, off screen; "
@@ -41,7 +41,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add_plan_arguments(parser)
     parser.add_argument("-o", "--output", metavar="FILE", required=True, help="a .mp4, .gif or .png")
     parser.add_argument("--camera", choices=CAMERAS, default="side", help="from where (default: %(default)s)")
-    add_number(parser, "--fps", FPS, help="pictures a second (default: 12)")
+    add_number(parser, "--fps", FPS, help=f"pictures a second (default: {PICTURES_PER_S})")
     parser.add_argument("--size", default="960x720", metavar="WxH", help="in pixels (default: %(default)s)")
 
 

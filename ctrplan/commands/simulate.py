@@ -8,7 +8,7 @@ import threading
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ctrplan.base.arguments import Number, Whole, in_plain_digits
+from ctrplan.base.arguments import MEMBERS, Number, in_plain_digits
 from ctrplan.base.long_work import INTERRUPTED, interrupt_event
 from ctrplan.commands.options import add_igtl_option, add_number, add_output_option, add_set_option, refuse_alone
 from ctrplan.commands.terminal import PATIENCE_S, ProgressBar, tell_next, typed, warn
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from ctrplan.studies.simulate import Simulation
 
 FOLLOWED_OUTPUTS = ("followed.csv", "followed.png")
-HISTORIES = 9  # that an observer follows
 
 
 def run_simulate_measured(arguments: argparse.Namespace) -> int:
@@ -52,7 +51,7 @@ def run_simulate_measured(arguments: argparse.Namespace) -> int:
                 data,
                 offset=offset,
                 slow=[_slow(text) for text in arguments.slow],
-                members=arguments.histories or HISTORIES,
+                **({} if arguments.histories is None else {"members": arguments.histories}),
                 progress=lambda share: bar.show("following", share),
                 interrupted=interrupted,
             )
@@ -102,7 +101,6 @@ def _followed_summary(folder: Path, result: Following) -> str:
 
 
 OUTPUTS = ("poses.csv", "simulate.png")
-MOST_MEMBERS, LARGEST_OFFSET_MM = 1000, 100.0
 
 
 DESCRIPTION = (
@@ -148,7 +146,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "--measured", action="store_true", help="PATH.csv holds measured tips: follow the robot by them, as an observer"
     )
     help_offset = "with --measured: what friction doesn't explain, as an offset of the tip (default: 0)"
-    add_number(parser, "--offset-mm", Number(0, LARGEST_OFFSET_MM, "mm"), metavar="MM", help=help_offset)
+    add_number(parser, "--offset-mm", Number(0, 100, "mm"), metavar="MM", help=help_offset)
     help_steps = "with --offset-mm: rows over which that offset changes (default: never)"
     add_number(parser, "--offset-steps", Number(1, 1e9), metavar="ROWS", help=help_steps)
     parser.add_argument(
@@ -158,8 +156,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         metavar="NAME=SIGMA",
         help="with --measured: a number of the robot that is estimated besides, and how far its value may be off, SI",
     )
-    help_members = f"with --measured: friction states that are followed (default: {HISTORIES})"
-    add_number(parser, "--histories", Whole(1, MOST_MEMBERS), metavar="N", help=help_members)
+    help_members = "with --measured: friction states that are followed (default: 9)"
+    add_number(parser, "--histories", MEMBERS, metavar="N", help=help_members)
     add_igtl_option(parser, "the simulated tip, row after row,")
     add_set_option(parser, "the robot's key")
 

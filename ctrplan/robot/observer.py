@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ctrplan.base.arguments import SEED, Choice, Made, Whole, checked
+from ctrplan.base.arguments import MEMBERS, SEED, Choice, Made, checked
 from ctrplan.base.arrays import CI95, LEVEL, UNITS_M, Array, numbers, warn_of_degrees
 from ctrplan.base.package import of_this_process
 from ctrplan.drive.legs import STILL_M, STILL_RAD
@@ -204,7 +204,7 @@ class Observer:
     @checked(
         noise=Made("SensorNoise"),
         offset=Made("SlowOffset"),
-        members=Whole(1, 1000),
+        members=MEMBERS,
         seed=SEED,
         accuracy=Choice("search", "certificate"),
     )

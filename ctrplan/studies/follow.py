@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrplan.base.arguments import EVENT, PROGRESS, SEED, Made, Whole, checked
+from ctrplan.base.arguments import EVENT, MEMBERS, PROGRESS, SEED, Made, checked
 from ctrplan.base.arrays import Array
 from ctrplan.base.long_work import Progress
 from ctrplan.drive.legs import Collars
@@ -68,7 +68,7 @@ class Following:
     data=Made("Measurements"),
     noise=Made("SensorNoise"),
     offset=Made("SlowOffset"),
-    members=Whole(1, 1000),
+    members=MEMBERS,
     seed=SEED,
     progress=PROGRESS,
     interrupted=EVENT,
